@@ -1,0 +1,78 @@
+"""Client SDK for Veilcam: ask a privacy camera what it sees.
+
+from veilcam_client import Camera
+
+with Camera("http://127.0.0.1:8787") as camera:
+    print(camera.classify().label)
+"""
+
+from importlib.metadata import version
+
+from veilcam_client.camera import DEFAULT_URL, AsyncCamera, Camera
+from veilcam_client.errors import (
+    ApiError,
+    BusyError,
+    ConnectError,
+    DeviceError,
+    InvalidRequestError,
+    ProtocolError,
+    RequestTimeoutError,
+    ServerError,
+    VeilcamError,
+)
+from veilcam_client.events import (
+    CaptureTaken,
+    Classified,
+    Event,
+    Fault,
+    Gap,
+    MaskChanged,
+    RotationChanged,
+    StateChanged,
+)
+from veilcam_client.models import (
+    Capture,
+    Classification,
+    Embedding,
+    EveryCaptures,
+    EverySeconds,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
+    Status,
+)
+
+__version__ = version("veilcam")
+
+__all__ = [
+    "DEFAULT_URL",
+    "ApiError",
+    "AsyncCamera",
+    "BusyError",
+    "Camera",
+    "Capture",
+    "CaptureTaken",
+    "Classification",
+    "Classified",
+    "ConnectError",
+    "DeviceError",
+    "Embedding",
+    "Event",
+    "EveryCaptures",
+    "EverySeconds",
+    "Fault",
+    "Gap",
+    "InvalidRequestError",
+    "MaskChanged",
+    "ProtocolError",
+    "RequestTimeoutError",
+    "Rotation",
+    "RotationChanged",
+    "RotationOff",
+    "RotationPolicy",
+    "ServerError",
+    "StateChanged",
+    "Status",
+    "VeilcamError",
+    "__version__",
+]

@@ -1,0 +1,87 @@
+"""Every request of the API as data: what to send and how to read the answer.
+
+The sync and the async camera share these, so they cannot drift apart.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from pydantic import BaseModel
+
+from veilcam_client.models import (
+    Capture,
+    Classification,
+    ClassificationRequest,
+    Rotation,
+    RotationPolicy,
+    Status,
+)
+
+AnswerT = TypeVar("AnswerT", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[AnswerT]):
+    """One request; repeating it carries the same idempotency key."""
+
+    method: str
+    path: str
+    answer: type[AnswerT]
+    body: bytes | None = None
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+
+def _headers(*, body: bool = False, post: bool = False) -> dict[str, str]:
+    headers = {"Accept": "application/json"}
+    if body:
+        headers["Content-Type"] = "application/json"
+    if post:
+        headers["Idempotency-Key"] = uuid.uuid4().hex
+    return headers
+
+
+def status() -> Call[Status]:
+    """GET /v1/status."""
+    return Call("GET", "/v1/status", Status, headers=_headers())
+
+
+def capture() -> Call[Capture]:
+    """POST /v1/captures."""
+    return Call("POST", "/v1/captures", Capture, headers=_headers(post=True))
+
+
+def classify(include_embedding: bool) -> Call[Classification]:
+    """POST /v1/classifications."""
+    request = ClassificationRequest(include_embedding=include_embedding)
+    return Call(
+        "POST",
+        "/v1/classifications",
+        Classification,
+        request.model_dump_json().encode(),
+        _headers(body=True, post=True),
+    )
+
+
+def rotation() -> Call[Rotation]:
+    """GET /v1/rotation."""
+    return Call("GET", "/v1/rotation", Rotation, headers=_headers())
+
+
+def set_rotation(policy: RotationPolicy) -> Call[Rotation]:
+    """PUT /v1/rotation."""
+    return Call(
+        "PUT",
+        "/v1/rotation",
+        Rotation,
+        policy.model_dump_json().encode(),
+        _headers(body=True),
+    )
+
+
+def rotate() -> Call[Rotation]:
+    """POST /v1/rotation/advance."""
+    return Call("POST", "/v1/rotation/advance", Rotation, headers=_headers(post=True))

@@ -1,0 +1,80 @@
+"""What happens, as the daemon tells of it on its event stream."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
+
+from veilcam_client.models import Answer, RotationPolicy, State
+
+
+class _Event(Answer):
+    id: str
+    """Send it as ``Last-Event-ID`` to go on after this event."""
+    at: datetime
+
+
+class StateChanged(_Event):
+    """The daemon became ready, safe, ..."""
+
+    kind: Literal["state"] = "state"
+    state: State
+    detail: str | None = None
+
+
+class MaskChanged(_Event):
+    """A new mask is on the panel."""
+
+    kind: Literal["mask"] = "mask"
+    epoch: str
+
+
+class CaptureTaken(_Event):
+    """An embedding was taken."""
+
+    kind: Literal["capture"] = "capture"
+    capture: str
+    epoch: str
+
+
+class Classified(_Event):
+    """A capture got its label."""
+
+    kind: Literal["classification"] = "classification"
+    capture: str
+    epoch: str
+    label: str
+    confidence: float
+
+
+class RotationChanged(_Event):
+    """Another rotation policy holds."""
+
+    kind: Literal["rotation"] = "rotation"
+    policy: RotationPolicy
+
+
+class Fault(_Event):
+    """Something failed; ``code`` is that of the problem."""
+
+    kind: Literal["fault"] = "fault"
+    code: str
+    detail: str
+
+
+class Gap(_Event):
+    """Events were missed here; ``missed`` is None when the daemon was restarted in between."""
+
+    kind: Literal["gap"] = "gap"
+    missed: int | None = None
+
+
+Event = Annotated[
+    StateChanged | MaskChanged | CaptureTaken | Classified | RotationChanged | Fault | Gap,
+    Field(discriminator="kind"),
+]
+
+EVENT: TypeAdapter[Event] = TypeAdapter(Event)
+EVENT_KINDS = frozenset(("state", "mask", "capture", "classification", "rotation", "fault", "gap"))

@@ -1,0 +1,81 @@
+"""Answers in words, for a terminal."""
+
+from __future__ import annotations
+
+from pydantic import ValidationError
+
+from veilcam_client.events import (
+    CaptureTaken,
+    Classified,
+    Event,
+    Fault,
+    MaskChanged,
+    RotationChanged,
+    StateChanged,
+)
+from veilcam_client.models import (
+    BundleInfo,
+    EverySeconds,
+    Preparation,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
+)
+
+
+def refusal(error: ValidationError) -> str:
+    """Name the option at fault, or what does not fit together."""
+    item = error.errors()[0]
+    message = item["msg"].removeprefix("Input ").removeprefix("Value error, ")
+    if not item["loc"]:
+        return message
+    name = str(item["loc"][0])
+    option = f"--every-{name}" if name in ("seconds", "captures") else f"--{name}"
+    return f"{option} {item['input']}: {message}"
+
+
+def policy_in_words(policy: RotationPolicy) -> str:
+    """When masks change."""
+    if isinstance(policy, RotationOff):
+        return "off"
+    if isinstance(policy, EverySeconds):
+        less = f", up to {policy.jitter:g} s less" if policy.jitter else ""
+        often = f"every {policy.seconds:g} s{less}"
+    else:
+        often = f"every {policy.captures} captures"
+    return f"{often}, or {policy.reuse} more when late" if policy.reuse else often
+
+
+def masks_in_words(bundle: BundleInfo) -> str:
+    """Which masks there are."""
+    return "fresh masks" if bundle.mode == "fresh" else f"{bundle.pairs} masks"
+
+
+def next_in_words(preparation: Preparation) -> str:
+    """Whether the next mask is ready, and how often it was not."""
+    ready = "ready" if preparation.ready else "not ready"
+    if not preparation.late:
+        return ready
+    return f"{ready}; late {preparation.late} times, {preparation.reused} captures reused a mask"
+
+
+def epoch_in_words(rotation: Rotation) -> str:
+    """The present epoch."""
+    if rotation.epoch is None:
+        return "none: no mask is shown"
+    return f"{rotation.epoch}, {rotation.captures} captures"
+
+
+def event_in_words(event: Event) -> str:
+    """What happened, in one line."""
+    if isinstance(event, Classified):
+        return f"{event.label}  {100 * event.confidence:.1f} %  epoch {event.epoch}"
+    if isinstance(event, (MaskChanged, CaptureTaken)):
+        return f"epoch {event.epoch}"
+    if isinstance(event, StateChanged):
+        return f"{event.state}  {event.detail or ''}".rstrip()
+    if isinstance(event, RotationChanged):
+        return policy_in_words(event.policy)
+    if isinstance(event, Fault):
+        return f"{event.code}: {event.detail}"
+    return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"

@@ -1,0 +1,38 @@
+"""What a lensless camera does to light: geometry, masks, propagation, transfer operator, plans.
+
+from veilcam_optics import Camera, Embedding, Scene, plan
+
+chosen = plan(Camera(), Scene(), Embedding(24, 32), tolerance=1e-2)
+print(chosen.explain())
+"""
+
+from veilcam_optics.conditions import Conditions
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.grid import GridLight
+from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
+from veilcam_optics.noise import shot_noise
+from veilcam_optics.plan import Plan, plan
+from veilcam_optics.transfer import Reach, TransferOperator, Variables
+
+__all__ = [
+    "Camera",
+    "Conditions",
+    "Embedding",
+    "GridLight",
+    "OpticsError",
+    "Panel",
+    "Plan",
+    "Reach",
+    "Scene",
+    "Sensor",
+    "TransferOperator",
+    "Variables",
+    "Window",
+    "plan",
+    "quantise",
+    "random_mask",
+    "shot_noise",
+    "to_levels",
+    "to_weights",
+]

@@ -1,0 +1,98 @@
+"""A point spread function that was measured: an image of a point source, background removed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from veilcam_optics.errors import OpticsError, invalid
+
+
+def read_image(path: Path) -> Tensor:
+    """Return an image file as float64 in [0, 1]: (rows, columns) gray or (3, rows, columns).
+
+    8 and 16 bit files that Pillow reads; PNG keeps 16 bit in gray only. Values are taken as they
+    are: a raw frame is linear, a photograph for display is not (see ``colour.decode_srgb``).
+
+    Raises:
+        OpticsError: If the file cannot be read as an image, or has another number of channels.
+    """
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - only who reads files needs it
+
+    try:
+        with Image.open(path) as opened:
+            values = np.asarray(opened)
+    except (OSError, UnidentifiedImageError) as error:
+        raise OpticsError(f"cannot read the image {path.name}: use a PNG or TIFF file") from error
+    if values.dtype == np.bool_:
+        values = values.astype(np.uint8) * np.uint8(255)
+    if not np.issubdtype(values.dtype, np.integer):
+        raise invalid("path", str(values.dtype), "", "an image of 8 or 16 bit integers")
+    # Pillow hands 16 bit gray out as int32 in some versions.
+    largest = 255 if values.dtype == np.uint8 else 65535
+    scaled = torch.from_numpy(values.astype(np.float64) / largest)
+    if scaled.ndim == 2:
+        return scaled
+    if scaled.shape[2] in (3, 4):
+        return scaled[..., :3].permute(2, 0, 1).contiguous()
+    raise invalid("path", f"{scaled.shape[2]} channels", "", "a gray or an RGB image")
+
+
+def remove_background(image: Tensor, *, margin: float = 0.02, deviations: float = 3.0) -> Tensor:
+    """Return an image without what a dark room leaves in it.
+
+    Level and noise of the background are the median and the spread (1.4826 times the median
+    absolute deviation) of a frame along the edges, per channel; what does not rise above the level
+    by ``deviations`` times the spread is set to zero, from the rest the level is subtracted.
+
+    Args:
+        image: Shape (..., rows, columns).
+        margin: Width of the frame as a share of the sides.
+        deviations: How far above the background light begins, in standard deviations.
+
+    Raises:
+        OpticsError: If ``margin`` is not in (0, 0.5), ``deviations`` is negative, or NaN is found.
+    """
+    if not 0 < margin < 0.5:
+        raise invalid("margin", margin, "", "a share between 0 and 0.5")
+    if not deviations >= 0:
+        raise invalid("deviations", deviations, "", "a number >= 0")
+    if not bool(torch.isfinite(image).all()):
+        raise OpticsError("image holds NaN or infinity: use finite values")
+    rows, columns = image.shape[-2:]
+    deep = max(1, round(rows * margin)), max(1, round(columns * margin))
+    frame = torch.ones(rows, columns, dtype=torch.bool, device=image.device)
+    frame[deep[0] : rows - deep[0], deep[1] : columns - deep[1]] = False
+    outside = image[..., frame]
+    level = outside.median(dim=-1).values[..., None, None]
+    spread = 1.4826 * (outside - level[..., 0]).abs().median(dim=-1).values[..., None, None]
+    risen = image - level
+    return torch.where(risen > deviations * spread, risen, torch.zeros_like(risen))
+
+
+def normalise_psf(image: Tensor, energy: float = 1.0) -> Tensor:
+    """Return the image scaled so that all channels together sum to ``energy`` per channel.
+
+    Channels keep their ratio. An image without any light has no PSF and is refused.
+
+    Raises:
+        OpticsError: If the image is dark.
+    """
+    channels = image.shape[-3] if image.ndim > 2 else 1
+    total = image.sum()
+    if not float(total) > 0:
+        raise OpticsError("the image has no light left: use a longer exposure or a smaller margin")
+    return image * (energy * channels / total)
+
+
+def measured_psf(path: Path, *, margin: float = 0.02, deviations: float = 3.0) -> Tensor:
+    """Read an image of a point source and return its PSF, of sum 1 per channel on average.
+
+    Raises:
+        OpticsError: As :func:`read_image`, :func:`remove_background` and :func:`normalise_psf`.
+    """
+    image = remove_background(read_image(path), margin=margin, deviations=deviations)
+    return normalise_psf(image)

@@ -1,0 +1,26 @@
+"""The mask-independent frame: an embedding becomes the scene's best linear estimate.
+
+Every mask mixes the scene in its own way. With the mask known, and the public mean and covariance
+of scenes, the linear minimum-mean-square-error estimate takes the mask out again, so that one
+classifier serves all masks.
+"""
+
+from veilcam_optics.decoding.decoder import Decoder, Precision, SceneDecoding
+from veilcam_optics.decoding.file import SceneFrame, read_frame, write_frame
+from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
+from veilcam_optics.decoding.panel import with_dead_rows
+from veilcam_optics.decoding.statistics import SceneStatistics, fit_statistics
+
+__all__ = [
+    "DEFAULT_NOISE",
+    "Decoder",
+    "Precision",
+    "ReadingNoise",
+    "SceneDecoding",
+    "SceneFrame",
+    "SceneStatistics",
+    "fit_statistics",
+    "read_frame",
+    "with_dead_rows",
+    "write_frame",
+]

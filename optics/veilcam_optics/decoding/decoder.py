@@ -1,0 +1,216 @@
+"""Linear minimum-mean-square-error decoding, prepared once per mask.
+
+With ``A = gain T(w)^T`` the response (embedding pixels, scene pixels), ``mu`` and ``S = B B^T`` the
+scene's mean and covariance and ``N`` the diagonal covariance of the noise,
+
+    x^ = mu + S A^T (A S A^T + N)^-1 (v - A mu)            (Kay, Estimation Theory, eq. 12.27)
+       = mu + B K (v - A mu),   M = N^(-1/2) A B,
+    K  = (I + M^T M)^-1 M^T N^(-1/2) = M^T (I + M M^T)^-1 N^(-1/2),
+    cov(x - x^) = B (I + M^T M)^-1 B^T.
+
+The two forms of K are equal (Woodbury); the smaller matrix is the one factored. What the basis
+leaves of the scene's variance acts as noise: ``diag(A diag(residual) A^T)`` is added to N.
+
+Jitter: both matrices have eigenvalues of at least 1, so in exact arithmetic none is needed. In
+floating point with unit roundoff u, rounding moves them by about u times the largest diagonal
+entry; that is what is added to the diagonal, and ten times more after every failure. In float64 it
+is below 1e-8. In float32 it is not small beside 1, which is why float32 is a dial and mixed
+precision (products in float32, factors in float64) the default.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
+from veilcam_optics.decoding.statistics import SceneStatistics
+from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.geometry import Embedding, Scene
+from veilcam_optics.transfer import TransferOperator
+
+
+class Precision(Enum):
+    """Type of the products with the transfer matrix, and type of the Cholesky factor."""
+
+    SINGLE = (torch.float32, torch.float32)
+    MIXED = (torch.float32, torch.float64)
+    DOUBLE = (torch.float64, torch.float64)
+
+    @property
+    def products(self) -> torch.dtype:
+        """Type of transfer matrix, readings and estimates."""
+        return self.value[0]
+
+    @property
+    def factors(self) -> torch.dtype:
+        """Type of the matrix that is factored."""
+        return self.value[1]
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """Decodes readings behind one mask. It is as secret as the mask, so its repr holds none of it.
+
+    Made by :meth:`SceneDecoding.prepare`.
+    """
+
+    scene: Scene
+    embedding: Embedding
+    mean_reading: Tensor = field(repr=False)
+    """A mu: what the mean scene gives, (E,)."""
+    estimator: Tensor = field(repr=False)
+    """K, (rank, E)."""
+    noise: Tensor = field(repr=False)
+    """Diagonal of N, (E,)."""
+    response: Tensor = field(repr=False)
+    """A B, (E, rank)."""
+    mean: Tensor = field(repr=False)
+    """mu, (pixels,)."""
+    basis: Tensor = field(repr=False)
+    """B, (pixels, rank)."""
+    deviation: Tensor = field(repr=False)
+    """Posterior standard deviation of each scene pixel, (rows, columns)."""
+    remaining: float
+    """Share of the scene's variance that a reading leaves unknown, in [0, 1]."""
+
+    def coordinates(self, readings: Tensor) -> Tensor:
+        """Estimates as coordinates in the scene's basis, (batch, rank)."""
+        flat = self.flatten(readings)
+        return (flat - self.mean_reading) @ self.estimator.T
+
+    def __call__(self, readings: Tensor) -> Tensor:
+        """Estimate scenes.
+
+        Args:
+            readings: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
+
+        Returns:
+            (batch, rows, columns) of the scene, in the units of scenes; not clamped to [0, 1].
+
+        Raises:
+            OpticsError: readings of another shape.
+        """
+        flat = torch.addmm(self.mean, self.coordinates(readings), self.basis.T)
+        return flat.reshape(-1, *self.scene.shape)
+
+    def flatten(self, readings: Tensor) -> Tensor:
+        """Readings as (batch, embedding pixels) in the decoder's type; refuse another shape."""
+        if tuple(readings.shape[1:]) not in (self.embedding.shape, (self.embedding.size,)):
+            raise invalid(
+                "readings.shape", tuple(readings.shape), "", f"(batch, *{self.embedding.shape})"
+            )
+        return readings.flatten(1).to(self.mean_reading.dtype)
+
+
+class SceneDecoding:
+    """Prepares decoders: all that does not depend on the mask, made once.
+
+    Args:
+        operator: gray transfer operator of the camera; its type is set by ``precision``.
+        statistics: of the scenes; their rank is a dial of accuracy against time.
+        noise: to expect in readings.
+        precision: a dial of accuracy against time.
+
+    Raises:
+        OpticsError: a colour operator, an operator of another type than ``precision`` wants, or
+            statistics of another scene.
+    """
+
+    def __init__(
+        self,
+        operator: TransferOperator,
+        statistics: SceneStatistics,
+        noise: ReadingNoise = DEFAULT_NOISE,
+        *,
+        precision: Precision = Precision.MIXED,
+    ) -> None:
+        scene = operator.scene
+        if operator.colour:
+            raise OpticsError("a colour operator cannot be decoded: use colour=False")
+        if statistics.pixels != scene.rows * scene.columns:
+            raise invalid(
+                "statistics.pixels", statistics.pixels, "pixels", f"the scene's, {scene.shape}"
+            )
+        dtype = next(operator.buffers()).dtype
+        if dtype != precision.products:
+            raise invalid("operator's dtype", dtype, "", f"{precision.products}")
+        self.operator, self.noise, self.precision = operator, noise, precision
+        self.statistics = statistics.to(precision.products)
+
+    def prepare(self, weights: Tensor, *, gain: float | Tensor = 1.0) -> Decoder:
+        """Decoder for one mask; differentiable in the weights.
+
+        Args:
+            weights: amplitude transmittances as the panel shows them (quantised, with dead rows),
+                ``camera.mask_shape``.
+            gain: reading per unit of irradiance, a number or one per embedding pixel (E,).
+
+        Raises:
+            OpticsError: a mask or gain of another shape, or not finite.
+        """
+        transfer: Tensor = self.operator(weights.to(self.precision.products))
+        return self.prepare_transfer(transfer, gain=gain)
+
+    def prepare_transfer(self, transfer: Tensor, *, gain: float | Tensor = 1.0) -> Decoder:
+        """Decoder for a transfer matrix (scene pixels, embedding pixels), e.g. a measured one."""
+        operator, statistics, factors = self.operator, self.statistics, self.precision.factors
+        response = transfer.T * self._gain(gain)
+        mean_reading = response @ statistics.mean
+        reduced = response @ statistics.basis
+        lost = response.square() @ statistics.residual
+        spread = reduced.square().sum(1) + lost
+        noise = self.noise.variance(mean_reading, spread) + lost
+        scaled = (reduced * noise.rsqrt()[:, None]).to(factors)
+        basis, prior = statistics.basis.to(factors), statistics.variance.to(factors)
+        if scaled.shape[0] < scaled.shape[1]:
+            factor = _cholesky(scaled @ scaled.T)
+            estimator = torch.cholesky_solve(scaled, factor).T
+            known = torch.linalg.solve_triangular(factor, scaled @ basis.T, upper=False)
+            variance = prior - known.square().sum(0)
+        else:
+            factor = _cholesky(scaled.T @ scaled)
+            estimator = torch.cholesky_solve(scaled.T, factor)
+            left = torch.linalg.solve_triangular(factor, basis.T, upper=False)
+            variance = left.square().sum(0) + statistics.residual
+        variance = variance.clamp_min(1e-12)  # not 0, where the root has no gradient
+        total = float(prior.sum())
+        products = self.precision.products
+        return Decoder(
+            scene=operator.scene,
+            embedding=operator.embedding,
+            mean_reading=mean_reading,
+            estimator=estimator.to(products) * noise.rsqrt(),
+            noise=noise,
+            response=reduced,
+            mean=statistics.mean,
+            basis=statistics.basis,
+            deviation=variance.sqrt().to(products).reshape(operator.scene.shape),
+            remaining=float(variance.detach().sum()) / total if total > 0 else 0.0,
+        )
+
+    def _gain(self, gain: float | Tensor) -> Tensor:
+        value = torch.as_tensor(gain, dtype=self.precision.products)
+        size = self.operator.embedding.size
+        if tuple(value.shape) not in ((), (size,)):
+            raise invalid("gain.shape", tuple(value.shape), "", f"one number, or ({size},)")
+        if not bool((value.isfinite() & (value > 0)).all()):
+            raise OpticsError("gain is not valid: use finite numbers > 0")
+        return value.reshape(-1, 1)
+
+
+def _cholesky(gram: Tensor) -> Tensor:
+    """Lower factor of I + gram, with the module's jitter on the diagonal."""
+    identity = torch.eye(len(gram), dtype=gram.dtype)
+    jitter = torch.finfo(gram.dtype).eps * (1 + gram.detach().diagonal().max())
+    while True:
+        factor: Tensor
+        factor, failure = torch.linalg.cholesky_ex(gram + (1 + jitter) * identity)
+        if not int(failure):
+            return factor
+        if not bool(jitter < gram.detach().diagonal().max()):
+            raise OpticsError("the response cannot be decoded: it holds NaN or infinity")
+        jitter = 10 * jitter

@@ -1,0 +1,234 @@
+"""A model made to run: from scenes and a mask to embeddings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.effects.model import Model, Zone
+from veilcam_optics.effects.reading import bayer_shares, read
+from veilcam_optics.effects.turned import TurnedLight
+from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.geometry import CHANNELS
+from veilcam_optics.masks import check_weights
+from veilcam_optics.transfer import Reach, TransferOperator, Variables
+
+
+class LightOperator(nn.Module):
+    """What a :class:`Model` describes, ready to be used many times, also in training.
+
+    ``forward`` gives the transfer matrix where the model's method forms one. All results are
+    differentiable in scenes and weights.
+    """
+
+    fade: Tensor
+    shares: Tensor
+
+    def __init__(self, model: Model) -> None:
+        super().__init__()
+        self.model = model
+        dtype, conditions = model.dials.dtype, model.conditions
+        self._fades = conditions.off_axis > 0
+        self.register_buffer("fade", model.fade().to(dtype))
+        shares = torch.tensor(model.camera.sensor.channel_weights, dtype=torch.float64)
+        shares = shares[:, None, None].expand(-1, *model.embedding.shape)
+        if conditions.bayer:
+            shares = bayer_shares(model.camera.sensor, model.embedding)
+        self.register_buffer("shares", shares.to(dtype).contiguous())
+        self._parts = model.zones()
+        self._zones: list[list[TransferOperator]] = []
+        self._grids: list[tuple[float, Zone, TurnedLight]] = []
+        if model.dials.method == "grid":
+            self._grids = list(_grids(model))
+        else:
+            self._zones = [[_zone(model, zone) for zone in row] for row in self._parts]
+        self.zones = nn.ModuleList([zone for row in self._zones for zone in row])
+
+    @property
+    def has_transfer(self) -> bool:
+        """Whether calling it gives the transfer matrix."""
+        return self.model.dials.method == "transfer"
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of every result."""
+        return self.model.dials.dtype
+
+    def forward(self, weights: Tensor) -> Tensor:
+        """The transfer matrix of a mask, everything linear included.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+
+        Returns:
+            (scene pixels, embedding pixels).
+
+        Raises:
+            OpticsError: the method forms no matrix, or the mask has another shape or holds NaN.
+        """
+        transfer = self._transfer(weights)
+        if self._fades:
+            transfer = self.fade.reshape(-1, 1) * transfer
+        return self._scatter(transfer, (1,))
+
+    def embed(
+        self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """What the camera reads of scenes behind a mask.
+
+        Args:
+            scenes: (batch, rows, columns), in [0, 1].
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            generator: source of the noise, if the model has any.
+
+        Returns:
+            (batch, rows, columns) of the embedding.
+
+        Raises:
+            OpticsError: scenes or mask have another shape, or the mask holds NaN.
+        """
+        if tuple(scenes.shape[1:]) != self.model.scene.shape:
+            valid = f"(batch, *{self.model.scene.shape})"
+            raise invalid("scenes.shape", tuple(scenes.shape), "", valid)
+        scenes = scenes.to(self.model.dials.dtype)
+        if self._fades:
+            scenes = scenes * self.fade
+        values = self._scatter(self._light(scenes, weights), (1, 2))
+        model = self.model
+        return read(values, model.conditions, shot=model.dials.shot, generator=generator)
+
+    def _light(self, scenes: Tensor, weights: Tensor) -> Tensor:
+        shape = (len(scenes), *self.model.embedding.shape)
+        if self.has_transfer:
+            return (scenes.flatten(1) @ self._transfer(weights)).reshape(shape)
+        check_weights(weights, self.model.camera)
+        shown = self.model.shown(weights.to(scenes.dtype))
+        total = scenes.new_zeros(shape)
+        for row, zones in zip(self._parts, self._zones, strict=False):
+            for part, zone in zip(row, zones, strict=True):
+                values = zone.embed_by_factors(
+                    _cut(scenes, part, coloured=self.model.conditions.bayer), shown
+                )
+                total = total + self._gray(values)
+        for share, part, light in self._grids:
+            # Only one zone's pixels are lit, but they keep their places.
+            lit = torch.zeros_like(scenes)
+            lit[:, part.rows, part.columns] = scenes[:, part.rows, part.columns]
+            values = light.embed(lit, light.psf(shown), self.model.embedding)
+            total = total + share * (values * self.shares).sum(1)
+        return total
+
+    def _gray(self, values: Tensor) -> Tensor:
+        return (values * self.shares).sum(1) if self.model.conditions.bayer else values
+
+    def _transfer(self, weights: Tensor) -> Tensor:
+        if not self.has_transfer:
+            method = self.model.dials.method
+            raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')
+        check_weights(weights, self.model.camera)
+        shown = self.model.shown(weights.to(self.model.dials.dtype))
+        rows = []
+        for row, zones in zip(self._parts, self._zones, strict=True):
+            parts = [
+                self._gray_transfer(zone(shown)).reshape(
+                    part.rows.stop - part.rows.start, part.columns.stop - part.columns.start, -1
+                )
+                for part, zone in zip(row, zones, strict=True)
+            ]
+            rows.append(parts[0] if len(parts) == 1 else torch.cat(parts, dim=1))
+        transfer = rows[0] if len(rows) == 1 else torch.cat(rows)
+        return transfer.flatten(0, 1)
+
+    def _gray_transfer(self, transfer: Tensor) -> Tensor:
+        if not self.model.conditions.bayer:
+            return transfer
+        return torch.einsum("cpe,ce->pe", transfer, self.shares.flatten(1))
+
+    def _scatter(self, values: Tensor, axes: tuple[int, ...]) -> Tensor:
+        share = self.model.conditions.stray_light
+        if not share:
+            return values
+        return (1 - share) * values + share * values.mean(axes, keepdim=True)
+
+
+def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
+    scenes = scenes[:, part.rows, part.columns]
+    return scenes[:, None].expand(-1, len(CHANNELS), -1, -1) if coloured else scenes
+
+
+def _zone(model: Model, zone: Zone) -> TransferOperator:
+    """The operator of one zone: that of a smaller scene, off the axis.
+
+    A scene moved by s is the same as a mask moved by ``-s d2/(d1+d2)``, seen from where the scene's
+    image went.
+    """
+    camera, scene = model.actual_camera, model.scene
+    part = replace(
+        scene,
+        rows=zone.rows.stop - zone.rows.start,
+        columns=zone.columns.stop - zone.columns.start,
+        height=scene.pixel * (zone.rows.stop - zone.rows.start),
+    )
+    shifts = []
+    for shift, used, count in (
+        (model.conditions.shift_y, zone.rows, scene.rows),
+        (model.conditions.shift_x, zone.columns, scene.columns),
+    ):
+        centre = ((used.start + used.stop - 1) / 2 - (count - 1) / 2) * scene.pixel
+        moved = shift - centre * camera.distance / (scene.distance + camera.distance)
+        shifts.append(torch.tensor(moved, dtype=torch.float64))
+    area = part.rows * part.columns / (scene.rows * scene.columns)
+    return TransferOperator(
+        camera,
+        part,
+        model.embedding,
+        # Shadows do not interfere: their kernels would be zeros.
+        reach=model.dials.reach if model.dials.diffraction else Reach(0, 0),
+        step=model.dials.step,
+        colour=model.conditions.bayer,
+        dtype=model.dials.dtype,
+        variables=Variables(shift_y=shifts[0], shift_x=shifts[1]),
+        beams=[replace(beam, share=beam.share * area) for beam in model.beams(zone)],
+        approximation=model.approximation,
+        rotation=model.conditions.rotation,
+    )
+
+
+def _grids(model: Model) -> list[tuple[float, Zone, TurnedLight]]:
+    """(share, zone, light) for every sample of spectrum, depth and field."""
+    lights = []
+    for row in model.zones():
+        for zone in row:
+            by_channel = [
+                [beam for beam in model.beams(zone) if beam.channel == channel]
+                for channel in range(len(CHANNELS))
+            ]
+            most = max(by_channel, key=len)
+            for index, sample in enumerate(most):
+                # A channel without a spectrum repeats its one wavelength at each depth.
+                beams = [
+                    own[index if len(own) == len(most) else index % model.dials.layers]
+                    for own in by_channel
+                ]
+                distance = sample.scene_distance
+                scene = model.scene
+                camera = replace(
+                    model.actual_camera,
+                    wavelengths=tuple(
+                        float(beam.wavelength) * (beam.stretch[0] * beam.stretch[1]) ** 0.5
+                        for beam in beams
+                    ),
+                )
+                light = TurnedLight(
+                    camera,
+                    scene if distance is None else replace(scene, distance=distance),
+                    rotation=model.conditions.rotation,
+                    shift_y=model.conditions.shift_y,
+                    shift_x=model.conditions.shift_x,
+                    oversampling=model.dials.oversampling,
+                    dtype=model.dials.dtype,
+                )
+                lights.append((sample.share, zone, light))
+    return lights

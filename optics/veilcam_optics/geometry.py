@@ -1,0 +1,224 @@
+"""What the camera is made of: panel, window, sensor, scene. Lengths in metres.
+
+Axis order is (rows, columns) everywhere. Rows run along the panel's fine axis, which lies along
+the sensor's short side. The origin of every plane is the optical axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from veilcam_optics.errors import invalid, require_count, require_positive
+
+CHANNELS = ("R", "G", "B")
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """An LCD as a grid of equal rectangular sub-pixels. Default: ST7735R, 1.8 inch (data sheet).
+
+    The active area is 28.03 x 35.04 mm over 384 x 160 sub-pixels; R, G and B filters alternate
+    from row to row. ``levels`` is what COLMOD 06 (6-6-6) can show on one sub-pixel.
+    """
+
+    rows: int = 384
+    columns: int = 160
+    pitch_y: float = 28.03e-3 / 384
+    pitch_x: float = 35.04e-3 / 160
+    aperture_y: float = 0.06e-3
+    aperture_x: float = 0.18e-3
+    levels: int = 64
+    filter_cycle: tuple[int, ...] = (0, 1, 2)
+    """Channel index (0 R, 1 G, 2 B) of row 0, 1, 2, ...; ``()`` for a panel without filters."""
+    filter_leakage: float = 0.0
+    """Amplitude that a filter passes of the two colours that are not its own; 0 is ideal."""
+    filter_amplitudes: tuple[tuple[float, float, float], ...] = ()
+    """Measured amplitudes, ``[filter][channel]``; they take the place of ``filter_leakage``."""
+
+    def __post_init__(self) -> None:
+        require_count("panel.rows", self.rows)
+        require_count("panel.columns", self.columns)
+        require_count("panel.levels", self.levels, least=2)
+        for name in ("pitch_y", "pitch_x", "aperture_y", "aperture_x"):
+            require_positive(f"panel.{name}", getattr(self, name), "m")
+        for axis in ("y", "x"):
+            aperture, pitch = getattr(self, f"aperture_{axis}"), getattr(self, f"pitch_{axis}")
+            if aperture > pitch:
+                raise invalid(
+                    f"panel.aperture_{axis}", aperture, "m", f"at most the pitch, {pitch:.3e} m"
+                )
+        if any(channel not in range(len(CHANNELS)) for channel in self.filter_cycle):
+            raise invalid("panel.filter_cycle", self.filter_cycle, "", "indices 0 (R), 1, 2 (B)")
+        if not 0 <= self.filter_leakage <= 1:
+            raise invalid("panel.filter_leakage", self.filter_leakage, "", "0 (ideal) to 1 (none)")
+        table = self.filter_amplitudes
+        square = len(table) in {0, len(CHANNELS)} and all(
+            len(row) == len(CHANNELS) for row in table
+        )
+        if not square or any(not 0 <= amplitude <= 1 for row in table for amplitude in row):
+            raise invalid("panel.filter_amplitudes", table, "", "3 x 3 amplitudes from 0 to 1")
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The part of the panel that is used as the mask, centred on the optical axis."""
+
+    rows: int = 51
+    columns: int = 22
+    first_row: int = 168
+    """Panel row of the window's first row: it fixes which filter each row carries."""
+    first_column: int = 69
+
+    def __post_init__(self) -> None:
+        require_count("window.rows", self.rows)
+        require_count("window.columns", self.columns)
+        require_count("window.first_row", self.first_row, least=0)
+        require_count("window.first_column", self.first_column, least=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A pixel grid. Default: Sony IMX477, the Raspberry Pi HQ camera (data sheet)."""
+
+    rows: int = 3040
+    columns: int = 4056
+    pixel: float = 1.55e-6
+    bit_depth: int = 12
+    channel_weights: tuple[float, float, float] = (0.25, 0.5, 0.25)
+    """Share of R, G and B in a gray reading: binning the raw Bayer plane counts green twice."""
+
+    def __post_init__(self) -> None:
+        require_count("sensor.rows", self.rows)
+        require_count("sensor.columns", self.columns)
+        require_count("sensor.bit_depth", self.bit_depth)
+        require_positive("sensor.pixel", self.pixel, "m")
+        if min(self.channel_weights) < 0 or abs(sum(self.channel_weights) - 1) > 1e-9:
+            raise invalid(
+                "sensor.channel_weights", self.channel_weights, "", "three shares that sum to 1"
+            )
+
+    @property
+    def height(self) -> float:
+        """Length of the short side [m]."""
+        return self.rows * self.pixel
+
+    @property
+    def width(self) -> float:
+        """Length of the long side [m]."""
+        return self.columns * self.pixel
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """Panel in front of sensor. ``distance`` is mask to sensor [m], ``wavelengths`` R, G, B [m]."""
+
+    panel: Panel = field(default_factory=Panel)
+    window: Window = field(default_factory=Window)
+    sensor: Sensor = field(default_factory=Sensor)
+    distance: float = 4e-3
+    wavelengths: tuple[float, float, float] = (640e-9, 550e-9, 460e-9)
+
+    def __post_init__(self) -> None:
+        require_positive("camera.distance", self.distance, "m")
+        for name, wavelength in zip(CHANNELS, self.wavelengths, strict=True):
+            require_positive(f"camera.wavelengths[{name}]", wavelength, "m")
+        if self.window.first_row + self.window.rows > self.panel.rows:
+            raise invalid(
+                "window.rows", self.window.rows, "rows", f"what fits {self.panel.rows} panel rows"
+            )
+        if self.window.first_column + self.window.columns > self.panel.columns:
+            raise invalid(
+                "window.columns",
+                self.window.columns,
+                "columns",
+                f"what fits {self.panel.columns} panel columns",
+            )
+
+    @property
+    def mask_shape(self) -> tuple[int, int]:
+        """Shape (rows, columns) of a mask for this camera."""
+        return self.window.rows, self.window.columns
+
+    @property
+    def row_centres(self) -> tuple[float, ...]:
+        """Centre of every mask row on the y axis [m]."""
+        middle = (self.window.rows - 1) / 2
+        return tuple((row - middle) * self.panel.pitch_y for row in range(self.window.rows))
+
+    @property
+    def column_centres(self) -> tuple[float, ...]:
+        """Centre of every mask column on the x axis [m]."""
+        middle = (self.window.columns - 1) / 2
+        return tuple(
+            (column - middle) * self.panel.pitch_x for column in range(self.window.columns)
+        )
+
+    def row_amplitudes(self, channel: int) -> tuple[float, ...]:
+        """Amplitude, in [0, 1], that each mask row's filter passes of channel 0 R, 1 G or 2 B."""
+        cycle, first = self.panel.filter_cycle, self.window.first_row
+        if not cycle:
+            return (1.0,) * self.window.rows
+        if self.panel.filter_amplitudes:
+            return tuple(
+                self.panel.filter_amplitudes[cycle[(first + row) % len(cycle)]][channel]
+                for row in range(self.window.rows)
+            )
+        return tuple(
+            1.0 if cycle[(first + row) % len(cycle)] == channel else self.panel.filter_leakage
+            for row in range(self.window.rows)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A flat object: ``rows x columns`` square pixels, ``height`` [m] tall, ``distance`` [m] away.
+
+    Default: an MNIST digit as the paper shows it (12 cm tall, 40 cm from the mask).
+    """
+
+    rows: int = 28
+    columns: int = 28
+    height: float = 0.12
+    distance: float = 0.40
+
+    def __post_init__(self) -> None:
+        require_count("scene.rows", self.rows)
+        require_count("scene.columns", self.columns)
+        require_positive("scene.height", self.height, "m")
+        require_positive("scene.distance", self.distance, "m")
+
+    @property
+    def pixel(self) -> float:
+        """Side of one scene pixel, in the scene [m]."""
+        return self.height / self.rows
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (rows, columns) of the scene."""
+        return self.rows, self.columns
+
+    def pixel_at_sensor(self, camera: Camera) -> float:
+        """Side of one scene pixel's geometric image on the sensor [m]."""
+        return self.pixel * camera.distance / self.distance
+
+
+@dataclass(frozen=True, slots=True)
+class Embedding:
+    """The grid to which the whole sensor is binned: ``rows x columns`` area averages."""
+
+    rows: int = 24
+    columns: int = 32
+
+    def __post_init__(self) -> None:
+        require_count("embedding.rows", self.rows)
+        require_count("embedding.columns", self.columns)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (rows, columns) of the embedding."""
+        return self.rows, self.columns
+
+    @property
+    def size(self) -> int:
+        """How many numbers one embedding has."""
+        return self.rows * self.columns

@@ -1,0 +1,55 @@
+"""Masks for the panel: drawn at random, and rounded to what the panel can show.
+
+A mask is a tensor of weights, amplitude transmittances in [0, 1], of shape ``camera.mask_shape``.
+What the panel is told are levels, whole numbers from 0 (opaque) to ``panel.levels - 1`` (open).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.geometry import Camera, Panel
+
+
+def random_mask(camera: Camera, generator: torch.Generator) -> Tensor:
+    """Independent uniform weights, float32, shape ``camera.mask_shape``."""
+    return torch.rand(camera.mask_shape, generator=generator)
+
+
+def check_weights(weights: Tensor, camera: Camera) -> None:
+    """Raise :class:`OpticsError` unless ``weights`` is a mask for ``camera``.
+
+    The message never holds a weight: a mask is a secret.
+    """
+    if tuple(weights.shape) != camera.mask_shape:
+        raise invalid("weights.shape", tuple(weights.shape), "", f"the window, {camera.mask_shape}")
+    if not bool(torch.isfinite(weights).all()):
+        raise OpticsError("weights hold NaN or infinity: use finite numbers in [0, 1]")
+
+
+def to_levels(weights: Tensor, panel: Panel) -> npt.NDArray[np.uint8]:
+    """Round weights in [0, 1] to the panel's levels, uint8."""
+    scaled = (weights.detach().cpu().clamp(0, 1) * (panel.levels - 1)).round()
+    return scaled.to(torch.uint8).numpy()
+
+
+def to_weights(levels: npt.NDArray[np.uint8], panel: Panel) -> Tensor:
+    """Weights that a panel with a linear response shows for ``levels``, float32."""
+    if levels.size and int(levels.max()) >= panel.levels:
+        raise OpticsError(f"levels exceed what the panel can show: use 0 to {panel.levels - 1}")
+    return torch.from_numpy(levels.astype(np.float32)) / (panel.levels - 1)
+
+
+def quantise(weights: Tensor, panel: Panel) -> Tensor:
+    """Weights rounded to the panel's levels, with the gradient of the identity (straight-through).
+
+    Rounding has a zero gradient almost everywhere; passing the gradient on unchanged lets training
+    see the panel's real levels (Bengio, Leonard and Courville 2013).
+    """
+    steps = panel.levels - 1
+    rounded = (weights * steps).round() / steps
+    return weights + (rounded - weights).detach()

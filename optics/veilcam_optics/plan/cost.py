@@ -1,0 +1,157 @@
+"""What a model costs: numbers held and operations done, and from them milliseconds.
+
+The rates are those of one core of a server processor. They need not be right for another: only the
+order of the settings must be, and the ratio of arithmetic to overhead hardly changes it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from veilcam_optics.effects.model import Model
+from veilcam_optics.geometry import CHANNELS
+
+_PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
+_NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}
+_CALL_MS = 0.013
+_FIXED_MS = 0.12
+_FIELD_VALUES_PER_MS = 3e3
+_BUILDS_PER_STEP = 1e-3
+"""A model is made once and used for many steps: a thousand, to have a number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What one step costs: a new mask, and a batch of scenes behind it.
+
+    Attributes:
+        step_ms: time of a step [ms].
+        build_ms: time to make the operator, once [ms].
+        numbers: most numbers held at once.
+    """
+
+    step_ms: float
+    build_ms: float
+    numbers: float
+
+    @property
+    def rank(self) -> float:
+        """What plans are compared by [ms]."""
+        return self.step_ms + _BUILDS_PER_STEP * self.build_ms
+
+
+def pairs(model: Model) -> tuple[int, int, int]:
+    """(row pairs over all column offsets, row pairs times column pairs, groups) of one zone."""
+    rows, columns = model.camera.mask_shape
+    reach = model.dials.reach
+    far_rows = min(reach.rows, rows - 1) if model.dials.diffraction else 0
+    far_columns = min(reach.columns, columns - 1) if model.dials.diffraction else 0
+    row_pairs = products = groups = 0
+    turned = model.conditions.rotation != 0
+    shares = model.camera.sensor.channel_weights
+    beams = [beam.channel for beam in model.beams()]
+    for channel in range(len(CHANNELS)):
+        if not shares[channel] and not model.conditions.bayer:
+            continue
+        amplitudes = model.camera.row_amplitudes(channel)
+        by_offset = [
+            sum(1 for a, b in zip(amplitudes, amplitudes[dr:], strict=False) if a * b)
+            for dr in range(far_rows + 1)
+        ]
+        for dc in range(-far_columns, far_columns + 1):
+            count = sum(by_offset[1 if dc < 0 else 0 :])
+            if not count:
+                continue
+            parts = (2 if dc else 1) * beams.count(channel) * (3 if turned else 1)
+            row_pairs += parts * count
+            products += parts * count * (columns - abs(dc))
+            groups += parts
+    return row_pairs, products, groups
+
+
+def nodes(model: Model) -> tuple[int, int]:
+    """Integration nodes along y and x."""
+    image = model.scene.pixel_at_sensor(model.actual_camera)
+    sensor, scene = model.camera.sensor, model.scene
+    step = model.dials.step
+    # Python's integers do not overflow where a scene a mile wide meets a step of a picometre.
+    return (
+        math.ceil((sensor.height + scene.rows * image) / step),
+        math.ceil((sensor.width + scene.columns * image) / step),
+    )
+
+
+def cost(model: Model, batch: int) -> Cost:
+    """Estimated cost of embedding ``batch`` scenes behind a new mask."""
+    if model.dials.method == "grid":
+        return _grid_cost(model, batch)
+    scene, embedding, dtype = model.scene, model.embedding, model.dials.dtype
+    row_pairs, products, groups = pairs(model)
+    zones = model.zones()
+    down, across = len(zones), len(zones[0])
+    offsets_y, offsets_x = scene.rows * embedding.rows, scene.columns * embedding.columns
+    colours = len(CHANNELS) if model.conditions.bayer else 1
+    matrix = colours * offsets_y * offsets_x
+    kernels = (offsets_y + offsets_x) * row_pairs * max(down, across)
+    if model.dials.method == "transfer":
+        # Every row of zones spreads the products along x anew.
+        multiplied = down * products * offsets_x + row_pairs * offsets_y * offsets_x
+        multiplied += batch * scene.rows * scene.columns * embedding.size
+        moved = 2 * matrix * (2 if colours > 1 else 1) + 2 * batch * embedding.size
+        numbers = 2 * matrix + kernels + row_pairs * offsets_x
+    else:
+        spread = row_pairs * offsets_x
+        each = spread * scene.rows + row_pairs * offsets_y * embedding.columns
+        multiplied = down * products * offsets_x + batch * each
+        # Each scene makes (pairs, rows, columns) numbers and lays them out anew.
+        moved = down * spread + 3 * batch * row_pairs * scene.rows * embedding.columns
+        numbers = kernels + spread + 3 * row_pairs * scene.rows * embedding.columns
+    calls = 6 * down * across + 3 * groups * down * across
+    if model.dials.method == "factors":
+        calls += batch * groups * down * across * 2
+    step = (
+        _FIXED_MS
+        + multiplied / _PRODUCTS_PER_MS[dtype]
+        + moved / _NUMBERS_PER_MS[dtype]
+        + calls / 3 * _CALL_MS
+    )
+    beams = len(model.beams())
+    nodes_y, nodes_x = nodes(model)
+    rows, columns = model.camera.mask_shape
+    fields = beams * down * across * (nodes_y * rows + nodes_x * columns)
+    build = 1.0 if not model.dials.diffraction else fields / _FIELD_VALUES_PER_MS
+    build += kernels / 2e4
+    return Cost(step, build, numbers)
+
+
+def _grid_cost(model: Model, batch: int) -> Cost:
+    """One propagation per sample of light and channel, one convolution per scene and channel."""
+    sensor, scene, dtype = model.camera.sensor, model.scene, model.dials.dtype
+    pitch = 8 * sensor.pixel / model.dials.oversampling
+    image = scene.pixel_at_sensor(model.actual_camera)
+    rows, columns = model.camera.mask_shape
+    panel = model.camera.panel
+    angle, conditions = model.conditions.rotation, model.conditions
+    height, width = rows * panel.pitch_y, columns * panel.pitch_x
+    sine, cosine = abs(math.sin(angle)), abs(math.cos(angle))
+    mask = (
+        height * cosine + width * sine + 2 * abs(conditions.shift_y),
+        height * sine + width * cosine + 2 * abs(conditions.shift_x),
+    )
+    target = (sensor.height + scene.rows * image, sensor.width + scene.columns * image)
+    padded = [math.ceil((a + b) / pitch) for a, b in zip(mask, target, strict=True)]
+    cells = float(padded[0]) * padded[1]
+    lights = len(CHANNELS) * max(1, len(model.beams()) // len(CHANNELS))
+    lights *= sum(len(row) for row in model.zones())
+    transform = 5 * cells * math.log2(max(cells, 2))
+    multiplied = lights * 2 * transform
+    series = [math.ceil(length / pitch) for length in target]
+    each = series[1] * (
+        scene.rows * scene.columns + series[0] * (scene.rows + model.embedding.rows)
+    )
+    multiplied += lights * (batch * 2 * each + transform)
+    step = 10 * _FIXED_MS + multiplied / 2e6 + lights * cells * 4 / _NUMBERS_PER_MS[dtype]
+    return Cost(step, lights * cells / 1e4, (4 * lights + 12) * cells)

@@ -1,0 +1,144 @@
+"""From a tolerance to a plan: what to compute, how finely, and why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.conditions import IDEAL, Conditions
+from veilcam_optics.effects import EFFECTS, Assessment, LightOperator, Model
+from veilcam_optics.errors import invalid, require_count
+from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.plan.cost import Cost, cost
+from veilcam_optics.plan.explain import explanation
+from veilcam_optics.plan.judge import Judge
+from veilcam_optics.plan.search import search, settle_free, together
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A way to compute embeddings that was chosen for a tolerance; it explains itself, and runs.
+
+    Attributes:
+        model: what is computed, and how finely.
+        tolerance: relative L2 error asked for, at the embedding.
+        error: relative L2 error predicted.
+        reached: whether the prediction is within the tolerance. If not, this is the best there is.
+        cost: predicted time and memory of a step.
+        batch: scenes in a step.
+        assessments: every effect, on or off, and why.
+    """
+
+    model: Model
+    tolerance: float
+    error: float
+    reached: bool
+    cost: Cost
+    batch: int
+    assessments: tuple[Assessment, ...]
+
+    @cached_property
+    def operator(self) -> LightOperator:
+        """The operator, made on first use. Call it for the transfer matrix, also in training."""
+        return LightOperator(self.model)
+
+    def transfer(self, weights: Tensor) -> Tensor:
+        """The transfer matrix of a mask, (scene pixels, embedding pixels).
+
+        Raises:
+            OpticsError: the plan's method forms no matrix, or the mask has another shape or NaN.
+        """
+        transfer: Tensor = self.operator(weights)
+        return transfer
+
+    def embed(
+        self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """What the camera reads of scenes behind a mask, (batch, rows, columns).
+
+        Args:
+            scenes: (batch, rows, columns), in [0, 1].
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            generator: source of the noise, if there is any.
+
+        Raises:
+            OpticsError: scenes or mask have another shape, or the mask holds NaN.
+        """
+        return self.operator.embed(scenes, weights, generator)
+
+    def explain(self) -> str:
+        """A table of every effect, and what was chosen."""
+        return explanation(self)
+
+
+def plan(
+    camera: Camera,
+    scene: Scene,
+    embedding: Embedding,
+    tolerance: float,
+    conditions: Conditions = IDEAL,
+    *,
+    batch: int = 64,
+) -> Plan:
+    """The cheapest way to compute embeddings to within a tolerance.
+
+    Total: for any camera, scene and conditions that can exist it returns a plan. If no setting
+    reaches the tolerance the plan says so (``reached``) and holds the best.
+
+    Args:
+        camera: geometry, filters and wavelengths.
+        scene: flat object, or its middle if ``conditions`` give it depth.
+        embedding: shape of the embedding.
+        tolerance: relative L2 error at the embedding, over random masks; between 0 and 1.
+        conditions: what camera and scene do beyond the ideal.
+        batch: scenes embedded with one mask, what the time of a step is counted for.
+
+    Raises:
+        OpticsError: a tolerance outside (0, 1), no batch, or conditions that cannot be.
+    """
+    if not (math.isfinite(tolerance) and 0 < tolerance < 1):
+        raise invalid("tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
+    require_count("batch", batch)
+    judge = Judge(Model(camera, scene, embedding, conditions), tolerance)
+    complete = judge.model
+    errors = {effect.name: effect.error(judge) for effect in EFFECTS if effect.present(complete)}
+    model, made = settle_free(complete, errors, tolerance)
+    choice, reached = search(judge, model, errors, made=made, batch=batch)
+    step, quadrature = judge.quadrature(choice.model)
+    chosen = choice.model.with_dials(step=step)
+    error = together([choice.error, quadrature])
+    return Plan(
+        model=chosen,
+        tolerance=tolerance,
+        error=error,
+        reached=reached and error <= tolerance,
+        cost=cost(chosen, batch),
+        batch=batch,
+        assessments=_assess(complete, chosen, errors, batch),
+    )
+
+
+def _assess(
+    complete: Model, chosen: Model, errors: dict[str, float], batch: int
+) -> tuple[Assessment, ...]:
+    found = []
+    for effect in EFFECTS:
+        if effect.name not in errors:
+            found.append(Assessment(effect.name, False, 0.0, 0.0, effect.absent()))
+            continue
+        used = effect.present(chosen) and effect.without(chosen) != chosen
+        extra = cost(chosen, batch).step_ms - cost(effect.without(chosen), batch).step_ms
+        found.append(
+            Assessment(
+                effect.name,
+                used,
+                errors[effect.name],
+                max(0.0, extra) if used else 0.0,
+                effect.reason(complete),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,227 @@
+"""The cheapest setting whose errors, taken together, stay under the tolerance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+import torch
+
+from veilcam_optics.effects import EFFECTS, Effect, Model
+from veilcam_optics.effects.light import Depth, Diffraction, FilterLeakage, OffAxis, Spectrum
+from veilcam_optics.effects.mask import MaskRotation
+from veilcam_optics.effects.sensor import Bayer
+from veilcam_optics.plan.cost import Cost, cost, pairs
+from veilcam_optics.plan.judge import Interferences, Judge
+from veilcam_optics.transfer import Reach
+
+MAX_NUMBERS = 1.5e8
+"""Numbers that a plan may hold at once: 600 MB in float32."""
+
+SPARE = 0.1
+"""A free effect is on if ignoring it would take more than this share of the tolerance."""
+
+_ABOUT = 1.1
+"""Where the tolerance is out of reach, errors this close to the least are as good."""
+
+_SAMPLES = (2, 3, 5)
+_ZONES = (1, 2, 3, 5, 7)
+_OVERSAMPLINGS = (1.0, 2.0, 4.0, 8.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One value of one dial: how it changes a model, and the error it leaves."""
+
+    change: Callable[[Model], Model]
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A setting, its predicted relative L2 error at the embedding, and its cost."""
+
+    model: Model
+    error: float
+    cost: Cost
+
+
+def together(errors: Iterable[float]) -> float:
+    """Errors of different origin are uncorrelated: they add up in quadrature."""
+    return math.sqrt(sum(error * error for error in errors))
+
+
+def settle_free(model: Model, errors: Mapping[str, float], tolerance: float) -> tuple[Model, float]:
+    """Switch off every free effect that hardly shows; return what is left, and the error made."""
+    ignored = []
+    for effect in EFFECTS:
+        if effect.free and effect.name in errors and errors[effect.name] <= SPARE * tolerance:
+            model = effect.without(model)
+            ignored.append(errors[effect.name])
+    return model, together(ignored)
+
+
+def search(
+    judge: Judge, model: Model, errors: Mapping[str, float], *, made: float, batch: int
+) -> tuple[Candidate, bool]:
+    """The cheapest candidate that reaches the tolerance and fits in memory, and whether one does.
+
+    Args:
+        judge: knows the tolerance and the errors of the dials.
+        model: with the free effects settled.
+        errors: of every effect that is there, if it were ignored.
+        made: error of the free effects that were switched off.
+        batch: scenes in a step.
+
+    Returns:
+        The choice, and whether it reaches the tolerance; if none does, the most accurate.
+    """
+    settings = [
+        (setting, together([made, error]))
+        for setting, error in (*_matrices(judge, model, errors), *_grids(judge, model, errors))
+    ]
+    reaching = [(m, e) for m, e in settings if e <= judge.tolerance]
+    found = _fitting(reaching, batch)
+    if found:
+        return min(found, key=lambda c: (c.cost.rank, c.error)), True
+    # Nothing reaches it: the cheapest of those that fit and are about as accurate as any.
+    found = _fitting(settings, batch)
+    if found:
+        least = min(candidate.error for candidate in found)
+        found = [candidate for candidate in found if candidate.error <= _ABOUT * least]
+        return min(found, key=lambda c: c.cost.rank), False
+    return min(_candidates(settings, batch), key=lambda c: c.cost.numbers), False
+
+
+def _fitting(settings: list[tuple[Model, float]], batch: int) -> list[Candidate]:
+    return [c for c in _candidates(settings, batch) if c.cost.numbers <= MAX_NUMBERS]
+
+
+def _candidates(settings: list[tuple[Model, float]], batch: int) -> Iterator[Candidate]:
+    for model, error in settings:
+        yield Candidate(model, error, cost(model, batch))
+        if model.dials.method == "transfer":
+            factors = replace(model, dials=replace(model.dials, method="factors"))
+            yield Candidate(factors, error, cost(factors, batch))
+
+
+def _matrices(
+    judge: Judge, model: Model, errors: Mapping[str, float]
+) -> Iterator[tuple[Model, float]]:
+    """Settings of the factored field, with or without a matrix that is formed."""
+    filters = [(model, 0.0, judge.full)]
+    if FilterLeakage.name in errors:
+        ideal = FilterLeakage().without(model)
+        filters.append((ideal, errors[FilterLeakage.name], judge.ideal_filters))
+    field = _field(judge, model, errors)
+    if MaskRotation.name in errors:
+        ignored = Option(MaskRotation().without, errors[MaskRotation.name])
+        field.append([ignored, Option(_same, judge.turned(first_order=True))])
+    for base, leaked, interferences in filters:
+        reaches = _reaches(base, interferences, errors, judge.tolerance)
+        for chosen in product(reaches, *field, _formats(judge, model)):
+            yield _apply(base, leaked, chosen)
+
+
+def _grids(
+    judge: Judge, model: Model, errors: Mapping[str, float]
+) -> Iterator[tuple[Model, float]]:
+    """Settings of the grid path: for a turned mask, and where nothing else fits."""
+    dials = replace(model.dials, method="grid", diffraction=True, spherical=True, binning=True)
+    field = _field(judge, model, errors)
+    for oversampling in _OVERSAMPLINGS:
+        base = replace(model, dials=replace(dials, oversampling=oversampling))
+        for chosen in product(*field):
+            yield _apply(base, judge.grid(oversampling), chosen)
+
+
+def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, float]:
+    errors = [error]
+    for option in chosen:
+        base = option.change(base)
+        errors.append(option.error)
+    return base, together(errors)
+
+
+def _same(model: Model) -> Model:
+    return model
+
+
+def _worth_it(options: list[Option], tolerance: float) -> list[Option]:
+    """From coarse to fine: without what alone is too coarse, and what is needlessly fine."""
+    enough = next((k for k, o in enumerate(options) if o.error <= 0.02 * tolerance), len(options))
+    options = options[: enough + 1]
+    return [o for o in options if o.error <= tolerance] or [min(options, key=lambda o: o.error)]
+
+
+def _reaches(
+    base: Model, interferences: Interferences, errors: Mapping[str, float], tolerance: float
+) -> list[Option]:
+    """Shadows, and every reach that no other beats in both accuracy and number of pairs."""
+    options = [Option(Diffraction().without, errors[Diffraction.name])]
+    if not interferences.model.dials.diffraction:
+        return options
+    by_work = []
+    for rows, row in enumerate(interferences.errors.tolist()):
+        for columns, error in enumerate(row):
+            counted = pairs(base.with_dials(reach=Reach(rows, columns)))
+            by_work.append((counted, error, Reach(rows, columns)))
+    least = math.inf
+    for _, error, reach in sorted(by_work, key=lambda item: (item[0], item[1])):
+        if error < least:
+            least = error
+            options.append(Option(partial(_with_reach, reach=reach), error))
+    return _worth_it(options, tolerance)
+
+
+def _with_reach(model: Model, reach: Reach) -> Model:
+    return model.with_dials(reach=reach)
+
+
+def _with_samples(model: Model, name: str, count: int) -> Model:
+    if name == "zones":
+        return model.with_dials(zones=count)
+    if name == "layers":
+        return model.with_dials(layers=count)
+    return model.with_dials(wavelengths=count)
+
+
+def _field(judge: Judge, model: Model, errors: Mapping[str, float]) -> list[list[Option]]:
+    """Options of spectrum, depth, field of view and Bayer pattern, each left out or sampled."""
+    dials = []
+    effect: Effect
+    for effect, name, counts in (
+        (Spectrum(), "wavelengths", _SAMPLES),
+        (Depth(), "layers", _SAMPLES),
+        (OffAxis(), "zones", _ZONES),
+    ):
+        if effect.name not in errors:
+            continue
+        options = [Option(effect.without, errors[effect.name])]
+        for count in counts:
+            if options[-1].error <= 0.02 * judge.tolerance:
+                break  # finer is needlessly fine
+            if name == "zones" and count > max(model.scene.shape):
+                break
+            left = judge.off_axis(count) if name == "zones" else judge.sampled(name, count)
+            options.append(Option(partial(_with_samples, name=name, count=count), left))
+        dials.append(_worth_it(options, judge.tolerance))
+    if Bayer.name in errors:
+        options = [Option(Bayer().without, errors[Bayer.name]), Option(_same, 0.0)]
+        dials.append(_worth_it(options, judge.tolerance))
+    return dials
+
+
+def _formats(judge: Judge, model: Model) -> list[Option]:
+    options = []
+    for dtype in (torch.float32, torch.float64):
+        error = judge.rounding(_with_dtype(model, dtype))
+        options.append(Option(partial(_with_dtype, dtype=dtype), error))
+    return _worth_it(options, judge.tolerance)
+
+
+def _with_dtype(model: Model, dtype: torch.dtype) -> Model:
+    return replace(model, dials=replace(model.dials, dtype=dtype))

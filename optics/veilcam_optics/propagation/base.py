@@ -1,0 +1,119 @@
+"""What every way to carry a field from one plane to another has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.errors import invalid
+from veilcam_optics.sampling import Grid, Real, as_float, as_scalar
+
+Propagation = Callable[[Tensor], Tensor]
+"""A prepared propagation: complex field (..., rows, columns) of the source to the target grid."""
+
+TURN = 2 * torch.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """Whether a method is accurate for a job, and why not in words. True or false itself."""
+
+    ok: bool
+    reason: str = ""
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+
+@runtime_checkable
+class Propagator(Protocol):
+    """One method of free-space propagation.
+
+    All methods leave out the carrier exp(2 pi i distance / wavelength): it changes no irradiance,
+    and in float32 it would cost every digit of the phase.
+    """
+
+    @property
+    def name(self) -> str:
+        """The method's name in the field's terms."""
+
+    def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
+        """Say whether the method is accurate for this job; never raises on valid input."""
+
+    def cost(self, source: Grid, target: Grid) -> float:
+        """Return the estimated number of real operations for one field, once prepared."""
+
+    def prepare(
+        self,
+        source: Grid,
+        target: Grid,
+        distance: Real,
+        wavelength: Real,
+        *,
+        dtype: torch.dtype = torch.complex128,
+        device: torch.device | None = None,
+    ) -> Propagation:
+        """Compute everything that does not depend on the field, and return the rest.
+
+        Args:
+            source: Sampling of the given field.
+            target: Sampling of the wanted field; may be shifted, and scaled where the method can.
+            distance: From source to target plane [m].
+            wavelength: In the medium [m].
+            dtype: complex64 or complex128, the type of the fields to be propagated.
+            device: Where the fields will be.
+
+        Raises:
+            OpticsError: If an argument has no physical meaning or the method cannot do the job.
+        """
+
+
+def unit_phasor(phase: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return exp(i phase): float64 phase reduced modulo 2 pi first, and only then cast."""
+    if phase.dtype != torch.float64:
+        raise invalid("phase", str(phase.dtype), "", "float64")
+    reduced = torch.remainder(phase, TURN).to(real_type(dtype))
+    return torch.complex(torch.cos(reduced), torch.sin(reduced))
+
+
+def real_type(dtype: torch.dtype) -> torch.dtype:
+    """Return the real type that belongs to a complex ``dtype``."""
+    if dtype == torch.complex128:
+        return torch.float64
+    if dtype == torch.complex64:
+        return torch.float32
+    raise invalid("dtype", str(dtype), "", "torch.complex64 or torch.complex128")
+
+
+def complex_type(dtype: torch.dtype) -> torch.dtype:
+    """Return the complex type that belongs to a real ``dtype``."""
+    if dtype == torch.float64:
+        return torch.complex128
+    if dtype == torch.float32:
+        return torch.complex64
+    raise invalid("dtype", str(dtype), "", "torch.float32 or torch.float64")
+
+
+def check_field(field: Tensor, source: Grid, dtype: torch.dtype) -> None:
+    """Refuse a field that does not match what was prepared."""
+    if tuple(field.shape[-2:]) != source.shape:
+        raise invalid(
+            "field.shape", tuple(field.shape), "", f"(..., {source.rows}, {source.columns})"
+        )
+    if field.dtype != dtype:
+        raise invalid("field.dtype", str(field.dtype), "", f"{dtype}, as prepared")
+
+
+def check_job(
+    distance: Real, wavelength: Real, device: torch.device | None
+) -> tuple[Tensor, Tensor]:
+    """Return distance and wavelength as float64 scalars, refusing what has no meaning."""
+    z = as_scalar("distance", distance, device)
+    length = as_scalar("wavelength", wavelength, device)
+    if as_float(length) <= 0:
+        raise invalid("wavelength", as_float(length), "m", "a finite number > 0")
+    return z, length

@@ -1,0 +1,1 @@
+"""The daemon ``veilcamd``: devices, keyring, rotation, capture, inference and the REST API."""

@@ -1,0 +1,286 @@
+"""The command line ``veilcamd``."""
+
+from __future__ import annotations
+
+import secrets
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from pydantic import ValidationError
+
+from veilcam_client import VeilcamError
+from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_server import logs
+from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, Digits, load_digits
+from veilcam_server.devices.scene import write_scene
+from veilcam_server.errors import StartError
+from veilcam_server.settings import SCENE_NAME, Settings, default_state_dir
+
+app = typer.Typer(
+    no_args_is_help=True,
+    # Local variables hold masks: they must not end up in a terminal.
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def veilcamd() -> None:
+    """The Veilcam daemon: a privacy camera without a lens."""
+
+
+@app.command()
+def serve(
+    *,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(
+            help="Masks and classifiers, a *.veilcam file. With --simulate, the demo's by default."
+        ),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Use a simulated panel and sensor.")
+    ] = False,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            help="What the simulated camera sees: a .npy image, read at every capture. "
+            "Default: one that 'veilcamd show' writes."
+        ),
+    ] = None,
+    host: Annotated[str | None, typer.Option(help="Loopback address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.")] = None,
+    socket: Annotated[Path | None, typer.Option(help="Listen on a unix socket instead.")] = None,
+    state_dir: Annotated[Path | None, typer.Option(help="Where mask epochs are recorded.")] = None,
+    every_seconds: Annotated[
+        float | None, typer.Option(help="Change the mask every so many seconds.")
+    ] = None,
+    every_captures: Annotated[
+        int | None, typer.Option(help="Change the mask every so many captures.")
+    ] = None,
+    jitter: Annotated[
+        float | None,
+        typer.Option(help="With --every-seconds: up to so many seconds less, by chance."),
+    ] = None,
+    reuse: Annotated[
+        int | None,
+        typer.Option(
+            help="Captures that a mask may still serve when the next is not ready; 0 waits."
+        ),
+    ] = None,
+    mask_secret: Annotated[
+        Path | None,
+        typer.Option(help="File with the secret of fresh masks, made by 'veilcamd secret'."),
+    ] = None,
+    device_label: Annotated[
+        str | None,
+        typer.Option(help="Label of this camera: no two with one secret may have the same."),
+    ] = None,
+    release: Annotated[
+        str | None,
+        typer.Option(
+            help="How embeddings leave: none, flat, white or raw. Default: white for fresh masks, "
+            "none for pairs (raw when simulated)."
+        ),
+    ] = None,
+    settle: Annotated[float | None, typer.Option(help="Time for the panel to settle [s].")] = None,
+    exposure: Annotated[float | None, typer.Option(help="Simulated exposure [s].")] = None,
+    snr_db: Annotated[
+        float | None, typer.Option(help="Simulated signal-to-noise ratio [dB].")
+    ] = None,
+    queue_limit: Annotated[int | None, typer.Option(help="Captures that may wait.")] = None,
+    wrong_classifier: Annotated[
+        bool,
+        typer.Option(
+            "--wrong-classifier",
+            help="Experiment: read every mask as if it were another one.",
+        ),
+    ] = False,
+    log_level: Annotated[str | None, typer.Option(help="debug, info, warning or error.")] = None,
+) -> None:
+    """Serve the camera on this machine until interrupted.
+
+    What is not given here is taken from the environment: VEILCAM_BUNDLE, VEILCAM_PORT, ...
+    """
+    # Imported late: --help need not wait for torch.
+    from veilcam_server.serve import serve as run  # noqa: PLC0415
+
+    given: dict[str, Any] = {
+        "bundle": bundle,
+        "device": "simulated" if simulate else None,
+        "scene": scene,
+        "host": host,
+        "port": port,
+        "socket": socket,
+        "state_dir": state_dir,
+        "mask_secret": mask_secret,
+        "device_label": device_label,
+        "release": release,
+        "settle": settle,
+        "exposure": exposure,
+        "snr_db": snr_db,
+        "queue_limit": queue_limit,
+        "wrong_classifier": wrong_classifier or None,
+        "log_level": log_level,
+    }
+    try:
+        given["rotation"] = _policy(every_seconds, every_captures, jitter=jitter, reuse=reuse)
+        settings = Settings(**{name: value for name, value in given.items() if value is not None})
+        logs.configure(settings.log_level)
+        if simulate and settings.scene is None and not settings.scene_file.exists():
+            hold_up(settings.scene_file, load_digits(), 0)
+        run(settings, lambda url: print(f"veilcamd listening on {url}", flush=True))  # noqa: T201
+    except ValidationError as error:
+        fail(one_line(error))
+    except StartError as error:
+        fail(str(error))
+    except KeyboardInterrupt:
+        pass
+
+
+def _policy(
+    seconds: float | None, captures: int | None, *, jitter: float | None, reuse: int | None
+) -> RotationPolicy | None:
+    if seconds is not None and captures is not None:
+        raise StartError("give --every-seconds or --every-captures, not both")
+    if jitter is not None and seconds is None:
+        raise StartError("--jitter goes with --every-seconds")
+    if reuse is not None and seconds is None and captures is None:
+        raise StartError("--reuse goes with --every-seconds or --every-captures")
+    if seconds is not None:
+        return EverySeconds(seconds=seconds, jitter=jitter or 0.0, reuse=reuse or 0)
+    return None if captures is None else EveryCaptures(captures=captures, reuse=reuse or 0)
+
+
+@app.command()
+def secret(
+    file: Annotated[Path, typer.Argument(help="New file; its owner alone may read it.")],
+) -> None:
+    """Make the secret that fresh masks are derived from. Keep a copy where you keep keys."""
+    from veilcam_server.mask_secret import write_secret  # noqa: PLC0415 - it loads torch
+
+    try:
+        write_secret(file)
+    except StartError as error:
+        fail(str(error))
+    typer.echo(f"wrote {file}; give it to the daemon with --mask-secret {file}")
+
+
+@app.command()
+def show(
+    *,
+    scene: Annotated[
+        Path | None,
+        typer.Option(help="File that the simulated camera sees; the one of 'serve' by default."),
+    ] = None,
+    digit: Annotated[
+        int | None, typer.Option(min=0, max=9, help="Any held-out digit of this kind.")
+    ] = None,
+    index: Annotated[int | None, typer.Option(min=0, help="Exactly this held-out digit.")] = None,
+) -> None:
+    """Hold a handwritten digit up in front of a simulated camera."""
+    try:
+        digits = load_digits()
+        if index is not None and index >= len(digits):
+            raise StartError(f"--index {index}: there are {len(digits)} digits, from 0 on")
+        if index is None:
+            fitting = [n for n, label in enumerate(digits.labels) if digit in (None, label)]
+            index = secrets.choice(fitting)
+        path = scene or default_state_dir() / SCENE_NAME
+        hold_up(path, digits, index)
+        typer.echo(f"held up a {digits.labels[index]} (held-out digit {index}) in {path}")
+    except StartError as error:
+        fail(str(error))
+
+
+def hold_up(scene: Path, digits: Digits, index: int) -> None:
+    """Write one digit to the scene file."""
+    try:
+        scene.parent.mkdir(parents=True, exist_ok=True)
+        write_scene(scene, digits.images[index])
+    except OSError as error:
+        raise StartError(f"cannot write the scene {scene}: {error.strerror}") from None
+
+
+@app.command()
+def demo(
+    *,
+    captures: Annotated[int, typer.Option(min=1, help="How many digits to show.")] = 200,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Draw every mask from a key; no mask is used again.")
+    ] = False,
+    every: Annotated[
+        int | None, typer.Option(min=1, help="Captures under one mask: 10, with --fresh 1.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Directory for report.png.")] = Path("demo"),
+    bundle: Annotated[
+        Path | None, typer.Option(help="Masks and classifiers, instead of those that come along.")
+    ] = None,
+    digits: Annotated[Path, typer.Option(help="Held-out digits.")] = DIGITS,
+    seed: Annotated[int, typer.Option(min=0, help="Chooses the digits.")] = 0,
+    wrong_classifier: Annotated[
+        bool,
+        typer.Option(
+            "--wrong-classifier",
+            help="Read every mask as if it were another one: accuracy collapses.",
+        ),
+    ] = False,
+    figures: Annotated[
+        Path | None, typer.Option(help="Write the accuracy into this JSON file.")
+    ] = None,
+) -> None:
+    """Classify handwritten digits through changing masks, end to end."""
+    # Imported late: --help need not wait for torch and matplotlib.
+    from rich.console import Console  # noqa: PLC0415
+
+    from veilcam_server.demo.figures import record  # noqa: PLC0415
+    from veilcam_server.demo.run import Plan, demonstrate  # noqa: PLC0415
+
+    bundle = bundle or (FRESH if fresh else KEYRING)
+    every = every or (1 if fresh else 10)
+    try:
+        if fresh and bundle == FRESH and not FRESH.exists():
+            raise StartError("no bundle of fresh masks came along: give one with --bundle")
+        plan = Plan(bundle, fresh, digits, out, captures, every, seed, wrong_classifier)
+        tally = demonstrate(plan, Console())
+        if figures is not None:
+            name = "demo_fresh" if fresh else "demo"
+            name += "_wrong_classifier_accuracy" if wrong_classifier else "_accuracy"
+            command = shlex.join(["veilcamd", *sys.argv[1:]])
+            record(figures, name, round(tally.accuracy, 4), command)
+        typer.echo(tally.summary())
+    except (StartError, VeilcamError) as error:
+        fail(str(error))
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+
+
+_OPTIONS = {"seconds": "every-seconds", "captures": "every-captures"}
+
+
+def one_line(error: ValidationError) -> str:
+    """Name every setting at fault as it is written on the command line."""
+    parts = []
+    for item in error.errors(include_url=False, include_input=False):
+        names = [_OPTIONS.get(str(part), str(part)) for part in item["loc"][:1]]
+        name = "".join(f"--{part}".replace("_", "-") for part in names)
+        if item["type"] == "missing":
+            parts.append(f"{name} is missing: give it, or set it in the environment")
+        else:
+            message = item["msg"].removeprefix("Value error, ")
+            parts.append(f"{name}: {message}" if name else message)
+    return "; ".join(parts)
+
+
+def fail(message: str) -> NoReturn:
+    """Say why, and exit with 1."""
+    typer.echo(f"veilcamd: error: {message}", err=True)
+    raise SystemExit(1)
+
+
+def main() -> None:
+    """Run ``veilcamd``."""
+    app(prog_name="veilcamd")
+    sys.exit(0)

@@ -1,0 +1,1 @@
+"""``veilcamd demo``: the whole camera end to end, on this machine, in a minute."""

@@ -1,0 +1,23 @@
+"""What can go wrong with a panel or a sensor. No message ever holds a level or a reading."""
+
+from __future__ import annotations
+
+
+class DeviceError(Exception):
+    """Base: a panel or sensor that did not do what it was asked."""
+
+
+class DeviceMissingError(DeviceError):
+    """A device that the configuration names and that is not there."""
+
+
+class DisplayError(DeviceError):
+    """The panel did not take a mask; what it shows now is unknown."""
+
+
+class SensorError(DeviceError):
+    """The sensor gave no reading."""
+
+
+class SensorTimeoutError(SensorError):
+    """The sensor gave no reading in time."""

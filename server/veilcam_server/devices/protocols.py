@@ -1,0 +1,104 @@
+"""The seam between the daemon and its hardware: a panel to show masks on, and a sensor.
+
+Whatever stands behind it, simulated or real, keeps to these two protocols. All times are those of
+``time.monotonic()`` [s]; on Linux that is the clock of camera timestamps too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Levels = npt.NDArray[np.uint8]
+Reading = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A mask that reached the panel; ``completed_at`` [s] is when its last byte was written."""
+
+    completed_at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """One reading and the time in which all of its light was collected.
+
+    ``started_at`` [s] is when the *first* sensor row began to integrate, ``ended_at`` [s] when the
+    last one stopped: under a rolling shutter that is more than the exposure time.
+    """
+
+    embedding: Reading = field(repr=False)
+    """Binned on the device, shape of the embedding; the raw frame is gone."""
+    started_at: float
+    ended_at: float
+
+
+class Display(Protocol):
+    """A panel in front of the sensor."""
+
+    @property
+    def name(self) -> str:
+        """What it is, e.g. ``ST7735R``."""
+
+    def show(self, levels: Levels) -> Shown:
+        """Write a mask and return once its last byte is out.
+
+        Args:
+            levels: shape of the window, 0 (opaque) to ``panel.levels - 1`` (open).
+
+        Raises:
+            DisplayError: the panel did not take it, and what it shows now is unknown.
+        """
+
+    def blank(self) -> None:
+        """Show opaque: the safe state, and the last thing shown before the daemon ends.
+
+        Raises:
+            DisplayError: the panel did not take it, and what it shows now is unknown.
+        """
+
+    def close(self) -> None:
+        """Let go of the bus; the panel goes on showing what it shows."""
+
+
+class Sensor(Protocol):
+    """A camera without a lens."""
+
+    @property
+    def name(self) -> str:
+        """What it is, e.g. ``IMX477``."""
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        """Expose once, starting no earlier than ``not_before``, and bin on the device.
+
+        Args:
+            not_before: monotonic time [s] at which the mask is settled.
+            timeout: longest wait for the reading after ``not_before`` [s].
+
+        Raises:
+            SensorTimeoutError: no reading in time.
+            SensorError: no reading.
+        """
+
+    def close(self) -> None:
+        """Stop the sensor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A panel and the sensor behind it."""
+
+    display: Display
+    sensor: Sensor
+    simulated: bool
+
+    def close(self) -> None:
+        """Let go of both, the sensor first."""
+        try:
+            self.sensor.close()
+        finally:
+            self.display.close()

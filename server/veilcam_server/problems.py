@@ -1,0 +1,170 @@
+"""Problem details (RFC 9457): every error that leaves the API, with its stable code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+
+from veilcam_client.models import PROBLEM_MEDIA_TYPE, FieldError, Problem
+from veilcam_server.devices.errors import DisplayError, SensorError, SensorTimeoutError
+from veilcam_server.errors import (
+    EpochError,
+    FenceError,
+    IdempotencyError,
+    NotReadyError,
+    QueueFullError,
+    RotationImpossibleError,
+    WithheldError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemType:
+    """What a code always means."""
+
+    status: int
+    title: str
+    retryable: bool = False
+
+
+PROBLEMS: Mapping[str, ProblemType] = {
+    "bad_request": ProblemType(400, "The request cannot be read"),
+    "embedding_withheld": ProblemType(403, "Embeddings are not released"),
+    "not_found": ProblemType(404, "There is nothing at this path"),
+    "method_not_allowed": ProblemType(405, "This path does not take this method"),
+    "not_acceptable": ProblemType(406, "None of the accepted media types can be given"),
+    "rotation_impossible": ProblemType(409, "There is no other mask"),
+    "body_too_large": ProblemType(413, "The body is too large"),
+    "host_refused": ProblemType(421, "This host name is not served"),
+    "invalid_request": ProblemType(422, "The request is not valid"),
+    "idempotency_key_reused": ProblemType(422, "The idempotency key belongs to another request"),
+    "queue_full": ProblemType(429, "Too many captures are waiting", retryable=True),
+    "internal_error": ProblemType(500, "The daemon has a defect"),
+    "not_ready": ProblemType(503, "The camera takes no captures now", retryable=True),
+    "display_failed": ProblemType(503, "The panel failed", retryable=True),
+    "sensor_failed": ProblemType(503, "The sensor failed", retryable=True),
+    "sensor_timeout": ProblemType(503, "The sensor gave no reading in time", retryable=True),
+    "fence_violated": ProblemType(503, "The reading could not be trusted", retryable=True),
+    "epoch_not_recorded": ProblemType(503, "The mask epoch is not durable", retryable=True),
+}
+
+_CODES: tuple[tuple[type[Exception], str], ...] = (
+    (RotationImpossibleError, "rotation_impossible"),
+    (WithheldError, "embedding_withheld"),
+    (IdempotencyError, "idempotency_key_reused"),
+    (QueueFullError, "queue_full"),
+    (NotReadyError, "not_ready"),
+    (DisplayError, "display_failed"),
+    (SensorTimeoutError, "sensor_timeout"),
+    (SensorError, "sensor_failed"),
+    (FenceError, "fence_violated"),
+    (EpochError, "epoch_not_recorded"),
+)
+_HTTP_CODES = {
+    code: name
+    for name, code in (
+        ("bad_request", 400),
+        ("not_found", 404),
+        ("method_not_allowed", 405),
+        ("not_acceptable", 406),
+        ("body_too_large", 413),
+        ("host_refused", 421),
+    )
+}
+_RETRY_AFTER = 1
+"""What to wait after a device failure [s]."""
+
+
+def code_of(error: Exception) -> str | None:
+    """Return the problem code of an error of the daemon, None for one that it does not know."""
+    return next((code for kind, code in _CODES if isinstance(error, kind)), None)
+
+
+def problem_response(
+    *,
+    code: str,
+    detail: str,
+    instance: str,
+    request_id: str,
+    errors: tuple[FieldError, ...] = (),
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """Return the answer for one problem."""
+    kind = PROBLEMS[code]
+    problem = Problem(
+        type=f"urn:veilcam:problem:{code}",
+        title=kind.title,
+        status=kind.status,
+        detail=detail,
+        instance=instance,
+        code=code,
+        request_id=request_id,
+        retryable=kind.retryable,
+        errors=errors,
+    )
+    return Response(
+        problem.model_dump_json(exclude_none=True),
+        kind.status,
+        headers=headers,
+        media_type=PROBLEM_MEDIA_TYPE,
+    )
+
+
+def install(app: FastAPI) -> None:
+    """Answer every known error of ``app`` with a problem."""
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(RequestValidationError, _on_invalid)
+    for kind, _ in _CODES:
+        app.add_exception_handler(kind, _on_error)
+
+
+async def _on_error(request: Request, error: Exception) -> Response:
+    code = code_of(error) or "internal_error"
+    headers = {}
+    if PROBLEMS[code].retryable:
+        wait = error.retry_after if isinstance(error, QueueFullError) else _RETRY_AFTER
+        headers["Retry-After"] = str(wait)
+    return problem_response(
+        code=code,
+        detail=str(error),
+        instance=request.url.path,
+        request_id=request.state.request_id,
+        headers=headers,
+    )
+
+
+async def _on_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101 - that is what it is registered for
+    code = _HTTP_CODES.get(error.status_code, "bad_request")
+    detail = str(error.detail)
+    if detail == HTTPStatus(error.status_code).phrase:
+        detail = f"{request.method} {request.url.path}: {PROBLEMS[code].title.lower()}"
+    return problem_response(
+        code=code,
+        detail=detail,
+        instance=request.url.path,
+        request_id=request.state.request_id,
+        headers=error.headers,
+    )
+
+
+async def _on_invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
+    # Only where and why: what was sent stays out of answers and logs.
+    errors = tuple(
+        FieldError(location=".".join(str(part) for part in item["loc"]), message=str(item["msg"]))
+        for item in error.errors()
+    )
+    return problem_response(
+        code="invalid_request",
+        detail="; ".join(f"{item.location}: {item.message}" for item in errors),
+        instance=request.url.path,
+        request_id=request.state.request_id,
+        errors=errors,
+    )

@@ -1,0 +1,229 @@
+"""From settings to a daemon that serves: every reason not to start is one :class:`StartError`."""
+
+from __future__ import annotations
+
+import errno
+import signal
+import socket
+import stat
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import structlog
+import torch
+import uvicorn
+
+from veilcam_client.models import BundleInfo
+from veilcam_client.models import Device as DeviceInfo
+from veilcam_optics.grid import GridLight
+from veilcam_server.app import create_app
+from veilcam_server.camera import MaskedCamera
+from veilcam_server.devices.errors import DeviceError, DeviceMissingError
+from veilcam_server.devices.protocols import Device
+from veilcam_server.devices.scene import FileScene
+from veilcam_server.devices.simulated import Conditions, simulated_device
+from veilcam_server.epochs import EpochStore
+from veilcam_server.errors import EpochError, RotationImpossibleError, StartError
+from veilcam_server.fence import Fence
+from veilcam_server.identity import Identity
+from veilcam_server.preparation import Preparation
+from veilcam_server.service import Service
+from veilcam_server.settings import Settings
+from veilcam_server.sources import open_source, release_form, rotation_policy
+from veilcam_training.bundle import Bundle, BundleError, read_bundle
+
+log = structlog.get_logger()
+
+
+def open_device(settings: Settings, bundle: Bundle) -> Device:
+    """Return the device that the settings name, and no other.
+
+    Raises:
+        DeviceError: it is not there, or there is nothing in front of a simulated one.
+    """
+    if settings.device != "simulated":
+        # The drivers of a real camera (ST7735R on spidev and gpiod, IMX477 on picamera2) go here.
+        raise DeviceMissingError(
+            "this version has no driver for the panel and sensor of a Raspberry Pi: use --simulate"
+        )
+    scene = FileScene(settings.scene_file, bundle.scene.shape)
+    light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
+    return simulated_device(
+        light,
+        scene,
+        camera=bundle.camera,
+        embedding=bundle.embedding,
+        # The crystal turns in less than the time that the fence grants it.
+        conditions=Conditions(0.8 * settings.settle, settings.exposure, settings.snr_db),
+    )
+
+
+def build_service(settings: Settings) -> Service:
+    """Read the bundle, open the device and show the first mask.
+
+    Raises:
+        StartError: whatever stands in the way, in one line.
+    """
+    try:
+        bundle = read_bundle(settings.bundle)
+        form = release_form(settings, bundle)
+        source = open_source(settings, bundle)
+        with ExitStack() as undo:
+            epochs = EpochStore(settings.state_dir)
+            undo.callback(epochs.close)
+            device = open_device(settings, bundle)
+            undo.callback(device.close)
+            preparation = Preparation(source, epochs)
+            undo.callback(preparation.close)
+            camera = MaskedCamera(
+                device,
+                preparation,
+                bundle.embedding.shape,
+                fence=Fence(settings.settle, settings.capture_timeout),
+                policy=rotation_policy(settings, bundle),
+            )
+            camera.rotate()
+            undo.pop_all()
+    except (BundleError, DeviceError, EpochError, RotationImpossibleError) as error:
+        raise StartError(str(error)) from error
+    return Service(
+        camera,
+        _identity(settings, bundle, device),
+        form=form,
+        queue_limit=settings.queue_limit,
+        heartbeat=settings.heartbeat,
+    )
+
+
+def _identity(settings: Settings, bundle: Bundle, device: Device) -> Identity:
+    return Identity(
+        device=DeviceInfo(
+            display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
+        ),
+        bundle=BundleInfo(
+            digest=bundle.digest,
+            task=bundle.task,
+            mode=bundle.mode,
+            labels=bundle.labels,
+            embedding_shape=bundle.embedding.shape,
+            pairs=len(bundle.pairs),
+        ),
+        experiment="wrong-classifier" if settings.wrong_classifier else None,
+    )
+
+
+def bind(settings: Settings) -> tuple[socket.socket, str]:
+    """Return a listening socket and its URL.
+
+    Raises:
+        StartError: somebody else listens there, or it is not allowed.
+    """
+    try:
+        if settings.socket is not None:
+            return _bind_unix(settings.socket), f"unix://{settings.socket.resolve()}"
+        family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+        # The protocol is named: asyncio turns Nagle's algorithm off only where it is, and with it
+        # on every answer waits 40 ms for an acknowledgement.
+        listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((settings.host, settings.port))
+            listener.listen(128)
+        except BaseException:
+            listener.close()
+            raise
+    except OSError as error:
+        where, option = (
+            (f"port {settings.port}", "--port")
+            if settings.socket is None
+            else (f"socket {settings.socket}", "--socket")
+        )
+        if error.errno == errno.EADDRINUSE:
+            raise StartError(
+                f"{where} is occupied: stop what listens there, or give another {option}"
+            ) from None
+        raise StartError(
+            f"cannot listen on {where} ({error.strerror or error}): give another {option}"
+        ) from None
+    host = f"[{settings.host}]" if family == socket.AF_INET6 else settings.host
+    return listener, f"http://{host}:{listener.getsockname()[1]}"
+
+
+def _bind_unix(path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        if path.exists():
+            if not stat.S_ISSOCK(path.stat().st_mode):
+                raise OSError(errno.EEXIST, "there is a file of that name")
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                if probe.connect_ex(str(path)) == 0:
+                    raise OSError(errno.EADDRINUSE, "occupied")
+            path.unlink()  # left behind by a daemon that was killed
+        listener.bind(str(path))
+        path.chmod(0o600)
+        listener.listen()
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+class _Server(uvicorn.Server):
+    """Says when it listens, and ends event streams before it waits for its connections."""
+
+    def __init__(
+        self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
+    ) -> None:
+        super().__init__(config)
+        self._service, self._on_listening = service, on_listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_listening()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._service.end_streams()
+        await super().shutdown(sockets)
+
+
+def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
+    """Serve until told to stop, then show opaque.
+
+    Args:
+        settings: checked.
+        on_listening: called with the URL once requests are answered.
+
+    Raises:
+        StartError: the daemon cannot start; nothing else on this machine was disturbed.
+    """
+    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
+    torch.set_num_threads(1)
+    listener, url = bind(settings)
+    # The default would end the process at once and leave the mask on the panel.
+    default = signal.signal(signal.SIGTERM, _exit)
+    service = None
+    try:
+        service = build_service(settings)
+        config = uvicorn.Config(
+            create_app(service),
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=10,
+        )
+        server = _Server(config, service, lambda: on_listening(url))
+        log.info("start", url=url, device=settings.device)
+        server.run([listener])
+    finally:
+        if service is not None:
+            service.stop()
+        signal.signal(signal.SIGTERM, default)
+        listener.close()
+        if settings.socket is not None:
+            settings.socket.unlink(missing_ok=True)
+
+
+def _exit(*_: object) -> None:
+    raise SystemExit(0)

@@ -1,0 +1,296 @@
+"""The camera for an event loop: what the API does, and the events that tell of it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import secrets
+import time
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager, suppress
+from datetime import datetime
+from typing import TypeVar
+
+import structlog
+
+from veilcam_client import __version__
+from veilcam_client.events import (
+    CaptureTaken,
+    Classified,
+    Event,
+    Fault,
+    MaskChanged,
+    RotationChanged,
+    StateChanged,
+)
+from veilcam_client.models import (
+    API_VERSION,
+    Capture,
+    Classification,
+    Embedding,
+    Form,
+    Queue,
+    Release,
+    Rotation,
+    RotationPolicy,
+    State,
+    Status,
+)
+from veilcam_server.answers import (
+    capture_answer,
+    classification_answer,
+    rotation_answer,
+    timing,
+)
+from veilcam_server.camera import MaskedCamera
+from veilcam_server.device_queue import DeviceQueue
+from veilcam_server.errors import RotationImpossibleError, WithheldError
+from veilcam_server.events import EventLog
+from veilcam_server.identity import Identity
+from veilcam_server.inference import Verdict
+from veilcam_server.problems import code_of
+from veilcam_server.showing import Captured
+
+log = structlog.get_logger()
+ResultT = TypeVar("ResultT")
+
+
+class Service:
+    """Everything that the API does. Lives on one event loop, between ``open`` and its end.
+
+    Args:
+        camera: with its first mask on the panel.
+        identity: for the status.
+        form: in which embeddings leave.
+        queue_limit: how many requests may wait for the device, the one at work included.
+        heartbeat: longest silence of an event stream [s].
+    """
+
+    def __init__(
+        self,
+        camera: MaskedCamera,
+        identity: Identity,
+        *,
+        form: Release = "none",
+        queue_limit: int = 8,
+        heartbeat: float = 10.0,
+    ) -> None:
+        self._camera, self._identity, self._form = camera, identity, form
+        self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
+        self._events = EventLog()
+        self._changed = asyncio.Event()
+        self._captures = 0
+        self._since = time.monotonic()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._inference_thread = ThreadPoolExecutor(1, "inference")
+        camera.listen(self._mask_changed, self._state_changed, self._next_ready)
+
+    @asynccontextmanager
+    async def open(self) -> AsyncIterator[None]:
+        """Rotate masks as long as the context lasts; then show opaque and let go of the device."""
+        self._loop = asyncio.get_running_loop()
+        rotating = asyncio.create_task(self._rotate_when_due())
+        try:
+            yield
+        finally:
+            rotating.cancel()
+            await asyncio.wait([rotating])
+            self.end_streams()
+            try:
+                await self._queue.run(self._camera.stop)
+            finally:
+                self._loop = None
+                self._queue.close()
+                self._inference_thread.shutdown()
+
+    def stop(self) -> None:
+        """Show opaque and let go of the device, without an event loop; twice does no harm."""
+        self._camera.stop()
+
+    def end_streams(self) -> None:
+        """End all event streams, so that the server need not wait for who listens to them."""
+        self._events.close()
+
+    def status(self) -> Status:
+        """State, device, bundle, rotation and queue."""
+        state, detail = self._camera.state
+        return Status(
+            version=__version__,
+            api_version=API_VERSION,
+            state=state,
+            detail=detail,
+            experiment=self._identity.experiment,
+            uptime_s=time.monotonic() - self._since,
+            captures=self._captures,
+            release=self._form,
+            device=self._identity.device,
+            bundle=self._identity.bundle,
+            rotation=self.rotation(),
+            queue=Queue(waiting=self._queue.waiting, limit=self._queue.limit),
+        )
+
+    def rotation(self) -> Rotation:
+        """The policy, the present epoch, and whether the next one is ready."""
+        return rotation_answer(self._camera)
+
+    def set_policy(self, policy: RotationPolicy) -> Rotation:
+        """Change when masks change; raises :class:`RotationImpossibleError`."""
+        self._camera.policy = policy
+        self._publish(lambda id_, at: RotationChanged(id=id_, at=at, policy=policy))
+        self._changed.set()
+        return self.rotation()
+
+    async def rotate(self) -> Rotation:
+        """Show another mask now; raises as :meth:`MaskedCamera.rotate`, or the queue is full."""
+        with self._queue.admitted():
+            await self._on_device(self._camera.rotate)
+        self._changed.set()
+        return self.rotation()
+
+    async def capture(self) -> Capture:
+        """Take one embedding; raises as :meth:`MaskedCamera.capture`, or the queue is full.
+
+        Raises:
+            WithheldError: this daemon releases no embeddings.
+        """
+        begun = time.monotonic()
+        form = self._require_released()
+        with self._queue.admitted():
+            captured, queued = await self._take(begun)
+            name = self._taken(captured)
+            embedding = await self._aside(lambda: _released(captured, form))
+        return capture_answer(name, captured, embedding, timing(captured, queued, begun))
+
+    async def classify(self, *, include_embedding: bool) -> Classification:
+        """Take one embedding and classify it with the reader of its own mask.
+
+        Raises:
+            WithheldError: the embedding is wanted, and this daemon releases none.
+        """
+        begun = time.monotonic()
+        form = self._require_released() if include_embedding else None
+
+        def infer(captured: Captured) -> tuple[Verdict, Embedding | None, float]:
+            started = time.perf_counter()
+            verdict = captured.reader.classify(captured.embedding)
+            took = time.perf_counter() - started
+            return verdict, _released(captured, form) if form else None, took
+
+        with self._queue.admitted():
+            captured, queued = await self._take(begun)
+            name = self._taken(captured)
+            verdict, embedding, inference = await self._aside(lambda: infer(captured))
+        self._publish(
+            lambda id_, at: Classified(
+                id=id_,
+                at=at,
+                capture=name,
+                epoch=captured.epoch,
+                label=verdict.label,
+                confidence=verdict.confidence,
+            )
+        )
+        return classification_answer(
+            name, captured, verdict, embedding, timing(captured, queued, begun, inference)
+        )
+
+    def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
+        """Events after ``last_event_id``; None is a heartbeat."""
+        return self._events.follow(last_event_id, self._heartbeat)
+
+    def _mask_changed(self, epoch: str) -> None:
+        self._publish_from_thread(lambda id_, at: MaskChanged(id=id_, at=at, epoch=epoch))
+
+    def _state_changed(self, state: State, detail: str | None) -> None:
+        log.info("state", state=state, detail=detail)
+        self._publish_from_thread(
+            lambda id_, at: StateChanged(id=id_, at=at, state=state, detail=detail)
+        )
+
+    def _next_ready(self) -> None:
+        self._from_thread(self._changed.set)
+
+    async def _take(self, begun: float) -> tuple[Captured, float]:
+        def work() -> tuple[Captured, float]:
+            queued = time.monotonic() - begun
+            return self._camera.capture(), queued
+
+        try:
+            return await self._on_device(work)
+        finally:
+            self._changed.set()
+
+    def _require_released(self) -> Form:
+        if self._form == "none":
+            raise WithheldError(
+                "this daemon releases no embeddings: ask for a classification, "
+                "or start it with --release"
+            )
+        return self._form
+
+    async def _aside(self, work: Callable[[], ResultT]) -> ResultT:
+        """Do ``work``, which does not need the device, while the device serves the next one."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._inference_thread, work)
+
+    def _taken(self, captured: Captured) -> str:
+        name = secrets.token_hex(8)
+        self._captures += 1
+        self._publish(
+            lambda id_, at: CaptureTaken(id=id_, at=at, capture=name, epoch=captured.epoch)
+        )
+        return name
+
+    async def _on_device(self, work: Callable[[], ResultT]) -> ResultT:
+        try:
+            return await self._queue.run(work)
+        except RotationImpossibleError:
+            raise
+        except Exception as error:
+            code = code_of(error)
+            if code is not None:
+                detail = str(error)
+                log.warning("fault", code=code, detail=detail)
+                self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
+            raise
+
+    async def _rotate_when_due(self) -> None:
+        """Change masks when the policy says so, also while nobody captures."""
+        pause = 1.0
+        while True:
+            self._changed.clear()
+            due = self._camera.due_in()
+            if due > 0 or self._camera.preparation.under_way:
+                # A mask that is due waits for the next one here, where it keeps no capture waiting.
+                wait = due if due > 0 and math.isfinite(due) else None
+                # Not wait_for: in Python 3.11 it loses a cancellation that comes as the wait ends,
+                # and the daemon would never stop.
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(wait):
+                        await self._changed.wait()
+                continue
+            try:
+                await self._on_device(self._camera.rotate_if_due)
+                pause = 1.0
+            except Exception as error:
+                if code_of(error) is None:
+                    log.error("defect", error=type(error).__name__, during="rotation")
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, 60.0)
+
+    def _publish(self, make: Callable[[str, datetime], Event]) -> None:
+        self._events.publish(make)
+
+    def _publish_from_thread(self, make: Callable[[str, datetime], Event]) -> None:
+        self._from_thread(lambda: self._publish(make))
+
+    def _from_thread(self, act: Callable[[], None]) -> None:
+        loop = self._loop
+        if loop is not None:
+            loop.call_soon_threadsafe(act)
+
+
+def _released(captured: Captured, form: Form) -> Embedding:
+    values = captured.reader.release(captured.embedding, form)
+    return Embedding.from_array(values, form=form)

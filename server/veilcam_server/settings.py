@@ -1,0 +1,90 @@
+"""How a daemon is set up: command line first, then ``VEILCAM_...`` in the environment."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from veilcam_client.models import Release, RotationPolicy
+from veilcam_server.demo_data import KEYRING
+
+DEFAULT_PORT = 8787
+SCENE_NAME = "scene.npy"
+"""Of the scene file in the state directory, where no other is given."""
+
+
+def default_state_dir() -> Path:
+    """Where systemd says (``StateDirectory=``), or the user's state directory (XDG)."""
+    given = os.environ.get("STATE_DIRECTORY")
+    if given:
+        return Path(given)
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "veilcam"
+
+
+class Settings(BaseSettings):
+    """Everything that ``veilcamd serve`` can be told."""
+
+    model_config = SettingsConfigDict(env_prefix="VEILCAM_", extra="forbid", frozen=True)
+
+    bundle: Path
+    device: Literal["pi", "simulated"] = "pi"
+    scene: Path | None = None
+    host: str = "127.0.0.1"
+    port: int = Field(default=DEFAULT_PORT, ge=0, le=65_535)
+    socket: Path | None = None
+    state_dir: Path = Field(default_factory=default_state_dir)
+    rotation: RotationPolicy | None = None
+    mask_secret: Path | None = None
+    device_label: str | None = Field(default=None, min_length=1, max_length=255)
+    release: Release | None = None
+    settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)
+    exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)
+    snr_db: float = Field(default=40.0)
+    capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
+    queue_limit: int = Field(default=8, ge=1, le=1024)
+    heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
+    wrong_classifier: bool = False
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @field_validator("host")
+    @classmethod
+    def _loopback_only(cls, host: str) -> str:
+        if host == "localhost":
+            return "127.0.0.1"
+        try:
+            loopback = ipaddress.ip_address(host).is_loopback
+        except ValueError:
+            loopback = False
+        if not loopback:
+            raise ValueError(
+                "other machines cannot be served yet, for want of TLS and tokens: "
+                "use 127.0.0.1, ::1 or --socket"
+            )
+        return host
+
+    @model_validator(mode="before")
+    @classmethod
+    def _demo_keyring(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """A simulated camera may do without a bundle of its own."""
+        if given.get("device") == "simulated":
+            return {"bundle": KEYRING, **given}
+        return given
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if self.device != "simulated" and self.scene is not None:
+            raise ValueError("only a simulated camera has a --scene: add --simulate")
+        if self.wrong_classifier and self.device != "simulated":
+            raise ValueError("--wrong-classifier is an experiment: it needs --simulate")
+        return self
+
+    @property
+    def scene_file(self) -> Path:
+        """What a simulated camera looks at."""
+        return self.scene or self.state_dir / SCENE_NAME

@@ -1,0 +1,58 @@
+"""What is on the panel, and what was read behind it."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from veilcam_server.devices.protocols import Reading
+from veilcam_server.masks import Mask, Reader
+
+_RANDOM = secrets.SystemRandom()
+
+
+@dataclass(eq=False, slots=True)
+class Showing:
+    """The mask on the panel: mask, epoch and time belong together and are replaced together."""
+
+    mask: Mask = field(repr=False)
+    epoch: str
+    """Name of the epoch."""
+    since: float
+    """When it was first shown, monotonic [s]."""
+    completed_at: float
+    """When it was last written; later than ``since`` when it was put back after a failure."""
+    chance: float = field(default_factory=_RANDOM.random)
+    """How much of a policy's jitter it gets."""
+    captures: int = 0
+    overdue: int = 0
+    """Captures taken while it was due and the next was not ready."""
+    late: bool = False
+    """Whether a capture was due before the next mask was ready."""
+
+
+@dataclass(frozen=True, slots=True)
+class Captured:
+    """One reading, proof of its mask, and the one reader that may read it."""
+
+    embedding: Reading = field(repr=False)
+    taken_at: datetime
+    epoch: str
+    reader: Reader = field(repr=False)
+    started_after_shown: float
+    settle: float
+    duration: float
+    rotation_time: float
+    settle_time: float
+    capture_time: float
+
+
+@dataclass(slots=True)
+class Lateness:
+    """What it came to that the next mask was not ready."""
+
+    late: int = 0
+    """Masks that a capture found due before the next one was ready."""
+    reused: int = 0
+    """Captures taken under a mask that was due."""

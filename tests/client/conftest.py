@@ -1,0 +1,132 @@
+"""Answers of a daemon, without a daemon."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import httpx
+import pytest
+
+EXPOSURE = {"started_after_shown_s": 0.2, "settle_s": 0.1, "duration_s": 0.01}
+TIMING = {
+    "queue_s": 0.0,
+    "rotation_s": 0.0,
+    "settle_s": 0.0,
+    "capture_s": 0.02,
+    "inference_s": 0.001,
+    "total_s": 0.03,
+}
+ROTATION = {
+    "policy": {"mode": "captures", "captures": 3},
+    "epoch": "e1",
+    "captures": 2,
+    "preparation": {"ready": True, "prepared": 4, "last_s": 0.1, "late": 0, "reused": 0},
+}
+CAPTURE = {
+    "id": "c1",
+    "taken_at": "2026-01-02T03:04:05Z",
+    "epoch": "e1",
+    "embedding": {"form": "raw", "shape": [2, 3], "values": [0.0, 1.0, 2.0, 3.0, 4.0, 5.5]},
+    "exposure": EXPOSURE,
+    "timing": TIMING,
+}
+CLASSIFICATION = {
+    "id": "c1",
+    "taken_at": "2026-01-02T03:04:05Z",
+    "epoch": "e1",
+    "label": "7",
+    "confidence": 0.9,
+    "scores": {"7": 0.9, "1": 0.1},
+    "embedding": None,
+    "exposure": EXPOSURE,
+    "timing": TIMING,
+}
+STATUS = {
+    "version": "9.9",
+    "api_version": 1,
+    "state": "ready",
+    "uptime_s": 3.0,
+    "captures": 5,
+    "release": "raw",
+    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False},
+    "bundle": {
+        "digest": "0" * 64,
+        "task": "mnist",
+        "mode": "pairs",
+        "labels": ["7", "1"],
+        "embedding_shape": [2, 3],
+        "pairs": 5,
+    },
+    "rotation": ROTATION,
+    "queue": {"waiting": 0, "limit": 8},
+    "from_the_future": True,
+}
+ANSWERS = {
+    ("GET", "/v1/status"): STATUS,
+    ("POST", "/v1/captures"): CAPTURE,
+    ("POST", "/v1/classifications"): CLASSIFICATION,
+    ("GET", "/v1/rotation"): ROTATION,
+    ("PUT", "/v1/rotation"): ROTATION,
+    ("POST", "/v1/rotation/advance"): ROTATION,
+}
+
+
+def problem(status: int, code: str, *, retryable: bool = False, **headers: str) -> httpx.Response:
+    body = {
+        "type": f"urn:veilcam:problem:{code}",
+        "title": "A title",
+        "status": status,
+        "detail": f"what went wrong: {code}",
+        "instance": "/v1/captures",
+        "code": code,
+        "request_id": "r1",
+        "retryable": retryable,
+        "errors": [{"location": "body.seconds", "message": "too small"}],
+    }
+    return httpx.Response(
+        status,
+        content=json.dumps(body),
+        headers={"Content-Type": "application/problem+json", **headers},
+    )
+
+
+class Daemon:
+    """Answers every route; ``first`` are answers or errors to give before that."""
+
+    def __init__(self) -> None:
+        self.first: list[httpx.Response | Exception] = []
+        self.requests: list[httpx.Request] = []
+
+    def __call__(self, request: httpx.Request) -> httpx.Response:
+        self.requests.append(request)
+        if self.first:
+            answer = self.first.pop(0)
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+        return httpx.Response(200, json=ANSWERS[request.method, request.url.path])
+
+
+Problem: TypeAlias = Callable[..., httpx.Response]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+def daemon() -> Daemon:
+    return Daemon()
+
+
+@pytest.fixture
+def make_problem() -> Problem:
+    return problem
+
+
+@pytest.fixture
+def answers() -> dict[str, Any]:
+    return {"status": STATUS, "capture": CAPTURE, "classification": CLASSIFICATION}

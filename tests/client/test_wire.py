@@ -1,0 +1,115 @@
+"""The wire models: closed questions, open answers, arrays."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from veilcam_client.events import EVENT, EVENT_KINDS, Gap
+from veilcam_client.models import (
+    POLICY,
+    Capture,
+    ClassificationRequest,
+    Embedding,
+    EveryCaptures,
+    EverySeconds,
+    RotationOff,
+    Status,
+)
+
+
+def test_an_embedding_is_an_array(answers: dict[str, Any]) -> None:
+    capture = Capture.model_validate_json(json.dumps(answers["capture"]))
+    array = np.asarray(capture)
+    assert array.dtype == np.float32
+    assert array.tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.5]]
+    assert np.asarray(capture, dtype=np.float64).dtype == np.float64
+    assert np.array_equal(np.asarray(capture.embedding), array)
+    with pytest.raises(ValueError, match="without a copy"):
+        np.array(capture, copy=False)
+
+
+def test_float32_survives_the_wire_exactly() -> None:
+    values = np.random.default_rng(0).normal(size=(3, 4, 5)).astype(np.float32)
+    sent = Embedding.from_array(values, form="white").model_dump_json()
+    assert np.array_equal(np.asarray(Embedding.model_validate_json(sent)), values)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"form": "raw", "shape": [2, 3], "values": [1.0]}',
+        '{"form": "raw", "shape": [0], "values": []}',
+        '{"form": "raw", "shape": [], "values": []}',
+        '{"form": "raw", "shape": [1], "values": [NaN]}',
+        '{"form": "raw", "shape": [1], "values": ["1"]}',
+        '{"form": "raw", "shape": [-1, -1], "values": [1.0]}',
+        '{"form": "none", "shape": [1], "values": [1.0]}',
+        '{"shape": [1], "values": [1.0]}',
+    ],
+)
+def test_an_embedding_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(ValidationError):
+        Embedding.model_validate_json(text)
+
+
+def test_an_embedding_is_not_in_the_repr(answers: dict[str, Any]) -> None:
+    assert "5.5" not in repr(Capture.model_validate_json(json.dumps(answers["capture"])))
+
+
+def test_answers_of_a_newer_server_can_be_read(answers: dict[str, Any]) -> None:
+    assert Status.model_validate_json(json.dumps(answers["status"])).version == "9.9"
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        RotationOff(),
+        EverySeconds(seconds=5),
+        EverySeconds(seconds=5, jitter=4.5, reuse=2),
+        EveryCaptures(captures=2, reuse=3),
+    ],
+)
+def test_policies_survive_the_wire(policy: RotationOff | EverySeconds | EveryCaptures) -> None:
+    assert POLICY.validate_json(policy.model_dump_json()) == policy
+
+
+@pytest.mark.parametrize("seconds", [0, 0.05, -1, float("nan"), float("inf"), 1e9])
+def test_impossible_times_are_refused(seconds: float) -> None:
+    with pytest.raises(ValidationError):
+        EverySeconds(seconds=seconds)
+
+
+@pytest.mark.parametrize("jitter", [-1.0, 5.0, 4.95, float("nan"), True])
+def test_impossible_jitter_is_refused(jitter: Any) -> None:
+    with pytest.raises(ValidationError):
+        EverySeconds(seconds=5.0, jitter=jitter)
+
+
+@pytest.mark.parametrize("captures", [0, -1, True, 1.0, 10**7])
+def test_impossible_counts_are_refused(captures: Any) -> None:
+    with pytest.raises(ValidationError):
+        EveryCaptures(captures=captures)
+
+
+def test_misspelt_questions_are_refused() -> None:
+    with pytest.raises(ValidationError):
+        ClassificationRequest.model_validate_json('{"include_embeding": true}')
+    with pytest.raises(ValidationError):
+        ClassificationRequest.model_validate_json('{"include_embedding": 1}')
+
+
+def test_models_do_not_change() -> None:
+    with pytest.raises(ValidationError):
+        EverySeconds(seconds=1).seconds = 2
+
+
+def test_every_kind_of_event_is_known() -> None:
+    mapping = EVENT.json_schema()["discriminator"]["mapping"]
+    assert set(mapping) == EVENT_KINDS
+    text = '{"kind": "gap", "id": "a-1", "at": "2026-01-02T03:04:05Z", "missed": 3}'
+    assert EVENT.validate_json(text) == Gap.model_validate_json(text)

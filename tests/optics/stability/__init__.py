@@ -1,0 +1,1 @@
+"""Contracts that every operator of the optics must keep, and the cases that break such code."""

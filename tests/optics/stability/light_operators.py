@@ -1,0 +1,126 @@
+"""Light with everything that camera and scene may do to it, by each method; and readings of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from veilcam_optics.conditions import Conditions
+from veilcam_optics.effects import Dials, LightOperator, Model
+from veilcam_optics.effects.model import Method
+from veilcam_optics.effects.reading import read
+from veilcam_optics.transfer import Reach
+
+from .setting import Bound, Operator, Setting, symmetric_weights
+
+
+def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0.0) -> Model:
+    """Every linear effect: with a field of several zones, or with spectra and depth."""
+    scene = setting.scene()
+    return Model(
+        setting.camera(filters=True, leakage=0.1),
+        scene,
+        setting.embedding(),
+        Conditions(
+            bandwidth=(20e-9, 20e-9, 20e-9),
+            depth_range=0.2 * scene.distance,
+            off_axis=0.1,
+            gamma=1.1,
+            contrast_floor=0.02,
+            shift_y=setting.pitch / 3,
+            shift_x=-setting.pitch / 4,
+            rotation=rotation,
+            distance_error=0.01 * setting.distance,
+            stray_light=0.05,
+            bayer=True,
+        ),
+        Dials(
+            method=method,
+            reach=Reach(3, 1),
+            wavelengths=1 if field else 2,
+            layers=1 if field else 2,
+            zones=2 if field else 1,
+            step=setting.pitch / 10,
+            oversampling=0.7,
+            dtype=setting.dtype,
+        ),
+    )
+
+
+def _light_matrix(setting: Setting) -> Bound:
+    operator = LightOperator(_model(setting, "transfer", field=False)).to(setting.device)
+    result = (*setting.scene().shape, *setting.embedding().shape)
+    return Bound(lambda w: operator(w).reshape(result), setting.mask_shape, result)
+
+
+def _light_embed(name: str, method: Method, *, rotation: float = 0.0, widens: str = "") -> Operator:
+    """From scenes to noiseless readings."""
+
+    def bind(setting: Setting) -> Bound:
+        operator = LightOperator(_model(setting, method, field=True, rotation=rotation)).to(
+            setting.device
+        )
+        weights = symmetric_weights(setting)
+        return Bound(
+            lambda scenes: operator.embed(scenes, weights),
+            setting.scene().shape,
+            setting.embedding().shape,
+        )
+
+    return Operator(name, bind, linear=True, batched=True, mirror=((), ()), widens=widens)
+
+
+def _light_mask(setting: Setting) -> Bound:
+    """From the weights of a turned mask to the readings of two scenes, by the grid."""
+    operator = LightOperator(_model(setting, "grid", field=False, rotation=0.1)).to(setting.device)
+    scenes = Bound(lambda x: x, setting.scene().shape, ()).sample(setting, seed=9, batch=(2,))
+
+    def apply(weights: Tensor) -> Tensor:
+        return operator.embed(scenes, weights)
+
+    return Bound(apply, setting.mask_shape, (2, *setting.embedding().shape))
+
+
+def _reading(setting: Setting) -> Bound:
+    """Black level, full well and converter, no noise."""
+    conditions = Conditions(electrons=1e4, full_well=8e3, adc_bits=10, black_level=0.02)
+    shape = setting.embedding().shape
+    return Bound(lambda values: read(values, conditions, shot=False), shape, shape)
+
+
+def _saturation(setting: Setting) -> Bound:
+    """Offset and full well alone: no rounding, so the gradient is the derivative."""
+    conditions = replace(Conditions(electrons=1e4), full_well=5e3, black_level=0.02)
+    shape = setting.embedding().shape
+    return Bound(lambda values: read(values, conditions, shot=False), shape, shape)
+
+
+_BOXES = "the phases of an embedding's boxes are made, in float64, when its shape is first known"
+
+LIGHT: tuple[Operator, ...] = (
+    Operator("light, matrix", _light_matrix, mirror=((), ()), dark=False),
+    _light_embed("light, embed by matrix", "transfer"),
+    _light_embed("light, embed by factors", "factors"),
+    _light_embed("light, embed on a grid", "grid", widens=_BOXES),
+    _light_embed("light, turned mask on a grid", "grid", rotation=0.1, widens=_BOXES),
+    Operator(
+        "light, mask on a grid",
+        _light_mask,
+        # Torch cannot differentiate a sparse product forwards.
+        forward=False,
+        mirror=((), ()),
+        dark=False,
+        widens=_BOXES,
+    ),
+    Operator("reading, well and offset", _saturation, batched=True, dark=False, refuses=False),
+    Operator(
+        "reading, converter",
+        _reading,
+        batched=True,
+        smooth=False,
+        dark=False,
+        meta=True,
+        refuses=False,
+    ),
+)

@@ -1,0 +1,222 @@
+"""What happens to pictures and readings outside the light: panel, sensor, colour, scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.apertures import lay_cells, phase_plate, remove_background
+from veilcam_optics.colour import FilterSet, decode_srgb, encode_srgb, linear_srgb, xyz
+from veilcam_optics.depth import split_depth
+from veilcam_optics.geometry import Scene
+from veilcam_optics.masks import quantise
+from veilcam_optics.noise import shot_noise
+from veilcam_optics.readout import mosaic
+from veilcam_optics.sampling import Grid, area_average
+from veilcam_optics.scenes import SceneTransform
+
+from .setting import Bound, Operator, Setting
+
+
+def _quantise(setting: Setting) -> Bound:
+    panel = setting.camera().panel
+    return Bound(lambda w: quantise(w, panel), setting.mask_shape, setting.mask_shape)
+
+
+def _shot_noise(snr_db: float) -> Operator:
+    """Noise of one fixed seed: a function of the reading, smooth but for the noise's amplitude."""
+
+    def bind(setting: Setting) -> Bound:
+        def apply(values: Tensor) -> Tensor:
+            if values.is_meta:
+                return shot_noise(values, snr_db)
+            generator = torch.Generator(values.device).manual_seed(3)
+            return shot_noise(values, snr_db, generator)
+
+        return Bound(apply, (2, *setting.embedding().shape), (2, *setting.embedding().shape))
+
+    return Operator(
+        f"shot noise, {snr_db:g} dB",
+        bind,
+        # Its amplitude counts as a constant for the gradient, by design.
+        smooth=snr_db == math.inf,
+        mirror=((-2,), (-1,)) if snr_db == math.inf else ((), ()),
+        meta=True,
+        refuses=False,
+        random=snr_db != math.inf,
+    )
+
+
+def _area_average(setting: Setting) -> Bound:
+    return Bound(
+        lambda values: area_average(values, setting.columns, setting.rows),
+        (setting.rows + 7, setting.columns + 4),
+        (setting.columns, setting.rows),
+        kind="signed",
+    )
+
+
+def _mosaic(setting: Setting) -> Bound:
+    return Bound(
+        mosaic,
+        (3, setting.rows, setting.columns),
+        (setting.rows, setting.columns),
+        kind="signed",
+    )
+
+
+def _elementwise(name: str, function: Callable[[Tensor], Tensor]) -> Operator:
+    def bind(setting: Setting) -> Bound:
+        shape = (setting.rows, setting.columns)
+        return Bound(function, shape, shape)
+
+    return Operator(name, bind, batched=True, meta=True, refuses=False)
+
+
+def _spectral(name: str, integral: Callable[[Tensor, Tensor], Tensor]) -> Operator:
+    """From spectra of eleven wavelengths to three numbers."""
+
+    def bind(setting: Setting) -> Bound:
+        visible = torch.linspace(400e-9, 700e-9, 11, dtype=torch.float64, device=setting.device)
+        shape, result = (setting.rows, 11), (setting.rows, 3)
+        return Bound(lambda power: integral(visible, power), shape, result)
+
+    return Operator(
+        name,
+        bind,
+        linear=True,
+        batched=True,
+        mirror=((-2,), ()),
+        widens="the responses at the wavelengths are made in float64",
+        refuses=False,
+    )
+
+
+def _linear_srgb(setting: Setting) -> Bound:
+    return Bound(linear_srgb, (setting.rows, 3), (setting.rows, 3), kind="signed")
+
+
+def _scene_transform(setting: Setting) -> Bound:
+    """Pictures drawn into a scene a size larger, shifted, turned and in perspective."""
+    canvas = Scene(setting.rows + 4, setting.columns + 5, height=1.0)
+    transform = SceneTransform(
+        canvas,
+        object_height=(0.1, 0.15),
+        shift=setting.columns <= 5 * setting.rows,
+        rotation=(-20.0, 20.0),
+        perspective=0.2,
+        seed=3,
+    )
+    return Bound(
+        lambda images: transform(images, [5] * len(images)),
+        (setting.rows, setting.columns),
+        canvas.shape,
+    )
+
+
+def _split_depth(setting: Setting) -> Bound:
+    depth = torch.linspace(
+        0.3, 0.6, setting.rows * setting.columns, dtype=torch.float64, device=setting.device
+    ).reshape(setting.rows, setting.columns)
+    return Bound(
+        lambda pictures: split_depth(pictures, depth, (0.35, 0.45, 0.5)),
+        depth.shape,
+        (3, *depth.shape),
+    )
+
+
+def _background(setting: Setting) -> Bound:
+    """A bright picture on a background that varies a little."""
+    shape = (setting.rows + 8, setting.columns + 8)
+    light = torch.zeros(shape, dtype=setting.dtype, device=setting.device)
+    light[3:-3, 3:-3] = 5.0
+    return Bound(lambda image: remove_background(image + light, margin=0.1), shape, shape)
+
+
+def _phase_plate(setting: Setting) -> Bound:
+    """From heights in wavelengths to a transmittance."""
+    wavelength, shape = setting.wavelength, (setting.rows, setting.columns)
+    return Bound(lambda h: phase_plate(h * wavelength, wavelength), shape, shape, kind="signed")
+
+
+def _coded_cells(setting: Setting) -> Bound:
+    grid = Grid.square(3 * setting.rows + 2, 2 * setting.columns + 3, setting.pitch)
+    feature = 2.3 * setting.pitch
+    return Bound(
+        lambda cells: lay_cells(cells, feature, grid),
+        (setting.rows, setting.columns),
+        grid.shape,
+    )
+
+
+READINGS: tuple[Operator, ...] = (
+    Operator(
+        "coded aperture cells",
+        _coded_cells,
+        linear=True,
+        dtypes=(torch.float64,),
+        refuses=False,
+    ),
+    Operator(
+        "phase plate",
+        _phase_plate,
+        batched=True,
+        dtypes=(torch.float64,),
+        refuses=False,
+    ),
+    Operator("background removal", _background, batched=True, dark=False, refuses=False),
+    Operator("quantise", _quantise, batched=True, smooth=False, meta=True, refuses=False),
+    Operator(
+        "area average",
+        _area_average,
+        linear=True,
+        batched=True,
+        refuses=False,
+        widens="the shares of samples are made in float64, for whatever size is given",
+    ),
+    Operator(
+        "Bayer mosaic",
+        _mosaic,
+        linear=True,
+        batched=True,
+        mirror=((), ()),
+        meta=True,
+        refuses=False,
+    ),
+    _elementwise("sRGB, encode", encode_srgb),
+    _elementwise("sRGB, decode", decode_srgb),
+    _spectral("spectra to XYZ", xyz),
+    _spectral("spectra to sensor RGB", FilterSet().rgb),
+    Operator(
+        "XYZ to linear sRGB",
+        _linear_srgb,
+        linear=True,
+        batched=True,
+        mirror=((-2,), ()),
+        meta=True,
+        refuses=False,
+    ),
+    Operator(
+        "scene transform",
+        _scene_transform,
+        linear=True,
+        batched=True,
+        mirror=((), ()),
+        refuses=False,
+        widens="where to read is worked out in float64",
+    ),
+    Operator(
+        "depth layers",
+        _split_depth,
+        linear=True,
+        batched=True,
+        mirror=((), ()),
+        refuses=False,
+        widens="shares are made in float64",
+    ),
+    _shot_noise(40.0),
+    _shot_noise(math.inf),
+)

@@ -1,0 +1,175 @@
+"""The circumstances an operator is tested in, and the small camera that they describe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.sampling import Real
+
+CPU = torch.device("cpu")
+LENGTHS = ("distance", "wavelength", "pitch")
+
+Kind = Literal["weights", "field", "signed"]
+"""What an input may hold: [0, 1], complex numbers, or reals of either sign."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Sizes, types and lengths; the lengths may be tensors that ask for a gradient.
+
+    Attributes:
+        rows: scene rows, grid rows and embedding columns; a mask has two rows more.
+        columns: scene columns, grid columns and embedding rows; a mask has one column more.
+        dtype: real type that the operator works in.
+        device: where tensors live.
+        distance: propagation or mask-to-sensor distance [m]; the source is 50 times as far.
+        wavelength: of green [m]; red is 10 % longer, blue 10 % shorter.
+        pitch: of a grid [m]; a panel's pitch is twice (y) and three times (x) as long.
+        variables: tensors that take the place of ``distance``, ``wavelength`` or ``pitch``.
+    """
+
+    rows: int = 5
+    columns: int = 4
+    dtype: torch.dtype = torch.float64
+    device: torch.device = CPU
+    distance: float = 1e-3
+    wavelength: float = 550e-9
+    pitch: float = 20e-6
+    variables: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def length(self, name: str) -> Real:
+        """One of the three lengths [m]: its tensor where it is a variable, else the number."""
+        if name in self.variables:
+            return self.variables[name]
+        return {"distance": self.distance, "wavelength": self.wavelength, "pitch": self.pitch}[name]
+
+    @property
+    def complex_dtype(self) -> torch.dtype:
+        """The complex type that belongs to ``dtype``."""
+        return torch.complex128 if self.dtype == torch.float64 else torch.complex64
+
+    @property
+    def mask_shape(self) -> tuple[int, int]:
+        """Rows and columns of the mask."""
+        return self.rows + 2, self.columns + 1
+
+    def camera(self, *, filters: bool = False, leakage: float = 0.0) -> Camera:
+        """A camera of a few sub-pixels, with the plain numbers of this setting."""
+        pitch, wavelength = self.pitch, self.wavelength
+        rows, columns = self.mask_shape
+        panel = Panel(
+            rows=rows,
+            columns=columns,
+            pitch_y=2 * pitch,
+            pitch_x=3 * pitch,
+            aperture_y=1.6 * pitch,
+            aperture_x=2.5 * pitch,
+            filter_cycle=(0, 1, 2) if filters else (),
+            filter_leakage=leakage,
+        )
+        return Camera(
+            panel=panel,
+            window=Window(rows, columns, 0, 0),
+            # Near and odd: neither axis is a whole number of grid samples.
+            sensor=Sensor(rows=121, columns=150, pixel=pitch / 12),
+            distance=self.distance,
+            wavelengths=(1.1 * wavelength, wavelength, 0.9 * wavelength),
+        )
+
+    def scene(self) -> Scene:
+        """A scene whose image covers at most half the sensor's height."""
+        distance = 50 * self.distance
+        height = 50 * 5 * self.pitch * self.rows / max(self.rows, self.columns)
+        return Scene(rows=self.rows, columns=self.columns, height=height, distance=distance)
+
+    def embedding(self) -> Embedding:
+        """An embedding of the scene's shape, turned by 90 degrees."""
+        return Embedding(rows=self.columns, columns=self.rows)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """An operator in one setting: a function of one tensor.
+
+    Attributes:
+        apply: the function; a batched operator takes any number of leading axes.
+        shape: of one input.
+        result: shape of one output.
+        kind: what an input may hold.
+    """
+
+    apply: Callable[[Tensor], Tensor]
+    shape: tuple[int, ...]
+    result: tuple[int, ...]
+    kind: Kind = "weights"
+
+    def sample(self, setting: Setting, seed: int = 0, batch: tuple[int, ...] = ()) -> Tensor:
+        """A random input of the kind that the operator takes."""
+        generator = torch.Generator().manual_seed(seed)
+        shape = (*batch, *self.shape)
+        if self.kind == "field":
+            values = torch.randn(shape, generator=generator, dtype=torch.complex128)
+            return values.to(setting.device, setting.complex_dtype)
+        # Away from 0 and 1, so that a small step stays inside.
+        values = torch.rand(shape, generator=generator, dtype=torch.float64) * 0.8 + 0.1
+        if self.kind == "signed":
+            values = 4 * values - 2
+        return values.to(setting.device, setting.dtype)
+
+
+@dataclass(frozen=True)
+class Operator:
+    """One entry of the registry.
+
+    Attributes:
+        name: as the documentation lists it.
+        bind: makes the operator for a setting.
+        linear: ``apply`` is linear in its input.
+        batched: leading axes of the input are independent of each other.
+        smooth: the gradient is the derivative (a straight-through estimator's is not).
+        forward: can be differentiated forward as well as in reverse.
+        mirror: mirroring the input's rows (columns) mirrors these axes of the output, given for
+            rows and for columns; empty where there is no such symmetry.
+        quantities: lengths of the setting that gradients reach.
+        dtypes: real types that are offered.
+        meta: works on shapes alone (the device ``meta``): nothing depends on values.
+        refuses: an input of another shape is refused.
+        random: draws numbers, other ones on another device or in another type.
+        dark: nothing in, nothing out.
+        widens: why float64 is computed while applying in float32; empty where it is not.
+    """
+
+    name: str
+    bind: Callable[[Setting], Bound]
+    linear: bool = False
+    batched: bool = False
+    smooth: bool = True
+    forward: bool = True
+    mirror: tuple[tuple[int, ...], tuple[int, ...]] = ((-2,), (-1,))
+    quantities: tuple[str, ...] = ()
+    dtypes: tuple[torch.dtype, ...] = (torch.float64, torch.float32)
+    meta: bool = False
+    refuses: bool = True
+    random: bool = False
+    dark: bool = True
+    widens: str = ""
+
+
+def symmetric_weights(setting: Setting) -> Tensor:
+    """A random mask that equals its own mirror image, so that scenes may be mirrored."""
+    generator = torch.Generator().manual_seed(5)
+    weights = torch.rand(setting.mask_shape, generator=generator, dtype=torch.float64)
+    weights = (weights + weights.flip(0)) / 2
+    return ((weights + weights.flip(1)) / 2).to(setting.device, setting.dtype)
+
+
+def centred(count: int, setting: Setting) -> Tensor:
+    """Whole steps around zero, float64 (count,)."""
+    index = torch.arange(count, dtype=torch.float64, device=setting.device)
+    return index - (count - 1) / 2

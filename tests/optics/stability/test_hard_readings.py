@@ -1,0 +1,112 @@
+"""Readings at the ends of their range: saturated sensors, single photons, loud and faint noise."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_optics.conditions import Conditions
+from veilcam_optics.effects.reading import read
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.noise import shot_noise
+from veilcam_optics.readout import Readout
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("electrons", [1e5, 1e12, 1e18, 1e30])
+def test_saturated_sensor(electrons: float, dtype: torch.dtype) -> None:
+    """However bright: every pixel reads white, is flagged, and stands for a full well."""
+    readout = Readout(full_well=8000, read_noise=0.0)
+    numbers = readout.read(torch.full((20, 20), electrons, dtype=dtype), seeded())
+    assert bool((numbers == readout.white_level).all())
+    assert bool(readout.saturated(numbers).all())
+    assert torch.allclose(readout.electrons(numbers), torch.tensor(8000.0, dtype=torch.float64))
+
+
+def test_around_the_full_well() -> None:
+    """Readings rise up to the full well and stay there; nothing wraps around."""
+    readout = Readout(read_noise=0.0, shot_noise=False)
+    electrons = torch.linspace(0, 2 * readout.full_well, 4001, dtype=torch.float64)
+    numbers = readout.read(electrons)
+    assert bool((numbers.diff() >= 0).all())
+    assert int(numbers[0]) == readout.black_level
+    assert bool((numbers[electrons >= readout.full_well] == readout.white_level).all())
+    below = electrons < 0.999 * readout.full_well
+    assert not bool(readout.saturated(numbers[below]).any())
+    error = (readout.electrons(numbers[below]) - electrons[below]).abs().max()
+    assert float(error) <= 0.5 / readout.gain + 1e-9
+
+
+def test_saturated_embedding() -> None:
+    """The full well of an embedding value: clipped, and no gradient where more light is no news."""
+    conditions = Conditions(electrons=1000.0, full_well=500.0, adc_bits=8)
+    values = torch.tensor([[0.1, 0.49, 0.51, 1e6]], dtype=torch.float64, requires_grad=True)
+    reading = read(values, conditions, shot=False)
+    assert torch.allclose(
+        reading.detach(), torch.tensor([[0.1, 0.49, 0.5, 0.5]]).double(), atol=1e-3
+    )
+    (gradient,) = torch.autograd.grad(reading.sum(), values)
+    assert gradient.tolist() == [[1, 1, 0, 0]]
+
+
+@pytest.mark.parametrize("mean", [0.0, 1.0, 1 / 784])
+def test_one_photon(mean: float) -> None:
+    """A photon in each pixel, or in a whole image: mean and variance are Poisson's plus reading's.
+
+    The black level keeps the half of the noise that is below zero.
+    """
+    readout = Readout(full_well=1000, read_noise=2.0, bit_depth=14, black_level=1000)
+    count = 400_000
+    numbers = readout.read(torch.full((count,), mean, dtype=torch.float64), seeded())
+    electrons = readout.electrons(numbers)
+    variance = mean + readout.read_noise**2 + 1 / (12 * readout.gain**2)
+    assert float(electrons.mean()) == pytest.approx(mean, abs=5 * math.sqrt(variance / count))
+    assert float(electrons.var()) == pytest.approx(variance, rel=5 * math.sqrt(2 / count) + 1e-3)
+    assert bool((numbers < readout.black_level).any())
+
+
+def test_one_photon_embedding() -> None:
+    """An all-white scene that gives one electron per embedding value: whole numbers of them."""
+    values = torch.full((500, 24, 32), 1.0, dtype=torch.float64)
+    reading = read(values, Conditions(electrons=1.0), generator=seeded())
+    assert torch.equal(reading, reading.round())
+    assert float(reading.mean()) == pytest.approx(1, abs=0.01)
+    assert float(reading.var()) == pytest.approx(1, abs=0.02)
+
+
+def test_negative_light_is_refused_and_nan_too() -> None:
+    for bad in (-1e-9, math.nan):
+        with pytest.raises(OpticsError, match="negative numbers or NaN"):
+            Readout().read(torch.tensor([1.0, bad]))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("snr_db", [-40.0, 0.0, 120.0])
+@pytest.mark.parametrize("level", [1e-15, 1.0, 1e15])
+def test_noise_far_above_and_below_the_signal(
+    snr_db: float, level: float, dtype: torch.dtype
+) -> None:
+    """From ten thousand times the signal's power to a millionth of a millionth of it."""
+    values = torch.rand(50, 24, 32, generator=seeded(), dtype=torch.float64).to(dtype) * level
+    noise = (shot_noise(values, snr_db, seeded(1)) - values).double()
+    delivered = 10 * torch.log10(values.double().square().sum() / noise.square().sum())
+    # 120 dB is below what float32 can add.
+    if dtype == torch.float64 or snr_db < 100:
+        assert float(delivered) == pytest.approx(snr_db, abs=0.1)
+    assert bool(torch.isfinite(noise).all())
+
+
+def test_each_image_has_its_own_noise_level() -> None:
+    """A bright neighbour in the batch changes nothing: 60 dB apart, both get their 30 dB."""
+    values: Tensor = torch.rand(2, 300, 300, generator=seeded(), dtype=torch.float64)
+    values[1] *= 1e3
+    noise = shot_noise(values, 30.0, seeded(1)) - values
+    delivered = 10 * torch.log10(values.square().sum((1, 2)) / noise.square().sum((1, 2)))
+    assert delivered.tolist() == pytest.approx([30.0, 30.0], abs=0.1)

@@ -1,0 +1,362 @@
+"""The mask-independent frame: exact, stable, and for panels with faults."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+from torch import Tensor
+
+from veilcam_optics.decoding import (
+    DEFAULT_NOISE,
+    Decoder,
+    Precision,
+    ReadingNoise,
+    SceneDecoding,
+    SceneFrame,
+    SceneStatistics,
+    fit_statistics,
+    read_frame,
+    with_dead_rows,
+    write_frame,
+)
+from veilcam_optics.decoding.file import dump_frame
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.keys import MaskDistribution
+from veilcam_optics.masks import quantise, random_mask
+from veilcam_optics.noise import shot_noise
+from veilcam_optics.transfer import TransferOperator
+
+CAMERA, SCENE = Camera(), Scene(9, 8)
+PIXELS = SCENE.rows * SCENE.columns
+DOUBLE = torch.float64
+
+
+def smooth_scenes(count: int, seed: int, scene: Scene = SCENE) -> Tensor:
+    """Sums of a few random blobs, in [0, 1]."""
+    generator = torch.Generator().manual_seed(seed)
+    size = torch.tensor(scene.shape)
+    centres = size * torch.rand(count, 3, 2, generator=generator)
+    y = torch.exp(-((torch.arange(scene.rows) + 0.5 - centres[..., :1]) ** 2) / 3)
+    x = torch.exp(-((torch.arange(scene.columns) + 0.5 - centres[..., 1:]) ** 2) / 3)
+    return (y[..., :, None] * x[..., None, :]).sum(1).clamp(0, 1)
+
+
+STATISTICS = fit_statistics([smooth_scenes(4000, 0)], PIXELS)
+
+
+def mask(seed: int = 0) -> Tensor:
+    return random_mask(CAMERA, torch.Generator().manual_seed(seed))
+
+
+def make(
+    embedding: Embedding,
+    *,
+    statistics: SceneStatistics = STATISTICS,
+    noise: ReadingNoise = DEFAULT_NOISE,
+    precision: Precision = Precision.DOUBLE,
+) -> SceneDecoding:
+    operator = TransferOperator(CAMERA, SCENE, embedding, dtype=precision.products)
+    return SceneDecoding(operator, statistics, noise, precision=precision)
+
+
+def textbook(
+    decoding: SceneDecoding, weights: Tensor, readings: Tensor, noise: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Estimate and posterior covariance by the formula as it is written, in float64."""
+    A = decoding.operator(weights.double()).T
+    statistics = decoding.statistics
+    S = statistics.basis @ statistics.basis.T + torch.diag(statistics.residual)
+    C = A @ S @ A.T + torch.diag(noise)
+    gain = S @ A.T @ torch.linalg.inv(C)
+    centred = readings.double().flatten(1) - A @ statistics.mean
+    return statistics.mean + centred @ gain.T, S - gain @ A @ S
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (6, 8), (12, 16)])
+def test_is_the_textbook_estimate(shape: tuple[int, int]) -> None:
+    """Both forms: 12 and 48 numbers factor E x E, 192 factor rank x rank."""
+    decoding = make(Embedding(*shape))
+    weights, scenes = mask().double(), smooth_scenes(20, 1).double()
+    generator = torch.Generator().manual_seed(2)
+    readings = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
+    decoder = decoding.prepare(weights)
+    wanted, covariance = textbook(decoding, weights, readings, decoder.noise)
+    estimate = decoder(readings)
+    assert estimate.shape == (20, *SCENE.shape)
+    assert float((estimate.flatten(1) - wanted).abs().max()) < 1e-7
+    deviation = covariance.diagonal().clamp_min(0).sqrt().reshape(SCENE.shape)
+    assert float((decoder.deviation - deviation).abs().max()) < 1e-5
+    assert decoder.remaining == pytest.approx(
+        float(covariance.trace() / decoding.statistics.variance.sum()), abs=1e-6
+    )
+
+
+def test_low_rank_counts_what_it_leaves_out_as_noise() -> None:
+    low = STATISTICS.truncate(8)
+    full, reduced = make(Embedding(12, 16)), make(Embedding(12, 16), statistics=low)
+    scenes, weights = smooth_scenes(400, 1).double(), mask().double()
+    generator = torch.Generator().manual_seed(2)
+    readings = shot_noise(full.operator.embed(scenes, weights), 40.0, generator)
+    exact, cheap = full.prepare(weights), reduced.prepare(weights)
+    assert bool((cheap.noise > exact.noise).all())
+    errors = [float((d(readings) - scenes).square().sum()) for d in (exact, cheap)]
+    assert errors[0] < errors[1]
+    # Without counting it, the strong components would be distorted by the weak ones.
+    ignoring = SceneStatistics(low.mean, low.basis, torch.zeros_like(low.residual))
+    naive = make(Embedding(12, 16), statistics=ignoring).prepare(weights)
+    assert errors[1] < float((naive(readings) - scenes).square().sum())
+
+
+@pytest.mark.parametrize("shape", [(6, 8), (24, 32)])
+def test_precision_is_bounded(shape: tuple[int, int]) -> None:
+    weights = quantise(mask(3), CAMERA.panel)
+    exact = make(Embedding(*shape))
+    scenes = smooth_scenes(50, 4).double()
+    generator = torch.Generator().manual_seed(2)
+    readings = shot_noise(exact.operator.embed(scenes, weights.double()), 40.0, generator)
+    wanted = exact.prepare(weights)(readings)
+
+    def error(precision: Precision) -> float:
+        estimate = make(Embedding(*shape), precision=precision).prepare(weights)(readings)
+        assert estimate.dtype == precision.products
+        return float((estimate - wanted).norm() / wanted.norm())
+
+    assert error(Precision.MIXED) < 1e-4
+    assert error(Precision.MIXED) < error(Precision.SINGLE) < 0.1
+
+
+def test_posterior_deviation_is_the_error_that_is_made() -> None:
+    """Scenes drawn from the Gaussian that the statistics describe: the estimate is then exact."""
+    decoding = make(Embedding(6, 8))
+    generator = torch.Generator().manual_seed(5)
+    statistics = decoding.statistics
+    white = torch.randn(20_000, statistics.rank, generator=generator, dtype=DOUBLE)
+    scenes = statistics.mean + white @ statistics.basis.T
+    weights = mask().double()
+    decoder = decoding.prepare(weights)
+    readings = scenes @ decoding.operator(weights)
+    readings = readings + decoder.noise.sqrt() * torch.randn(
+        readings.shape, generator=generator, dtype=DOUBLE
+    )
+    error = (decoder(readings).flatten(1) - scenes).square().mean(0).sqrt()
+    assert torch.allclose(error, decoder.deviation.flatten(), rtol=0.03, atol=1e-4)
+
+
+@pytest.mark.parametrize("gain", [0.3, 7.0])
+def test_gain_is_undone(gain: float) -> None:
+    decoding = make(Embedding(6, 8))
+    weights, scenes = mask().double(), smooth_scenes(10, 1).double()
+    readings = decoding.operator.embed(scenes, weights)
+    wanted = decoding.prepare(weights)(readings)
+    assert torch.allclose(decoding.prepare(weights, gain=gain)(gain * readings), wanted, atol=1e-9)
+    per_pixel = torch.linspace(0.5, gain + 1, 48, dtype=DOUBLE)
+    uneven = decoding.prepare(weights, gain=per_pixel)(readings.flatten(1) * per_pixel)
+    assert float((uneven - scenes).square().mean()) < 1.2 * float((wanted - scenes).square().mean())
+    ignored = decoding.prepare(weights)(readings.flatten(1) * per_pixel)
+    assert float((ignored - scenes).square().mean()) > float((wanted - scenes).square().mean())
+
+
+def test_dead_rows_are_decoded_if_known() -> None:
+    decoding = make(Embedding(12, 16))
+    told, scenes = mask().double(), smooth_scenes(100, 1).double()
+    shown = with_dead_rows(told, [3, 17, 40], 0.8)
+    assert torch.equal(shown[17], torch.full((22,), 0.8, dtype=DOUBLE))
+    assert torch.equal(shown[16], told[16])
+    assert float(told[17].std()) > 0.1  # the argument is left as it was
+    readings = decoding.operator.embed(scenes, shown)
+
+    def error(weights: Tensor) -> float:
+        return float((decoding.prepare(weights)(readings) - scenes).square().mean())
+
+    healthy = decoding.prepare(told)(decoding.operator.embed(scenes, told))
+    assert error(shown) < 1.5 * float((healthy - scenes).square().mean())
+    assert error(told) > 3 * error(shown)
+
+
+def test_model_error_makes_a_displaced_panel_bearable() -> None:
+    embedding = Embedding(12, 16)
+    displaced = replace(CAMERA, distance=CAMERA.distance + 600e-6)
+    truth = TransferOperator(displaced, SCENE, embedding, dtype=DOUBLE)
+    scenes, weights = smooth_scenes(100, 1).double(), mask().double()
+    readings = truth.embed(scenes, weights)
+    trusting = make(embedding).prepare(weights)
+    wary = make(embedding, noise=ReadingNoise(model_error=0.03)).prepare(weights)
+    assert bool((wary.noise > trusting.noise).all())
+    assert wary.remaining > trusting.remaining
+    error = [float((d(readings) - scenes).square().mean()) for d in (trusting, wary)]
+    assert error[1] < error[0]
+
+
+def test_expected_noise_is_the_noise_that_is_made() -> None:
+    decoding = make(Embedding(6, 8), noise=ReadingNoise(snr_db=20.0))
+    scenes, weights = smooth_scenes(3000, 6).double(), mask().double()
+    clean = decoding.operator.embed(scenes, weights).flatten(1)
+    noisy = shot_noise(clean, 20.0, torch.Generator().manual_seed(0))
+    seen = (noisy - clean).square().mean(0)
+    assert float((decoding.prepare(weights).noise / seen).log().abs().max()) < 0.25
+
+
+def test_a_closed_mask_gives_the_mean_scene() -> None:
+    decoding = make(Embedding(6, 8))
+    decoder = decoding.prepare(torch.zeros(CAMERA.mask_shape, dtype=DOUBLE))
+    estimate = decoder(torch.zeros(2, 6, 8))
+    assert torch.allclose(estimate[0].flatten(), decoding.statistics.mean)
+    assert decoder.remaining == pytest.approx(1.0)
+
+
+def test_gradients_reach_the_mask() -> None:
+    decoding = make(Embedding(3, 4))
+    weights = mask().double().requires_grad_()
+    readings = torch.rand(3, 12, dtype=DOUBLE)
+
+    def loss(values: Tensor) -> Tensor:
+        decoder = decoding.prepare(values)
+        return decoder(readings).square().sum() + decoder.deviation.sum()
+
+    (gradient,) = torch.autograd.grad(loss(weights), weights)
+    assert bool(gradient.isfinite().all())
+    direction = torch.randn(weights.shape, generator=torch.Generator().manual_seed(1), dtype=DOUBLE)
+    step = 1e-6
+    with torch.no_grad():
+        slope = (loss(weights + step * direction) - loss(weights - step * direction)) / (2 * step)
+    assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=1e-4)
+
+
+def test_decoder_shows_nothing_of_the_mask() -> None:
+    decoder = make(Embedding(3, 4)).prepare(mask().double())
+    assert isinstance(decoder, Decoder)
+    assert "tensor" not in repr(decoder)
+    with pytest.raises(OpticsError) as refused:
+        make(Embedding(3, 4)).prepare(torch.full(CAMERA.mask_shape, math.nan, dtype=DOUBLE))
+    assert "0." not in str(refused.value)
+
+
+def test_refuses_what_does_not_fit() -> None:
+    decoding = make(Embedding(3, 4))
+    decoder = decoding.prepare(mask().double())
+    with pytest.raises(OpticsError, match=r"readings\.shape"):
+        decoder(torch.zeros(2, 4, 3))
+    with pytest.raises(OpticsError, match=r"gain\.shape"):
+        decoding.prepare(mask().double(), gain=torch.ones(11))
+    with pytest.raises(OpticsError, match="gain is not valid"):
+        decoding.prepare(mask().double(), gain=0.0)
+    with pytest.raises(OpticsError, match=r"statistics\.pixels"):
+        SceneDecoding(TransferOperator(CAMERA, Scene(5, 5), Embedding(3, 4)), STATISTICS)
+    with pytest.raises(OpticsError, match="dtype"):
+        SceneDecoding(decoding.operator, STATISTICS, precision=Precision.MIXED)
+    with pytest.raises(OpticsError, match="colour"):
+        SceneDecoding(TransferOperator(CAMERA, SCENE, Embedding(3, 4), colour=True), STATISTICS)
+    with pytest.raises(OpticsError, match="rows"):
+        with_dead_rows(mask(), [51])
+    with pytest.raises(OpticsError, match="transmittance"):
+        with_dead_rows(mask(), [1], 1.5)
+    with pytest.raises(OpticsError, match="snr_db"):
+        ReadingNoise(math.inf)
+    with pytest.raises(OpticsError, match="model_error"):
+        ReadingNoise(model_error=-1)
+
+
+def test_statistics_are_mean_and_covariance() -> None:
+    scenes = smooth_scenes(500, 8)
+    flat = scenes.flatten(1).double()
+    whole = fit_statistics([scenes], PIXELS)
+    parts = fit_statistics(torch.split(scenes, 130), PIXELS)
+    covariance = torch.cov(flat.T, correction=0)
+    for statistics in (whole, parts):
+        assert torch.allclose(statistics.mean.double(), flat.mean(0), atol=1e-6)
+        assert torch.allclose(
+            statistics.basis.double() @ statistics.basis.double().T, covariance, atol=1e-6
+        )
+        assert statistics.share == pytest.approx(1)
+    low = whole.truncate(10)
+    assert low.rank == 10
+    assert 0.5 < low.share < 1
+    assert torch.allclose(low.variance, whole.variance, atol=1e-6)
+    assert torch.allclose(low.basis, fit_statistics([scenes], 10).basis.abs() * low.basis.sign())
+
+
+def test_statistics_refuse_what_they_cannot_be() -> None:
+    with pytest.raises(OpticsError, match="at least two"):
+        fit_statistics([], 3)
+    with pytest.raises(OpticsError, match="rank"):
+        fit_statistics([smooth_scenes(5, 0)], 0)
+    with pytest.raises(OpticsError, match="pixels each"):
+        fit_statistics([torch.zeros(3, 4, 4), torch.zeros(3, 4, 5)], 2)
+    with pytest.raises(OpticsError, match="rank"):
+        STATISTICS.truncate(PIXELS + 1)
+    with pytest.raises(OpticsError, match="negative variance"):
+        SceneStatistics(torch.zeros(3), torch.zeros(3, 1), -torch.ones(3))
+    with pytest.raises(OpticsError, match="NaN"):
+        SceneStatistics(torch.full((3,), math.nan), torch.zeros(3, 1), torch.zeros(3))
+
+
+def make_frame() -> SceneFrame:
+    return SceneFrame(
+        replace(CAMERA, distance=3.9e-3),
+        SCENE,
+        Embedding(6, 8),
+        STATISTICS.truncate(30),
+        ReadingNoise(35.0, 0.01),
+        distribution=MaskDistribution.power(CAMERA, 3.0),
+    )
+
+
+def test_frame_file_round_trip(tmp_path: Path) -> None:
+    frame, path = make_frame(), tmp_path / "scene.safetensors"
+    write_frame(path, frame)
+    again = read_frame(path)
+    assert (again.camera, again.scene, again.embedding) == (
+        frame.camera,
+        frame.scene,
+        frame.embedding,
+    )
+    assert (again.noise, again.reach) == (frame.noise, frame.reach)
+    for name in ("mean", "basis", "residual"):
+        assert torch.equal(getattr(again.statistics, name), getattr(frame.statistics, name))
+    assert again.distribution is not None
+    assert frame.distribution is not None
+    for name in ("lowest", "highest", "curve"):
+        one, other = (getattr(f.distribution, name) for f in (frame, again))
+        assert np.array_equal(one, other)
+    uniform = replace(frame, distribution=None)
+    write_frame(path, uniform)
+    assert read_frame(path).distribution is None
+    write_frame(path, frame)
+    assert path.read_bytes() == dump_frame(again)
+    readings = torch.rand(2, 6, 8)
+    cheap, same = (f.decoding(rank=20).prepare(mask()) for f in (frame, again))
+    assert torch.allclose(cheap(readings), same(readings), rtol=1e-3)
+    assert not torch.allclose(
+        cheap(readings), frame.decoding().prepare(mask())(readings), rtol=1e-3
+    )
+
+
+def test_frame_file_is_refused_whole(tmp_path: Path) -> None:
+    path = tmp_path / "scene.safetensors"
+    with pytest.raises(OpticsError, match="cannot be read"):
+        read_frame(path)
+    data = dump_frame(make_frame())
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(OpticsError, match="is damaged"):
+        read_frame(path)
+    path.write_bytes(data.replace(b"veilcam-frame", b"veilcam-tramp"))
+    with pytest.raises(OpticsError, match="is not valid: format"):
+        read_frame(path)
+    safetensors.torch.save_file({"mean": torch.zeros(3)}, path)
+    with pytest.raises(OpticsError, match="is not a frame file"):
+        read_frame(path)
+    other = replace(make_frame(), scene=Scene(8, 8))
+    path.write_bytes(dump_frame(other))
+    with pytest.raises(OpticsError, match="another scene"):
+        read_frame(path)
+    other = replace(make_frame(), camera=replace(CAMERA, window=Window(5, 5)))
+    path.write_bytes(dump_frame(other))
+    with pytest.raises(OpticsError, match="another panel"):
+        read_frame(path)

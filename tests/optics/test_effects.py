@@ -1,0 +1,525 @@
+"""Effects: each changes the output where it matters, and is off where it does not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_optics.conditions import IDEAL, Conditions, half_field
+from veilcam_optics.effects import EFFECTS, Dials, Effect, LightOperator, Model
+from veilcam_optics.effects.model import Zone
+from veilcam_optics.effects.reading import bayer_shares, read
+from veilcam_optics.effects.turned import TurnedMask
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.kernels import shadow_kernel
+from veilcam_optics.plan import plan
+from veilcam_optics.plan.cost import pairs
+from veilcam_optics.plan.judge import Judge
+from veilcam_optics.readout import mosaic
+from veilcam_optics.transfer import Reach, TransferOperator
+
+BARE = Panel(filter_cycle=())
+CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=801, columns=960))
+SCENE = Scene(5, 4, height=0.06)
+EMBEDDING = Embedding(6, 7)
+
+
+@dataclass(frozen=True)
+class Called:
+    """A job that calls for an effect: ignoring it costs at least ``least``."""
+
+    conditions: Conditions = IDEAL
+    panel: Panel = BARE
+    embedding: Embedding = EMBEDDING
+    tolerance: float = 1e-3
+    least: float = 2e-3
+
+
+LEAKY = Panel(filter_leakage=0.2)
+COUNTED = Conditions(electrons=1e5)
+
+CALLED = {
+    "diffraction": Called(),
+    "spherical wavefront": Called(),
+    "dead space": Called(),
+    "neighbour interference": Called(embedding=Embedding(24, 32)),
+    "colour filters": Called(panel=Panel()),
+    "filter leakage": Called(panel=LEAKY),
+    "spectrum per channel": Called(
+        Conditions(bandwidth=(90e-9,) * 3),
+        embedding=Embedding(60, 70),
+        tolerance=1e-4,
+        least=1.5e-4,
+    ),
+    "depth layers": Called(Conditions(depth_range=0.1)),
+    "off-axis field": Called(Conditions(off_axis=0.3)),
+    "mask gamma": Called(Conditions(gamma=1.1)),
+    "contrast floor": Called(Conditions(contrast_floor=0.05)),
+    "mask quantisation": Called(Conditions(levels=16)),
+    "mask shift": Called(Conditions(shift_y=1e-5, shift_x=-2e-5)),
+    "mask rotation": Called(Conditions(rotation=10e-3)),
+    "distance error": Called(Conditions(distance_error=5e-5)),
+    "stray light": Called(Conditions(stray_light=0.05)),
+    "pixel binning": Called(),
+    "Bayer pattern": Called(Conditions(bayer=True), panel=Panel(), embedding=Embedding(61, 70)),
+    "shot noise": Called(COUNTED),
+    "read noise": Called(replace(COUNTED, read_noise=100.0)),
+    "full well": Called(replace(COUNTED, full_well=1e4)),
+    "ADC": Called(Conditions(adc_bits=4)),
+    "black level": Called(Conditions(black_level=0.01)),
+}
+
+
+def mask(camera: Camera, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
+
+
+def scenes(count: int = 3, scene: Scene = SCENE) -> Tensor:
+    generator = torch.Generator().manual_seed(1)
+    return torch.rand(count, *scene.shape, generator=generator, dtype=torch.float64)
+
+
+def relative(value: Tensor, reference: Tensor) -> float:
+    return float((value - reference).norm() / reference.norm())
+
+
+def model_of(called: Called, **dials: object) -> Model:
+    camera = replace(CAMERA, panel=called.panel)
+    settings = {"reach": Reach(3, 1), "wavelengths": 3, "layers": 3, "dtype": torch.float64}
+    return Model(
+        camera,
+        SCENE,
+        called.embedding,
+        called.conditions,
+        Dials(**{**settings, **dials}),  # type: ignore[arg-type]
+    )
+
+
+def readings(model: Model, pictures: Tensor | None = None) -> Tensor:
+    generator = torch.Generator().manual_seed(2)
+    used = scenes() if pictures is None else pictures
+    return LightOperator(model).embed(used, mask(model.camera), generator)
+
+
+def test_every_effect_has_a_job_that_calls_for_it() -> None:
+    assert [effect.name for effect in EFFECTS] == list(CALLED)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
+    """By hand: with it and without it. The plan's estimate is about what is found."""
+    called = CALLED[effect.name]
+    model = model_of(called, zones=2)
+    # The light is judged by its transfer, one scene pixel lit at a time; the sensor by bright ones.
+    points = torch.eye(20, dtype=torch.float64).reshape(20, *SCENE.shape)
+    white = torch.ones(2, *SCENE.shape, dtype=torch.float64)
+    pictures = white if effect.name in OF_THE_SENSOR else points
+    found = relative(readings(effect.without(model), pictures), readings(model, pictures))
+    assert effect.present(model)
+    assert found > called.least
+    estimated = effect.error(Judge(model_of(called, wavelengths=1, layers=1), called.tolerance))
+    # One small mask, and the mean over many.
+    assert found / 2.5 < estimated < found * 2.5
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_a_plan_switches_it_on_where_it_matters(effect: Effect) -> None:
+    called = CALLED[effect.name]
+    camera = replace(CAMERA, panel=called.panel)
+    chosen = plan(camera, SCENE, called.embedding, called.tolerance, called.conditions)
+    found = {assessment.name: assessment for assessment in chosen.assessments}[effect.name]
+    assert found.matters
+    assert found.error > called.tolerance / 10
+    assert found.reason in " ".join(chosen.explain().split()) or len(found.reason) > 60
+
+
+OF_THE_SENSOR = {
+    "Bayer pattern",
+    "shot noise",
+    "read noise",
+    "full well",
+    "ADC",
+    "black level",
+}
+
+ALWAYS = {
+    "diffraction",
+    "spherical wavefront",
+    "dead space",
+    "neighbour interference",
+    "pixel binning",
+}
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_it_is_off_in_an_ordinary_scene(effect: Effect) -> None:
+    """What conditions would have to call for is off; what is always there has tests of its own."""
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-2)
+    found = {assessment.name: assessment for assessment in chosen.assessments}[effect.name]
+    if effect.name in ALWAYS:
+        assert found.error > 0
+    else:
+        assert not found.matters
+        assert found.error == 0
+        assert found.cost_ms == 0
+        assert found.reason == effect.absent()
+
+
+@pytest.mark.parametrize(
+    ("name", "camera", "scene", "embedding", "tolerance"),
+    [
+        ("diffraction", replace(CAMERA, distance=20e-6), SCENE, Embedding(3, 4), 5e-2),
+        ("neighbour interference", CAMERA, SCENE, Embedding(3, 4), 2e-2),
+        ("spherical wavefront", CAMERA, Scene(5, 4, 300.0, 1000.0), EMBEDDING, 1e-2),
+        (
+            "pixel binning",
+            replace(CAMERA, sensor=Sensor(rows=96, columns=96)),
+            Scene(2, 2, height=0.1),
+            Embedding(96, 96),
+            1e-1,
+        ),
+    ],
+)
+def test_what_is_always_there_is_off_where_it_hardly_shows(
+    name: str, camera: Camera, scene: Scene, embedding: Embedding, tolerance: float
+) -> None:
+    chosen = plan(camera, scene, embedding, tolerance)
+    found = {assessment.name: assessment for assessment in chosen.assessments}[name]
+    assert not found.matters
+    assert 0 < found.error <= tolerance
+    assert chosen.reached
+
+
+def test_what_is_off_is_not_computed() -> None:
+    """The plan of an ordinary scene holds what the plain operator holds, and not a number more."""
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
+    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=chosen.model.dials.reach)
+    held = sum(
+        buffer.numel() for name, buffer in chosen.operator.named_buffers() if "zones" in name
+    )
+    assert held == sum(buffer.numel() for buffer in plain.buffers())
+    demanding = Conditions(bandwidth=(80e-9,) * 3, depth_range=0.2)
+    more = plan(CAMERA, SCENE, EMBEDDING, 1e-4, demanding)
+    assert pairs(more.model)[1] > pairs(chosen.model)[1]
+    assert more.cost.step_ms > chosen.cost.step_ms
+
+
+@pytest.mark.parametrize("method", ["factors", "grid"])
+def test_methods_agree_under_all_linear_conditions(method: str) -> None:
+    conditions = Conditions(
+        bandwidth=(20e-9, 0.0, 30e-9),
+        depth_range=0.1,
+        off_axis=0.2,
+        gamma=1.1,
+        contrast_floor=0.05,
+        shift_y=1e-5,
+        shift_x=-2e-5,
+        rotation=3e-3,
+        distance_error=1e-4,
+        stray_light=0.05,
+        bayer=True,
+    )
+    called = Called(conditions, panel=LEAKY)
+    sampling = {"zones": 2, "wavelengths": 2, "layers": 2, "oversampling": 2.0}
+    by_matrix = readings(model_of(called, **sampling))
+    other = readings(model_of(called, method=method, **sampling))
+    assert relative(other, by_matrix) < (1e-12 if method == "factors" else 4e-2)
+
+
+def test_transfer_and_embedding_agree_and_pass_gradients() -> None:
+    conditions = Conditions(off_axis=0.2, gamma=1.2, stray_light=0.1, bayer=True, levels=64)
+    operator = LightOperator(model_of(Called(conditions, panel=LEAKY), zones=2))
+    weights = mask(CAMERA).requires_grad_()
+    embedded = operator.embed(scenes(), weights)
+    by_matrix = scenes().flatten(1) @ operator(weights.detach())
+    assert relative(by_matrix, embedded.detach().flatten(1)) < 1e-12
+    (gradient,) = torch.autograd.grad(embedded.square().sum(), weights)
+    assert bool(torch.isfinite(gradient).all())
+    assert int((gradient == 0).sum()) == 0
+
+
+def test_dark_mask_keeps_a_finite_gradient_under_gamma() -> None:
+    operator = LightOperator(model_of(Called(Conditions(gamma=0.5))))
+    weights = torch.zeros(CAMERA.mask_shape, dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(operator.embed(scenes(), weights).sum(), weights)
+    assert bool(torch.isfinite(gradient).all())
+
+
+def test_spectrum_is_an_average_over_wavelengths() -> None:
+    conditions = Conditions(bandwidth=(60e-9,) * 3)
+    called = Called(conditions, embedding=Embedding(60, 70))
+    deviation = 60e-9 / 2.3548
+    total, weight = torch.zeros(20, 4200, dtype=torch.float64), 0.0
+    r, g, b = CAMERA.wavelengths
+    for step in range(-12, 13):
+        away = step / 4
+        camera = replace(
+            CAMERA, wavelengths=(r + away * deviation, g + away * deviation, b + away * deviation)
+        )
+        share = math.exp(-(away**2) / 2)
+        operator = TransferOperator(
+            camera, SCENE, called.embedding, reach=Reach(1, 0), dtype=torch.float64
+        )
+        total, weight = total + share * operator(mask(CAMERA)), weight + share
+    errors = [
+        relative(
+            LightOperator(model_of(called, wavelengths=count, reach=Reach(1, 0)))(mask(CAMERA)),
+            total / weight,
+        )
+        for count in (1, 2, 4)
+    ]
+    assert errors[0] > 3 * errors[1]
+    assert errors[2] < 1e-4
+
+
+def test_depth_is_an_average_over_distances() -> None:
+    called = Called(Conditions(depth_range=0.12))
+    total = torch.zeros(20, 42, dtype=torch.float64)
+    for layer in range(60):
+        distance = SCENE.distance + 0.12 * ((layer + 0.5) / 60 - 0.5)
+        operator = TransferOperator(
+            CAMERA,
+            replace(SCENE, distance=distance),
+            EMBEDDING,
+            reach=Reach(1, 0),
+            step=4e-6,
+            dtype=torch.float64,
+        )
+        total = total + operator(mask(CAMERA)) / 60
+    errors = [
+        relative(
+            LightOperator(model_of(called, layers=count, reach=Reach(1, 0), step=4e-6))(
+                mask(CAMERA)
+            ),
+            total,
+        )
+        for count in (1, 3, 5)
+    ]
+    assert errors[0] > 1e-2
+    assert errors[2] < errors[1] < errors[0] / 3
+    assert errors[2] < 2e-3
+
+
+def test_oblique_light_spreads_as_the_distance_bends() -> None:
+    """The stretch is the second derivative of the true distance against the paraxial one."""
+    d, ty, tx = 1.0, 0.35, -0.2
+    zone = Zone(slice(0, 1), slice(0, 1), ty, tx)
+
+    def far(y: float, x: float) -> float:
+        return math.sqrt(d**2 + (ty * d - y) ** 2 + (tx * d - x) ** 2)
+
+    h = 1e-4
+    bend_y = (far(h, 0) + far(-h, 0) - 2 * far(0, 0)) / h**2
+    bend_x = (far(0, h) + far(0, -h) - 2 * far(0, 0)) / h**2
+    assert zone.stretch == pytest.approx((1 / (d * bend_y), 1 / (d * bend_x)), rel=1e-6)
+
+
+def test_field_fades_with_the_fourth_power_of_the_cosine() -> None:
+    angle = 0.3
+    called = Called(Conditions(off_axis=angle))
+    fade = model_of(called).fade()
+    # The outermost row's centre lies at 4/5 of the way to the upper edge.
+    tangent = 0.8 * math.tan(angle)
+    beside = math.tan(angle) * 0.2
+    expected = (1 + tangent**2 + beside**2) ** -2
+    assert float(fade[0, 1]) == pytest.approx(expected)
+    assert half_field(Scene(height=0.4, distance=0.2)) == pytest.approx(math.pi / 4)
+
+
+def test_zones_cut_the_field_without_a_seam() -> None:
+    """Where nothing depends on the angle, many zones are as good as one."""
+    called = Called(Conditions(off_axis=1e-9))
+    one, many = (readings(model_of(called, zones=zones)) for zones in (1, 3))
+    assert relative(many, one) < 1e-7
+
+
+def test_small_rotation_against_every_sub_pixel_on_its_own() -> None:
+    angle, camera = 1e-2, replace(CAMERA, window=Window(7, 4))
+    dials = Dials(reach=Reach(0, 0), step=3e-6, dtype=torch.float64)
+    straight = Model(camera, SCENE, EMBEDDING, IDEAL, dials)
+    turned = replace(straight, conditions=Conditions(rotation=angle))
+    total = torch.zeros(3, *EMBEDDING.shape, dtype=torch.float64)
+    for row, y in enumerate(camera.row_centres):
+        for column, x in enumerate(camera.column_centres):
+            alone = torch.zeros(camera.mask_shape, dtype=torch.float64)
+            alone[row, column] = mask(camera)[row, column]
+            moved = Conditions(shift_y=angle * x, shift_x=-angle * y)
+            total += LightOperator(replace(straight, conditions=moved)).embed(scenes(), alone)
+    assert relative(readings(straight), total) > 3e-3
+    assert relative(readings(turned), total) < 3e-4
+
+
+def test_turned_mask_lets_the_same_power_through() -> None:
+    weights = mask(CAMERA)
+    panel = CAMERA.panel
+    power = float(weights.square().sum()) * panel.aperture_y * panel.aperture_x
+    for angle in (0.0, 0.3, -1.2):
+        turned = TurnedMask(
+            CAMERA, 9e-6, rotation=angle, shift_y=2e-5, shift_x=0.0, dtype=torch.float64
+        )
+        found = float(turned(weights).square().sum()) * 9e-6**2
+        assert found == pytest.approx(power, rel=2e-2)
+
+
+def test_quarter_turn_of_a_square_panel_is_a_turned_array() -> None:
+    panel = Panel(pitch_y=80e-6, pitch_x=80e-6, aperture_y=60e-6, aperture_x=60e-6)
+    camera = Camera(panel=panel, window=Window(4, 4))
+    straight, turned = (
+        TurnedMask(camera, 10e-6, rotation=angle, shift_y=0, shift_x=0, dtype=torch.float64)
+        for angle in (0.0, math.pi / 2)
+    )
+    weights = mask(camera)
+    # From x towards y, y pointing to higher rows: columns become rows.
+    assert relative(turned(weights), straight(weights.T.flip(1).contiguous())) < 1e-6
+
+
+def test_shadow_kernel_equals_a_dense_integral() -> None:
+    offsets = torch.linspace(-1e-3, 1e-3, 21, dtype=torch.float64)
+    low = torch.tensor([-0.3e-3, 0.1e-3], dtype=torch.float64)
+    high = torch.tensor([-0.1e-3, 0.4e-3], dtype=torch.float64)
+    nodes = torch.arange(-2e-3, 2e-3, 1e-6, dtype=torch.float64) + 0.5e-6
+    kappa = ((196e-6 + 43e-6) / 2 - (offsets[:, None] - nodes).abs()).clamp(0, 43e-6)
+    inside = (nodes[:, None] > low) & (nodes[:, None] < high)
+    dense = kappa @ inside.double() * 1e-6
+    assert relative(shadow_kernel(offsets, low, high, pixel=196e-6, image=43e-6), dense) < 1e-3
+
+
+def test_measured_filters_take_the_place_of_leakage() -> None:
+    table = ((0.9, 0.1, 0.0), (0.2, 0.8, 0.1), (0.0, 0.3, 0.7))
+    camera = replace(CAMERA, panel=Panel(filter_leakage=0.5, filter_amplitudes=table))
+    assert camera.row_amplitudes(1)[:3] == (0.1, 0.8, 0.3)
+    with pytest.raises(OpticsError, match="filter_amplitudes"):
+        Panel(filter_amplitudes=((1.0, 0.0, 0.0),))
+
+
+@pytest.mark.parametrize("by_factors", [False, True])
+def test_light_that_no_row_passes_is_dark(by_factors: bool) -> None:
+    """Two rows, red and green: there is no blue."""
+    camera = Camera(window=Window(2, 3), sensor=CAMERA.sensor)
+    operator = TransferOperator(camera, SCENE, EMBEDDING, colour=True)
+    pictures = torch.ones(2, 3, *SCENE.shape)
+    embed = operator.embed_by_factors if by_factors else operator.embed
+    values = embed(pictures, torch.ones(camera.mask_shape))
+    assert float(values[:, :2].min()) > 0
+    assert float(values[:, 2].abs().max()) == 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 4), (7, 5), (13, 10)])
+def test_bayer_shares_are_those_of_a_mosaic(shape: tuple[int, int]) -> None:
+    """Averages over embedding pixels, cut where sensor pixels are cut, of what a mosaic sees."""
+    sensor = Sensor(rows=13, columns=10)
+    shares = bayer_shares(sensor, Embedding(*shape))
+
+    def cover(pixels: int, parts: int) -> Tensor:
+        edges = torch.arange(parts + 1, dtype=torch.float64) * pixels / parts
+        index = torch.arange(pixels, dtype=torch.float64)
+        upper = torch.minimum(edges[1:, None], index + 1)
+        lower = torch.maximum(edges[:-1, None], index)
+        return (upper - lower).clamp_min(0) * parts / pixels
+
+    for channel in range(3):
+        planes = torch.zeros(3, 13, 10, dtype=torch.float64)
+        planes[channel] = 1
+        seen = cover(13, shape[0]) @ mosaic(planes) @ cover(10, shape[1]).T
+        assert torch.allclose(shares[channel], seen)
+
+
+def test_counted_photons_have_the_variance_of_their_mean() -> None:
+    values = torch.full((1, 200_000), 0.02, dtype=torch.float64)
+    counted = read(values, Conditions(electrons=500.0), generator=torch.Generator().manual_seed(0))
+    electrons = counted * 500
+    assert float(electrons.mean()) == pytest.approx(10, rel=0.01)
+    assert float(electrons.var()) == pytest.approx(10, rel=0.02)
+    assert float((electrons - electrons.round()).abs().max()) < 1e-9
+    quiet = read(values, Conditions(electrons=500.0), shot=False)
+    assert torch.allclose(quiet, values)
+
+
+def test_readings_are_noisy_saturate_and_are_rounded() -> None:
+    values = torch.linspace(0, 1, 4001, dtype=torch.float64)[None]
+    generator = torch.Generator().manual_seed(0)
+    noisy = read(values, Conditions(electrons=1e4, read_noise=50), shot=False, generator=generator)
+    assert float((noisy - values).std()) == pytest.approx(50 / 1e4, rel=0.05)
+    full = read(values, Conditions(electrons=1e4, full_well=3e3), shot=False)
+    assert float(full.max()) == pytest.approx(0.3)
+    rounded = read(values, Conditions(adc_bits=3, black_level=0.1))
+    assert len(set(rounded.flatten().tolist())) == 7  # 0.1 is above the lowest of eight
+    assert float(rounded.max()) == 1
+    assert torch.allclose(read(values, Conditions(black_level=0.1)), values + 0.1)
+
+
+def test_reading_passes_gradients_straight_through() -> None:
+    values = torch.rand(2, 9, dtype=torch.float64, requires_grad=True)
+    conditions = Conditions(electrons=1e3, read_noise=2.0, adc_bits=8, adc_range=2.0)
+    readings_ = read(values, conditions, generator=torch.Generator().manual_seed(0))
+    (gradient,) = torch.autograd.grad(readings_.sum(), values)
+    assert torch.allclose(gradient, torch.ones_like(gradient))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gamma": 0.0}, "conditions.gamma = 0.0"),
+        ({"depth_range": -0.1}, r"conditions.depth_range = -0.1 m"),
+        ({"bandwidth": (1e-8, math.nan, 1e-8)}, r"conditions.bandwidth\[G\] = nan m"),
+        ({"levels": 1}, "conditions.levels = 1"),
+        ({"levels": 2.5}, "conditions.levels = 2.5"),
+        ({"adc_bits": 99}, "conditions.adc_bits = 99"),
+        ({"snr_db": math.nan}, "conditions.snr_db = nan dB"),
+        ({"stray_light": 2.0}, "conditions.stray_light = 2.0"),
+        ({"rotation": math.inf}, "conditions.rotation = inf rad"),
+        ({"read_noise": 3.0}, "conditions.electrons = 0"),
+        ({"electrons": 1e3, "snr_db": 40.0}, "conditions.snr_db = 40.0 dB"),
+        ({"shift_y": math.inf}, "conditions.shift_y = inf m"),
+        ({"off_axis": 1.5}, "conditions.off_axis = 1.5 rad"),
+    ],
+)
+def test_impossible_conditions_are_named(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(OpticsError, match=message):
+        Conditions(**changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("conditions", "message"),
+    [
+        (Conditions(bandwidth=(5e-7, 0, 0)), "at most half the wavelength"),
+        (Conditions(depth_range=1.0), "at most the scene's distance"),
+        (Conditions(distance_error=-4e-3), "more than minus the camera's distance"),
+    ],
+)
+def test_conditions_that_do_not_fit_the_camera_are_named(
+    conditions: Conditions, message: str
+) -> None:
+    with pytest.raises(OpticsError, match=message):
+        Model(CAMERA, SCENE, EMBEDDING, conditions)
+
+
+@pytest.mark.parametrize(
+    ("dials", "message"),
+    [
+        ({"method": "magic"}, "dials.method"),
+        ({"wavelengths": 0}, "dials.wavelengths = 0"),
+        ({"step": -1.0}, "dials.step = -1.0 m"),
+        ({"dtype": torch.float16}, "dials.dtype"),
+    ],
+)
+def test_impossible_dials_are_named(dials: dict[str, object], message: str) -> None:
+    with pytest.raises(OpticsError, match=message):
+        Dials(**dials)  # type: ignore[arg-type]
+
+
+def test_wrong_shapes_are_named() -> None:
+    operator = LightOperator(model_of(Called()))
+    with pytest.raises(OpticsError, match=r"scenes.shape = \(1, 2, 2\)"):
+        operator.embed(torch.ones(1, 2, 2), mask(CAMERA))
+    with pytest.raises(OpticsError, match=r"weights.shape = \(2, 2\)"):
+        operator(torch.ones(2, 2))
+    grid = LightOperator(model_of(Called(), method="grid", oversampling=0.5))
+    with pytest.raises(OpticsError, match="forms no transfer matrix"):
+        grid(mask(CAMERA))

@@ -1,0 +1,252 @@
+"""The grid path against brute force, and the invariances it must have."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.grid import GridLight
+
+CAMERA = Camera(
+    panel=Panel(
+        rows=24,
+        columns=12,
+        pitch_y=60e-6,
+        pitch_x=90e-6,
+        aperture_y=50e-6,
+        aperture_x=70e-6,
+    ),
+    window=Window(rows=7, columns=4, first_row=8, first_column=4),
+    sensor=Sensor(rows=320, columns=402),
+    distance=2e-3,
+)
+SCENE = Scene(rows=3, columns=5, height=0.015, distance=0.3)
+EMBEDDING = Embedding(rows=6, columns=7)
+
+
+def some_weights(camera: Camera = CAMERA, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
+
+
+def some_scenes(*shape: int, seed: int = 1) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(shape, generator=generator, dtype=torch.float64)
+
+
+def brute_force(
+    camera: Camera, scene: Scene, embedding: Embedding, weights: Tensor, picture: Tensor
+) -> np.ndarray:
+    """Fresnel integrals by dense quadrature, irradiance and both boxes by midpoint sums."""
+    side, fine = scene.pixel_at_sensor(camera), 1.0e-6
+
+    def fields(centres: tuple[float, ...], width: float, at: np.ndarray, wl: float) -> np.ndarray:
+        """Field (points, apertures) of one axis."""
+        inside = (np.arange(200) + 0.5) / 200 * width - width / 2
+        source = np.array(centres)[:, None] + inside
+        phase = np.pi / wl * source**2 / scene.distance
+        distances = (at[:, None, None] - source) ** 2
+        kernel = np.exp(1j * (phase + np.pi / wl * distances / camera.distance))
+        kernel_sum: np.ndarray = kernel.sum(-1) * (width / 200) / np.sqrt(wl * camera.distance)
+        return kernel_sum
+
+    def weights_of(count: int, extent: float, scene_count: int, at: np.ndarray) -> np.ndarray:
+        """(embedding pixels, scene pixels, points): both boxes, convolved, at every point."""
+        out = np.zeros((count, scene_count, at.size))
+        pixel = extent / count
+        for o in range(count):
+            for j in range(scene_count):
+                image = -(j - (scene_count - 1) / 2) * side
+                offset = np.abs((o - (count - 1) / 2) * pixel - image - at)
+                overlap = np.clip((pixel + side) / 2 - offset, 0, min(pixel, side))
+                out[o, j] = overlap / pixel / (side * scene_count) * fine
+        return out
+
+    reach_y = (camera.sensor.height + scene.rows * side) / 2
+    reach_x = (camera.sensor.width + scene.columns * side) / 2
+    y, x = np.arange(-reach_y, reach_y, fine), np.arange(-reach_x, reach_x, fine)
+    box_y = weights_of(embedding.rows, camera.sensor.height, scene.rows, y)
+    box_x = weights_of(embedding.columns, camera.sensor.width, scene.columns, x)
+    total = np.zeros(embedding.shape)
+    for channel, wl in enumerate(camera.wavelengths):
+        passed = np.array(camera.row_amplitudes(channel))[:, None] * weights.numpy()
+        rows = fields(camera.row_centres, camera.panel.aperture_y, y, wl)
+        columns = fields(camera.column_centres, camera.panel.aperture_x, x, wl)
+        irradiance = np.abs(rows @ passed @ columns.T) ** 2
+        transfer = np.einsum("ojn,nm,pkm->jkop", box_y, irradiance, box_x, optimize=True)
+        share = camera.sensor.channel_weights[channel]
+        total += share * np.einsum("jk,jkop->op", picture.numpy(), transfer)
+    return total
+
+
+def relative(got: Tensor | np.ndarray, wanted: Tensor | np.ndarray) -> float:
+    got, wanted = np.asarray(got), np.asarray(wanted)
+    return float(np.linalg.norm(got - wanted) / np.linalg.norm(wanted))
+
+
+@pytest.fixture(scope="module")
+def reference() -> np.ndarray:
+    return brute_force(CAMERA, SCENE, EMBEDDING, some_weights(), some_scenes(*SCENE.shape))
+
+
+def error_at(oversampling: float, reference: np.ndarray) -> float:
+    light = GridLight(CAMERA, SCENE, oversampling)
+    got = light.embed(some_scenes(*SCENE.shape), light.psf(some_weights()), EMBEDDING)
+    return relative(got, reference)
+
+
+def test_converges_to_brute_force(reference: np.ndarray) -> None:
+    errors = [error_at(oversampling, reference) for oversampling in (1, 2, 4, 8, 16)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[0] < 0.03
+    assert errors[-1] < 0.007
+
+
+@pytest.mark.parametrize("filters", [(), (0, 1, 2)])
+def test_a_filter_keeps_only_its_rows(filters: tuple[int, ...]) -> None:
+    panel = dataclasses.replace(CAMERA.panel, filter_cycle=filters)
+    light = GridLight(dataclasses.replace(CAMERA, panel=panel), SCENE, 2)
+    weights = torch.zeros(CAMERA.mask_shape, dtype=torch.float64)
+    weights[2] = 1  # panel row 10: green
+    powers = light.psf(weights).sum((1, 2))
+    assert bool((powers > 0).tolist() == ([False, True, False] if filters else [True] * 3))
+
+
+def test_energy_is_kept_by_propagation() -> None:
+    light = GridLight(CAMERA, SCENE, 8)
+    weights = some_weights()
+    at_mask = torch.stack([light.mask(weights, c).square().sum() for c in range(3)])
+    at_sensor = light.psf(weights).sum((1, 2))
+    # A little is diffracted past the grid, none may appear.
+    assert bool((at_sensor <= at_mask * (1 + 1e-9)).all())
+    assert relative(at_sensor, at_mask) < 2e-2
+
+
+def test_power_through_the_mask_is_exact() -> None:
+    for oversampling in (1.37, 4):  # cells smaller than the gaps between sub-pixels
+        light = GridLight(CAMERA, SCENE, oversampling)
+        open_area = float(light.mask(torch.ones(7, 4, dtype=torch.float64), 1).square().sum())
+        open_area *= float(light.mask_grid.pitch_y) ** 2
+        rows = sum(CAMERA.row_amplitudes(1))
+        assert open_area == pytest.approx(rows * 50e-6 * 4 * 70e-6, rel=1e-12)
+
+
+def test_open_mask_irradiance_is_that_of_a_spherical_wave() -> None:
+    panel = Panel(200, 200, 10e-6, 10e-6, 10e-6, 10e-6, filter_cycle=())
+    camera = Camera(panel, Window(180, 180, 0, 0), Sensor(200, 200), distance=2e-3)
+    light = GridLight(camera, Scene(2, 2, 1e-4, 0.05), 4)
+    psf = light.psf(torch.ones(180, 180, dtype=torch.float64))
+    middle = psf[:, psf.shape[1] // 2 - 12 : psf.shape[1] // 2 + 12, psf.shape[2] // 2]
+    assert float(middle.mean()) == pytest.approx((0.05 / 0.052) ** 2, rel=5e-3)
+
+
+def test_scene_shift_moves_the_image_the_other_way() -> None:
+    side = 5 * 1.55e-6  # a scene pixel's image is one embedding pixel
+    scene = Scene(64, 80, 64 * side * 0.3 / 2e-3, 0.3)
+    embedding = Embedding(64, 80)
+    camera = dataclasses.replace(CAMERA, sensor=Sensor(320, 400))
+    light = GridLight(camera, scene, 2)
+    psf = light.psf(some_weights())
+    dots = torch.zeros(2, 64, 80, dtype=torch.float64)
+    dots[0, 30, 40] = 1
+    dots[1, 33, 35] = 1
+    first, second = light.embed(dots, psf, embedding)
+    assert relative(second[:-3, 5:], first[3:, :-5]) < 1e-10
+
+
+@pytest.mark.parametrize("rows", [320, 321, 333])
+@pytest.mark.parametrize("columns", [402, 411])
+def test_symmetric_camera_gives_symmetric_embedding(rows: int, columns: int) -> None:
+    """A shift of one sample at odd or even sizes would break the mirror symmetry."""
+    camera = dataclasses.replace(
+        CAMERA,
+        panel=dataclasses.replace(CAMERA.panel, filter_cycle=()),
+        sensor=Sensor(rows, columns),
+    )
+    light = GridLight(camera, SCENE, 1.3)
+    weights = some_weights(camera)
+    weights = weights + weights.flip(0)
+    weights = (weights + weights.flip(1)) / 4
+    psf = light.psf(weights)
+    assert relative(psf.flip(1), psf) < 1e-12
+    assert relative(psf.flip(2), psf) < 1e-12
+    white = torch.ones(SCENE.shape, dtype=torch.float64)
+    embedded = light.embed(white, psf, EMBEDDING)
+    assert relative(embedded.flip(0), embedded) < 1e-12
+    assert relative(embedded.flip(1), embedded) < 1e-12
+
+
+def test_batch_equals_loop_and_colour_sums_to_gray() -> None:
+    light = GridLight(CAMERA, SCENE, 1)
+    psf = light.psf(some_weights())
+    scenes = some_scenes(2, 9, *SCENE.shape)
+    batch = light.embed(scenes, psf, EMBEDDING)
+    assert batch.shape == (2, 9, 6, 7)
+    assert relative(batch[1, 8], light.embed(scenes[1, 8], psf, EMBEDDING)) < 1e-12
+    colour = light.embed_colour(scenes[:, :, None].expand(-1, -1, 3, -1, -1), psf, EMBEDDING)
+    shares = torch.tensor(CAMERA.sensor.channel_weights, dtype=torch.float64)
+    assert relative((colour * shares[:, None, None]).sum(-3), batch) < 1e-12
+    assert light.embed(scenes[:, :0], psf, EMBEDDING).shape == (2, 0, 6, 7)
+
+
+def test_average_over_the_sensor_does_not_depend_on_the_embedding() -> None:
+    light = GridLight(CAMERA, SCENE, 1)
+    psf, scene = light.psf(some_weights()), some_scenes(*SCENE.shape)
+    one = light.embed(scene, psf, Embedding(1, 1))
+    for embedding in (Embedding(7, 11), Embedding(1, 9), Embedding(320, 402)):
+        assert float(light.embed(scene, psf, embedding).mean()) == pytest.approx(
+            float(one), rel=1e-9
+        )
+
+
+def test_gradient_reaches_the_weights() -> None:
+    camera = dataclasses.replace(
+        CAMERA, window=Window(3, 2, 8, 4), sensor=Sensor(64, 72), distance=5e-4
+    )
+    scene, embedding = Scene(2, 2, 0.03, 0.3), Embedding(2, 3)
+    light = GridLight(camera, scene, 0.7)
+    picture = some_scenes(2, 2)
+    weights = (0.2 + 0.6 * some_weights(camera)).requires_grad_()
+
+    def embedded(values: Tensor) -> Tensor:
+        return light.embed(picture, light.psf(values), embedding)
+
+    assert torch.autograd.gradcheck(embedded, (weights,))
+
+
+def test_float32_agrees_with_float64() -> None:
+    exact = GridLight(CAMERA, SCENE, 2)
+    quick = GridLight(CAMERA, SCENE, 2, dtype=torch.float32)
+    scene = some_scenes(*SCENE.shape)
+    wanted = exact.embed(scene, exact.psf(some_weights()), EMBEDDING)
+    got = quick.embed(scene.float(), quick.psf(some_weights().float()), EMBEDDING)
+    assert got.dtype == torch.float32
+    assert relative(got, wanted) < 2e-6
+
+
+def test_bad_input_is_refused_without_telling_the_weights() -> None:
+    light = GridLight(CAMERA, SCENE, 1)
+    secret = some_weights()
+    secret[0, 0] = 1.375
+    with pytest.raises(OpticsError, match=r"weights = 1 values outside \[0, 1\]") as caught:
+        light.psf(secret)
+    assert "1.375" not in str(caught.value)
+    with pytest.raises(OpticsError, match="NaN"):
+        light.psf(torch.full(CAMERA.mask_shape, float("nan"), dtype=torch.float64))
+    with pytest.raises(OpticsError, match=r"weights\.shape"):
+        light.psf(secret.mT)
+    psf = light.psf(some_weights())
+    with pytest.raises(OpticsError, match=r"scenes\.shape"):
+        light.embed(some_scenes(5, 3), psf, EMBEDDING)
+    with pytest.raises(OpticsError, match=r"psf\.shape"):
+        light.embed(some_scenes(3, 5), psf[:1], EMBEDDING)
+    with pytest.raises(OpticsError, match=r"scenes\.shape"):
+        light.embed_colour(some_scenes(3, 5), psf, EMBEDDING)
+    with pytest.raises(OpticsError, match="oversampling"):
+        GridLight(CAMERA, SCENE, 0)

@@ -1,0 +1,68 @@
+"""Masks the panel can show, and noise with the ratio asked for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Panel
+from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
+from veilcam_optics.noise import shot_noise
+
+
+def test_random_mask_follows_its_seed() -> None:
+    one, same, other = (
+        random_mask(Camera(), torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)
+    )
+    assert one.equal(same)
+    assert not one.equal(other)
+    assert 0 <= float(one.min()) <= float(one.max()) <= 1
+
+
+def test_levels_and_weights_are_inverse() -> None:
+    levels = np.arange(64, dtype=np.uint8)
+    assert np.array_equal(to_levels(to_weights(levels, Panel()), Panel()), levels)
+    with pytest.raises(OpticsError, match="0 to 63"):
+        to_weights(np.array([64], dtype=np.uint8), Panel())
+
+
+def test_quantise_shows_levels_and_passes_the_gradient() -> None:
+    weights = torch.rand(51, 22, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    shown = quantise(weights, Panel())
+    assert torch.allclose(shown * 63, (shown * 63).round(), atol=1e-5)
+    shown.sum().backward()  # type: ignore[no-untyped-call]
+    assert weights.grad is not None
+    assert weights.grad.eq(1).all()
+
+
+@pytest.mark.parametrize("snr_db", [10.0, 40.0])
+@pytest.mark.parametrize("level", [1e-9, 1.0, 1e6])
+@pytest.mark.parametrize("constant", [False, True])
+def test_delivered_ratio_is_the_one_asked_for(snr_db: float, level: float, constant: bool) -> None:
+    generator = torch.Generator().manual_seed(3)
+    values = torch.rand(64, 24, 32, generator=generator, dtype=torch.float64) * level
+    if constant:
+        values = torch.full_like(values, level)
+    noise = shot_noise(values, snr_db, generator) - values
+    delivered = 10 * torch.log10(values.square().sum() / noise.square().sum())
+    assert abs(float(delivered) - snr_db) < 0.1
+
+
+def test_noise_grows_with_the_signal() -> None:
+    values = torch.cat([torch.full((1, 5000), 1.0), torch.full((1, 5000), 9.0)], dim=1)
+    noise = shot_noise(values, 20.0, torch.Generator().manual_seed(0)) - values
+    ratio = float(noise[0, 5000:].std() / noise[0, :5000].std())
+    assert abs(ratio - 3) < 0.15
+
+
+def test_no_light_no_batch_no_noise() -> None:
+    assert shot_noise(torch.zeros(2, 3, 4), 40.0).eq(0).all()
+    assert shot_noise(torch.zeros(0, 3, 4), 40.0).shape == (0, 3, 4)
+    values = torch.rand(2, 3)
+    assert shot_noise(values, math.inf).equal(values)
+    with pytest.raises(OpticsError, match="snr_db"):
+        shot_noise(values, math.nan)

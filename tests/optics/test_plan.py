@@ -1,0 +1,325 @@
+"""Plans: honest, total, cheap where they can be, and clear about why."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+from typer.testing import CliRunner
+
+from veilcam_optics.cli import app
+from veilcam_optics.conditions import IDEAL, Conditions
+from veilcam_optics.effects import EFFECTS, Dials, LightOperator, Model
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.plan import Plan, plan
+from veilcam_optics.plan.cost import cost
+from veilcam_optics.plan.search import MAX_NUMBERS
+from veilcam_optics.reference import reference_transfer
+from veilcam_optics.transfer import Reach, TransferOperator
+
+BARE = Panel(filter_cycle=())
+CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=500, columns=600))
+SCENE = Scene(5, 4, height=0.06)
+EMBEDDING = Embedding(9, 11)
+SOME = Conditions(
+    bandwidth=(40e-9,) * 3, depth_range=0.1, off_axis=0.2, gamma=1.1, rotation=2e-3, bayer=True
+)
+
+
+def mask(camera: Camera, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
+
+
+def relative(value: Tensor, reference: Tensor) -> float:
+    return float((value - reference).norm() / reference.norm())
+
+
+@pytest.mark.parametrize("tolerance", [5e-2, 3e-3, 3e-4])
+@pytest.mark.parametrize("panel", [BARE, Panel(filter_leakage=0.1)], ids=["bare", "leaky"])
+def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
+    """Against direct integration of the whole field, for masks that the plan has not seen."""
+    camera = replace(CAMERA, panel=panel)
+    chosen = plan(camera, SCENE, EMBEDDING, tolerance)
+    masks = [mask(camera, seed) for seed in (11, 12)]
+    measured = torch.stack([chosen.transfer(weights) for weights in masks]).double()
+    truth = torch.stack(
+        [
+            reference_transfer(camera, SCENE, EMBEDDING, weights, oversampling=16)
+            for weights in masks
+        ]
+    )
+    assert chosen.reached
+    assert chosen.error <= tolerance
+    assert chosen.error / 4 < relative(measured, truth) < 2 * chosen.error + 3e-5
+
+
+def test_finer_tolerances_cost_more_and_err_less() -> None:
+    plans = [plan(CAMERA, SCENE, EMBEDDING, tolerance, SOME) for tolerance in (1e-1, 1e-2, 1e-3)]
+    times = [chosen.cost.step_ms for chosen in plans]
+    assert times == sorted(times)
+    assert times[0] < times[-1]
+    assert plans[0].error > plans[-1].error
+    on = [sum(found.matters for found in chosen.assessments) for chosen in plans]
+    assert on == sorted(on)
+    assert on[0] < on[-1]
+
+
+def test_no_cheaper_dial_would_have_done() -> None:
+    """By hand: every smaller reach is outside the tolerance."""
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
+    finest = LightOperator(
+        replace(
+            chosen.model,
+            dials=replace(chosen.model.dials, reach=Reach(11, 5), step=1e-6, dtype=torch.float64),
+        )
+    )(mask(CAMERA))
+    reach = chosen.model.dials.reach
+    assert reach != Reach(0, 0)
+    for rows in range(reach.rows + 1):
+        for columns in range(reach.columns + 1):
+            model = chosen.model.with_dials(reach=Reach(rows, columns))
+            if cost(model, 64).step_ms < chosen.cost.step_ms:
+                assert relative(LightOperator(model)(mask(CAMERA)).double(), finest) > 0.8e-3
+
+
+def test_plan_equals_no_plan() -> None:
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
+    dials = chosen.model.dials
+    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=dials.reach, step=dials.step)
+    scenes = torch.rand(3, 5, 4, generator=torch.Generator().manual_seed(0))
+    weights = mask(CAMERA).float()
+    assert torch.equal(chosen.transfer(weights), plain(weights))
+    assert torch.equal(chosen.embed(scenes, weights), plain.embed(scenes, weights))
+
+
+def test_planning_twice_gives_the_same() -> None:
+    first, second = (plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME) for _ in range(2))
+    assert first.model == second.model
+    assert first.error == second.error
+
+
+def test_operator_learns_through_a_plan() -> None:
+    """A mask is fitted to a transfer; the plan's operator passes the gradient."""
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Conditions(gamma=1.2, levels=64))
+    wanted = chosen.operator(mask(CAMERA, 5).float())
+    weights = torch.full(CAMERA.mask_shape, 0.5, requires_grad=True)
+    optimiser = torch.optim.Adam([weights], lr=0.05)
+    losses = []
+    for _ in range(60):
+        optimiser.zero_grad()
+        loss = (chosen.operator(weights) - wanted).square().sum() / wanted.square().sum()
+        torch.autograd.backward(loss)
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < losses[0] / 20
+
+
+EXTREMES = [
+    ("near", replace(CAMERA, distance=1e-6), SCENE, EMBEDDING, 1e-3),
+    ("near and fine", replace(CAMERA, distance=1e-5), SCENE, Embedding(125, 150), 1e-4),
+    ("far", replace(CAMERA, distance=1.0), SCENE, EMBEDDING, 1e-2),
+    ("very far", replace(CAMERA, distance=1e3), SCENE, EMBEDDING, 1e-2),
+    ("ultraviolet", replace(CAMERA, wavelengths=(2e-7,) * 3), SCENE, EMBEDDING, 1e-3),
+    ("infrared", replace(CAMERA, wavelengths=(1e-5,) * 3), SCENE, EMBEDDING, 1e-3),
+    ("one sub-pixel", replace(CAMERA, window=Window(1, 1)), SCENE, EMBEDDING, 1e-3),
+    ("one row", replace(CAMERA, window=Window(1, 9)), SCENE, EMBEDDING, 1e-3),
+    ("whole panel", Camera(window=Window(384, 160, 0, 0)), SCENE, Embedding(1, 1), 1e-1),
+    ("one pixel", CAMERA, Scene(1, 1), Embedding(1, 1), 1e-3),
+    ("every sensor pixel", CAMERA, SCENE, Embedding(500, 600), 1e-2),
+    ("more than every pixel", CAMERA, SCENE, Embedding(3000, 4000), 1e-2),
+    ("huge scene", CAMERA, Scene(1000, 1000, height=2.0), EMBEDDING, 1e-2),
+    ("touching scene", CAMERA, Scene(5, 4, height=0.01, distance=1e-4), EMBEDDING, 1e-2),
+    ("stars", CAMERA, Scene(5, 4, height=1e9, distance=1e12), EMBEDDING, 1e-2),
+    ("no tolerance to speak of", CAMERA, SCENE, EMBEDDING, 0.99),
+    ("impossible tolerance", replace(CAMERA, window=Window(6, 3)), SCENE, EMBEDDING, 1e-300),
+    (
+        "dark channels",
+        replace(CAMERA, panel=Panel(filter_cycle=(0,)), window=Window(3, 3)),
+        SCENE,
+        EMBEDDING,
+        1e-3,
+    ),
+    (
+        "green alone",
+        replace(CAMERA, sensor=Sensor(500, 600, channel_weights=(0.0, 1.0, 0.0))),
+        SCENE,
+        EMBEDDING,
+        1e-3,
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("camera", "scene", "embedding", "tolerance"),
+    [job[1:] for job in EXTREMES],
+    ids=[job[0] for job in EXTREMES],
+)
+def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: float) -> None:
+    """No gap between methods: a plan for whatever can exist, and it explains itself."""
+    chosen = plan(camera, scene, embedding, tolerance)
+    assert 0 <= chosen.error < math.inf
+    assert chosen.reached == (chosen.error <= tolerance and chosen.cost.numbers <= MAX_NUMBERS)
+    assert math.isfinite(chosen.cost.step_ms)
+    text = chosen.explain()
+    assert all(effect.name in text for effect in EFFECTS)
+    assert "predicted error" in text
+    if chosen.cost.step_ms < 300:
+        values = chosen.embed(torch.ones(1, *scene.shape), mask(camera))
+        assert tuple(values.shape) == (1, *embedding.shape)
+        assert bool(torch.isfinite(values).all())
+
+
+@settings(
+    max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+@given(
+    rows=st.integers(1, 9),
+    columns=st.integers(1, 5),
+    distance=st.floats(-4, -1),
+    tolerance=st.floats(-4, -0.01),
+    shape=st.tuples(st.integers(1, 20), st.integers(1, 20)),
+    conditions=st.builds(
+        Conditions,
+        bandwidth=st.sampled_from([(0.0, 0.0, 0.0), (1e-8, 0.0, 2e-7)]),
+        depth_range=st.sampled_from([0.0, 1e-3, 0.4]),
+        off_axis=st.sampled_from([0.0, 0.1, 1.2]),
+        gamma=st.floats(0.2, 5),
+        rotation=st.sampled_from([0.0, 0.0, 1e-4, 0.5]),
+        shift_y=st.floats(-1e-3, 1e-3),
+        stray_light=st.floats(0, 1),
+        bayer=st.booleans(),
+        black_level=st.floats(0, 1),
+        adc_bits=st.integers(1, 16),
+    ),
+)
+def test_total_over_conditions(
+    *,
+    rows: int,
+    columns: int,
+    distance: float,
+    tolerance: float,
+    shape: tuple[int, int],
+    conditions: Conditions,
+) -> None:
+    camera = Camera(
+        window=Window(rows, columns),
+        sensor=Sensor(rows=80, columns=100),
+        distance=10**distance,
+    )
+    chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
+    assert 0 <= chosen.error < math.inf
+    assert len(chosen.assessments) == len(EFFECTS)
+    values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
+    assert bool(torch.isfinite(values).all())
+
+
+def test_what_cannot_be_reached_is_said() -> None:
+    """A mask turned by 3 degrees needs the grid, and that is no better than a few per cent."""
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-4, Conditions(rotation=0.05))
+    assert not chosen.reached
+    assert chosen.error > 1e-4
+    assert "NOT reached" in chosen.explain()
+    turned = plan(CAMERA, SCENE, EMBEDDING, 3e-2, Conditions(rotation=0.4))
+    assert turned.model.dials.method == "grid"
+    assert turned.reached
+    with pytest.raises(OpticsError, match="forms no transfer matrix: use embed"):
+        turned.transfer(mask(CAMERA))
+
+
+def test_matrices_that_do_not_fit_are_not_formed() -> None:
+    scene = Scene(300, 300, height=0.06)
+    chosen = plan(replace(CAMERA, window=Window(3, 2)), scene, Embedding(100, 120), 5e-2)
+    assert chosen.model.dials.method != "transfer"
+    assert chosen.cost.numbers <= MAX_NUMBERS
+
+
+def test_batch_moves_work_to_where_it_is_cheaper() -> None:
+    """One scene behind a mask is not worth a matrix; many are."""
+    scene = Scene(60, 60, height=0.06)
+    few, many = (plan(CAMERA, scene, Embedding(24, 32), 1e-2, batch=n) for n in (1, 5000))
+    assert many.model.dials.method == "transfer"
+    assert few.cost.step_ms < many.cost.step_ms
+    assert few.model.dials.method == "factors"
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3, math.nan, math.inf])
+def test_impossible_tolerances_are_named(tolerance: float) -> None:
+    shown = re.escape(f"tolerance = {tolerance} (relative L2) is not valid: use a number between 0")
+    with pytest.raises(OpticsError, match=shown):
+        plan(CAMERA, SCENE, EMBEDDING, tolerance)
+
+
+def test_no_batch_is_named() -> None:
+    with pytest.raises(OpticsError, match="batch = 0"):
+        plan(CAMERA, SCENE, EMBEDDING, 1e-2, batch=0)
+
+
+def test_explanation_says_what_was_chosen() -> None:
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
+    text = chosen.explain()
+    dials = chosen.model.dials
+    assert (
+        f"reach of interference    {dials.reach.rows} rows, {dials.reach.columns} columns" in text
+    )
+    assert f"wavelengths per channel  {dials.wavelengths}" in text
+    assert "number format            float32" in text
+    assert "tolerance                1.0e-03" in text
+    for found in chosen.assessments:
+        line = next(line for line in text.splitlines() if line.startswith(f" {found.name} "))
+        assert f" {'on' if found.matters else 'off'} " in line
+
+
+def test_costs_count_what_is_computed() -> None:
+    """More of anything costs more, and a matrix is not free."""
+    plain = Model(CAMERA, SCENE, EMBEDDING, IDEAL, Dials(reach=Reach(0, 0)))
+    least = cost(plain, 64).step_ms
+    for dearer in (
+        plain.with_dials(reach=Reach(2, 0)),
+        plain.with_dials(reach=Reach(0, 1)),
+        replace(plain, conditions=SOME).with_dials(wavelengths=2),
+        replace(plain, conditions=Conditions(rotation=1e-3)),
+        replace(plain, conditions=Conditions(bayer=True)),
+        replace(plain, dials=replace(plain.dials, dtype=torch.float64)),
+        replace(plain, dials=replace(plain.dials, method="grid")),
+    ):
+        assert cost(dearer, 64).step_ms > least
+    assert cost(plain, 65).step_ms > least
+
+
+def test_command_prints_a_plan() -> None:
+    runner = CliRunner()
+    arguments = ["plan", "--embedding", "3x4", "--tolerance", "1e-1", "--gamma", "1.2"]
+    result = runner.invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert re.search(r"mask gamma +on", result.output)
+    assert "predicted time" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--tolerance", "2"], "tolerance = 2.0"),
+        (["--embedding", "3by4"], "--embedding = 3by4 is not valid: use ROWSxCOLUMNS"),
+        (["--distance", "-1"], "camera.distance = -1.0 m"),
+        (["--gamma", "0"], "conditions.gamma = 0.0"),
+    ],
+)
+def test_command_refuses_bad_input(arguments: list[str], message: str) -> None:
+    result = CliRunner().invoke(app, ["plan", *arguments])
+    assert result.exit_code == 2
+    assert message in " ".join(result.output.split())
+
+
+def test_plan_holds_no_mask() -> None:
+    """A mask is a secret: it is not in what a plan prints of itself."""
+    chosen: Plan = plan(CAMERA, SCENE, EMBEDDING, 1e-1)
+    chosen.embed(torch.ones(1, 5, 4), mask(CAMERA))
+    assert "tensor(" not in repr(chosen)

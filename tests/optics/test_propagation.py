@@ -1,0 +1,381 @@
+"""Contracts that every propagation method keeps, and agreement between methods."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.propagation import (
+    PROPAGATORS,
+    AngularSpectrum,
+    Fraunhofer,
+    FresnelImpulse,
+    FresnelTransfer,
+    GeometricShadow,
+    Propagator,
+    RayleighSommerfeld,
+    propagator,
+)
+from veilcam_optics.propagation.base import unit_phasor
+from veilcam_optics.sampling import Grid
+
+VARIANTS: tuple[Propagator, ...] = (
+    *PROPAGATORS,
+    AngularSpectrum(padding="reach"),
+    AngularSpectrum(padding="none"),
+    AngularSpectrum(band_limit=False),
+    FresnelTransfer(band_limit=False),
+    GeometricShadow(source_distance=0.4),
+)
+WAVELENGTH, DISTANCE = 550e-9, 1e-3
+SHAPES = [(8, 8), (7, 7), (1, 9), (6, 1), (5, 8)]
+
+every_method = pytest.mark.parametrize("method", VARIANTS, ids=repr)
+
+
+def relative(got: Tensor, wanted: Tensor) -> float:
+    return float((got - wanted).norm() / wanted.norm())
+
+
+def noise(*shape: int, seed: int = 0, dtype: torch.dtype = torch.complex128) -> Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+
+
+def smooth(grid: Grid, width: float, tilt: float = 0.0) -> Tensor:
+    """A tilted Gaussian: known to every method, and small at the edges of the grid."""
+    y, x = grid.y()[:, None], grid.x()
+    return torch.exp(-(y**2 + (x - width / 3) ** 2) / width**2) * torch.exp(
+        1j * tilt * (y + 0.5 * x)
+    )
+
+
+@every_method
+@pytest.mark.parametrize(("shape", "target_shape"), list(itertools.product(SHAPES, SHAPES[:3])))
+def test_adjoint_by_dot_product(
+    method: Propagator, shape: tuple[int, int], target_shape: tuple[int, int]
+) -> None:
+    """<P a, b> = <a, P* b>, with P* what autograd returns."""
+    source = Grid.square(*shape, 5e-6)
+    target = Grid(*target_shape, 5e-6, 5e-6, centre_y=3.3e-6, centre_x=-11e-6)
+    run = method.prepare(source, target, DISTANCE, WAVELENGTH)
+    a, b = noise(*shape).requires_grad_(), noise(*target_shape, seed=1)
+    arrived = run(a)
+    (adjoint,) = torch.autograd.grad(arrived, a, b)
+    left, right = (
+        torch.vdot(b.flatten(), arrived.flatten()),
+        torch.vdot(adjoint.flatten(), a.flatten()),
+    )
+    assert abs(complex((left - right).detach())) < 1e-12 * float(
+        (b.norm() * arrived.norm()).detach() + 1e-300
+    )
+
+
+@every_method
+def test_linear_and_batch_equals_loop(method: Propagator) -> None:
+    source, target = Grid.square(9, 6, 5e-6), Grid.square(7, 8, 5e-6)
+    run = method.prepare(source, target, DISTANCE, WAVELENGTH)
+    a, b = noise(2, 3, 9, 6), noise(2, 3, 9, 6, seed=2)
+    both = run(a + 2j * b)
+    assert both.shape == (2, 3, 7, 8)
+    assert relative(both, run(a) + 2j * run(b)) < 1e-13
+    single = torch.stack([torch.stack([run(f) for f in line]) for line in a])
+    assert relative(run(a), single) < 1e-13
+
+
+@every_method
+@pytest.mark.parametrize("scaled", [False, True])
+def test_gradcheck_of_everything_physical(method: Propagator, scaled: bool) -> None:
+    field = noise(4, 5).requires_grad_()
+    # In units in which a step of gradcheck is small: micrometres and millimetres.
+    numbers = [
+        torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in (1.0, 0.55, 5.0)
+    ]
+
+    def arrived(values: Tensor, distance: Tensor, wavelength: Tensor, pitch: Tensor) -> Tensor:
+        source = Grid.square(4, 5, pitch * 1e-6)
+        step = pitch * 0.83e-6 if scaled else source.pitch_y
+        target = Grid(3, 4, step, step, centre_x=2e-6)
+        return method.prepare(source, target, distance * 1e-3, wavelength * 1e-6)(values)
+
+    assert torch.autograd.gradcheck(arrived, (field, *numbers), eps=1e-7, atol=1e-4, rtol=1e-4)
+
+
+@every_method
+def test_single_precision_stays_single_and_close(method: Propagator) -> None:
+    source, target = Grid.square(16, 15, 5e-6), Grid.square(14, 16, 4e-6)
+    field = noise(16, 15)
+    exact = method.prepare(source, target, DISTANCE, WAVELENGTH)(field)
+    quick = method.prepare(source, target, DISTANCE, WAVELENGTH, dtype=torch.complex64)(
+        field.to(torch.complex64)
+    )
+    assert quick.dtype == torch.complex64
+    assert exact.dtype == torch.complex128
+    assert relative(quick.to(torch.complex128), exact) < 1e-6
+
+
+# The shadow averages over target cells, so that its field depends on their size.
+@pytest.mark.parametrize(
+    "method", [m for m in VARIANTS if not isinstance(m, GeometricShadow)], ids=repr
+)
+def test_scaled_target_holds_the_same_field(method: Propagator) -> None:
+    """Every third point of a grid of a third of the pitch is a point of the coarse grid."""
+    source = Grid.square(9, 10, 5e-6)
+    coarse, fine = Grid.square(5, 7, 6e-6), Grid.square(15, 21, 2e-6)
+    wanted = method.prepare(source, coarse, DISTANCE, WAVELENGTH)(noise(9, 10))
+    got = method.prepare(source, fine, DISTANCE, WAVELENGTH)(noise(9, 10))[1::3, 1::3]
+    if isinstance(method, AngularSpectrum | FresnelTransfer):
+        # The window that the band limit follows is rounded to fast lengths, which may differ.
+        assert relative(got, wanted) < 2e-1
+    else:
+        assert relative(got, wanted) < 1e-12
+
+
+@every_method
+def test_field_of_another_shape_or_type_is_refused(method: Propagator) -> None:
+    run = method.prepare(Grid.square(4, 4, 5e-6), Grid.square(4, 4, 5e-6), DISTANCE, WAVELENGTH)
+    with pytest.raises(OpticsError, match=r"field\.shape"):
+        run(noise(4, 5))
+    with pytest.raises(OpticsError, match=r"field\.dtype"):
+        run(noise(4, 4).to(torch.complex64))
+    for wavelength in (0.0, -5e-7, math.nan):
+        with pytest.raises(OpticsError, match="wavelength"):
+            method.prepare(Grid.square(4, 4, 5e-6), Grid.square(4, 4, 5e-6), DISTANCE, wavelength)
+    with pytest.raises(OpticsError, match="dtype"):
+        method.prepare(
+            Grid.square(4, 4, 5e-6),
+            Grid.square(4, 4, 5e-6),
+            DISTANCE,
+            WAVELENGTH,
+            dtype=torch.float32,
+        )
+
+
+@every_method
+@pytest.mark.parametrize("distance", [1e-6, 1e-4, 4e-3, 0.4, 4.0, 1e3])
+@pytest.mark.parametrize("wavelength", [200e-9, 550e-9, 10e-6])
+def test_finite_at_any_distance_and_wavelength(
+    method: Propagator, distance: float, wavelength: float
+) -> None:
+    z = torch.tensor(distance, dtype=torch.float64, requires_grad=True)
+    source = Grid.square(8, 9, 1e-6)
+    field = noise(8, 9).requires_grad_()
+    arrived = method.prepare(source, source, z, wavelength)(field)
+    torch.autograd.backward(arrived.abs().square().sum())
+    assert bool(torch.isfinite(torch.view_as_real(arrived)).all())
+    assert z.grad is None or bool(torch.isfinite(z.grad))
+    assert field.grad is not None
+    assert bool(torch.isfinite(torch.view_as_real(field.grad)).all())
+
+
+@every_method
+def test_cost_grows_with_the_job(method: Propagator) -> None:
+    small, large = Grid.square(16, 16, 5e-6), Grid.square(64, 64, 5e-6)
+    assert 0 < method.cost(small, small) < method.cost(large, large)
+
+
+def test_registry() -> None:
+    names = [method.name for method in PROPAGATORS]
+    assert len(set(names)) == len(names)
+    for method in PROPAGATORS:
+        assert propagator(method.name) is method
+        assert isinstance(method, Propagator)
+    with pytest.raises(OpticsError, match="'angular spectrum', 'fresnel transfer function'"):
+        propagator("magic")
+
+
+@pytest.mark.parametrize("distance", [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 1e-1])
+def test_methods_that_say_they_fit_agree(distance: float) -> None:
+    """A support that lies would show here: each is held to the direct sum."""
+    source = Grid.square(32, 31, 2e-6)
+    spread = min(20.0, max(1.0, distance / 1e-3))
+    target = Grid(31, 30, 2e-6 * spread, 2e-6 * spread, centre_y=3.1e-6, centre_x=-4.7e-6)
+    field = smooth(source, 9e-6, tilt=2e4)
+    # The reference is sampled so finely that it is valid at every one of these distances.
+    fine = Grid.square(32 * 5, 31 * 5, 2e-6 / 5)
+    assert RayleighSommerfeld().supports(fine, target, distance, WAVELENGTH)
+    direct = RayleighSommerfeld().prepare(fine, target, distance, WAVELENGTH)
+    wanted = direct(smooth(fine, 9e-6, tilt=2e4))
+    fits = []
+    for method in PROPAGATORS:
+        if isinstance(method, GeometricShadow):
+            continue
+        if method.supports(source, target, distance, WAVELENGTH):
+            got = method.prepare(source, target, distance, WAVELENGTH)(field)
+            fits.append((method.name, relative(got, wanted)))
+    assert fits
+    limits = {"fraunhofer": 0.05, "rayleigh-sommerfeld": 3e-6}
+    assert all(error < limits.get(name, 1e-2) for name, error in fits), fits
+
+
+@pytest.mark.parametrize("method", [AngularSpectrum(), FresnelTransfer()], ids=repr)
+@pytest.mark.parametrize("shape", [(64, 64), (63, 65), (1, 64)])
+def test_there_and_back_again(method: Propagator, shape: tuple[int, int]) -> None:
+    grid = Grid.square(*shape, 4e-6)
+    field = smooth(grid, 30e-6)
+    if shape[0] == 1:
+        field = field.abs().to(torch.complex128)
+    there = AngularSpectrum(padding="none", band_limit=False).prepare(grid, grid, 2e-3, WAVELENGTH)
+    back = AngularSpectrum(padding="none", band_limit=False).prepare(grid, grid, -2e-3, WAVELENGTH)
+    assert relative(back(there(field)), field) < 1e-13
+    wide = Grid.square(shape[0] + 96 if shape[0] > 1 else 1, shape[1] + 96, 4e-6)
+    out = method.prepare(grid, wide, 2e-3, WAVELENGTH)(field)
+    returned = method.prepare(wide, grid, -2e-3, WAVELENGTH)(out)
+    if shape[0] > 1:
+        assert relative(returned, field) < 2e-3
+
+
+def test_energy_is_conserved_exactly_when_periodic() -> None:
+    grid = Grid.square(33, 40, 2e-6)
+    field = noise(33, 40)
+    run = AngularSpectrum(padding="none", band_limit=False).prepare(grid, grid, 5e-3, WAVELENGTH)
+    assert float(run(field).norm() / field.norm()) == pytest.approx(1, abs=1e-13)
+
+
+def test_evanescent_waves_decay_in_both_directions() -> None:
+    grid = Grid.square(32, 32, 1e-7)  # samples finer than half a wavelength
+    field = noise(32, 32)
+    norms = []
+    for distance in (-2e-6, -2e-7, 0.0, 2e-7, 2e-6):
+        run = AngularSpectrum(padding="none").prepare(grid, grid, distance, WAVELENGTH)
+        norms.append(float(run(field).norm()))
+    assert norms[2] == pytest.approx(float(field.norm()), rel=1e-12)
+    assert norms[0] < norms[1] < norms[2] > norms[3] > norms[4] > 0
+
+
+def test_gradient_is_finite_where_a_wave_just_becomes_evanescent() -> None:
+    """Pitch of a wavelength over sqrt(2): s is exactly 1 at one of the frequencies."""
+    wavelength = torch.tensor(1e-6, dtype=torch.float64, requires_grad=True)
+    distance = torch.tensor(1e-6, dtype=torch.float64, requires_grad=True)
+    grid = Grid.square(4, 4, 0.25e-6)
+    for band_limit in (True, False):
+        method = AngularSpectrum(padding="none", band_limit=band_limit)
+        field = method.prepare(grid, grid, distance, wavelength)(noise(4, 4))
+        gradients = torch.autograd.grad(field.abs().square().sum(), (wavelength, distance))
+        assert all(bool(torch.isfinite(gradient)) for gradient in gradients)
+
+
+@pytest.mark.parametrize(
+    "method", [AngularSpectrum(), FresnelTransfer(), FresnelImpulse()], ids=repr
+)
+@pytest.mark.parametrize("shape", [(40, 40), (41, 40), (41, 43)])
+def test_shift_of_the_source_shifts_the_field(method: Propagator, shape: tuple[int, int]) -> None:
+    grid = Grid.square(*shape, 4e-6)
+    field = torch.zeros(shape, dtype=torch.complex128)
+    field[10:20, 12:22] = noise(10, 10)
+    run = method.prepare(grid, grid, 1.4e-3, WAVELENGTH)
+    moved = run(field.roll((5, 3), (0, 1)))
+    assert relative(moved[5:, 3:], run(field)[:-5, :-3]) < 1e-12
+    # The same by moving the grids, by a length that is no multiple of the pitch.
+    source = Grid(*shape, 4e-6, 4e-6, centre_y=1.23e-6, centre_x=-7e-6)
+    target = Grid(*shape, 4e-6, 4e-6, centre_y=1.23e-6, centre_x=-7e-6)
+    again = method.prepare(source, target, 1.4e-3, WAVELENGTH)(field)
+    assert relative(again, run(field)) < 1e-9
+
+
+def test_subpixel_shift_is_exact() -> None:
+    """A Gaussian that is moved by a fraction of a sample equals a target moved the other way."""
+    source = Grid.square(60, 61, 4e-6)
+    target = Grid(50, 50, 4e-6, 4e-6, centre_y=1.3e-6, centre_x=2.9e-6)
+    y, x = source.y()[:, None], source.x()
+
+    def gaussian(at_y: float, at_x: float) -> Tensor:
+        return torch.exp(-((y - at_y) ** 2 + (x - at_x) ** 2) / (30e-6) ** 2).to(torch.complex128)
+
+    moved = AngularSpectrum().prepare(source, target, 1e-3, WAVELENGTH)(gaussian(1.3e-6, 2.9e-6))
+    centred = Grid.square(50, 50, 4e-6)
+    still = AngularSpectrum().prepare(source, centred, 1e-3, WAVELENGTH)(gaussian(0, 0))
+    assert relative(moved, still) < 1e-5
+
+
+def test_padding_changes_the_field_only_where_light_wraps_around() -> None:
+    source = Grid.square(64, 64, 4e-6)
+    field = torch.ones(64, 64, dtype=torch.complex128)
+    full = AngularSpectrum().prepare(source, source, 1e-3, WAVELENGTH)(field)
+    reach = AngularSpectrum(padding="reach").prepare(source, source, 1e-3, WAVELENGTH)(field)
+    none = AngularSpectrum(padding="none").prepare(source, source, 1e-3, WAVELENGTH)(field)
+    assert 0 < relative(reach, full) < 2e-2
+    assert relative(none, full) > 5e-2
+
+
+def test_band_limit_keeps_a_far_field_clean() -> None:
+    """A hard edge holds frequencies whose rays miss the window; they come back as noise."""
+    source, distance = Grid.square(64, 64, 4e-6), 40e-3
+    field = torch.zeros(64, 64, dtype=torch.complex128)
+    field[20:44, 20:44] = 1
+    exact = RayleighSommerfeld().prepare(source, source, distance, WAVELENGTH)(field)
+    limited = AngularSpectrum().prepare(source, source, distance, WAVELENGTH)(field)
+    aliased = AngularSpectrum(band_limit=False).prepare(source, source, distance, WAVELENGTH)(field)
+    assert relative(limited, exact) < 0.3 * relative(aliased, exact)
+
+
+def test_shadow_is_magnified_from_its_point() -> None:
+    source, target = Grid.square(100, 100, 1e-6), Grid.square(300, 300, 1e-6)
+    field = torch.ones(100, 100, dtype=torch.complex128)
+    shadow = GeometricShadow(source_distance=5e-3).prepare(source, target, 5e-3, WAVELENGTH)(field)
+    lit = shadow.abs() > 0
+    assert int(lit[150].sum()) == 200
+    assert float(shadow.abs().max()) == pytest.approx(0.5)
+    assert float(shadow.norm() / field.norm()) == pytest.approx(1, rel=1e-12)
+
+
+def test_impossible_distances_are_refused() -> None:
+    grid = Grid.square(4, 4, 5e-6)
+    impossible: list[tuple[Propagator, float]] = [
+        (RayleighSommerfeld(), 0.0),
+        (RayleighSommerfeld(), -1e-3),
+        (FresnelImpulse(), 0.0),
+        (Fraunhofer(), 0.0),
+        (GeometricShadow(), -1e-3),
+    ]
+    for method, distance in impossible:
+        with pytest.raises(OpticsError, match="distance"):
+            method.prepare(grid, grid, distance, WAVELENGTH)
+    with pytest.raises(OpticsError, match="distance = nan"):
+        AngularSpectrum().prepare(grid, grid, math.nan, WAVELENGTH)
+    with pytest.raises(OpticsError, match="too large"):
+        RayleighSommerfeld(largest=100).prepare(grid, grid, 1e-3, WAVELENGTH)
+    assert not RayleighSommerfeld(largest=100).supports(grid, grid, 1e-3, WAVELENGTH)
+    with pytest.raises(OpticsError, match="source_distance"):
+        GeometricShadow(source_distance=-1.0)
+    with pytest.raises(OpticsError, match="padding"):
+        AngularSpectrum(padding="some")  # type: ignore[arg-type]
+
+
+def test_supports_says_why_not() -> None:
+    near = Grid.square(64, 64, 4e-6)
+    assert "far field" in Fraunhofer().supports(near, near, 1e-4, WAVELENGTH).reason
+    assert "undersampled" in FresnelImpulse().supports(near, near, 1e-4, WAVELENGTH).reason
+    assert "undersampled" in FresnelTransfer().supports(near, near, 1.0, WAVELENGTH).reason
+    assert "fringes" in AngularSpectrum().supports(near, near, 1.0, WAVELENGTH).reason
+    assert "spreads" in GeometricShadow().supports(near, near, 1e-2, WAVELENGTH).reason
+    assert "undersampled" in RayleighSommerfeld().supports(near, near, 1e-5, WAVELENGTH).reason
+    fine = Grid.square(64, 64, 0.5e-6)
+    assert "paraxial" in FresnelTransfer().supports(fine, fine, 2e-5, WAVELENGTH).reason
+    assert AngularSpectrum().supports(fine, fine, 2e-5, WAVELENGTH)
+
+
+def test_phase_keeps_its_digits_in_single_precision() -> None:
+    """Against mpmath: 4 m at 550 nm is 7 million turns, which float32 alone cannot hold."""
+    mpmath = pytest.importorskip("mpmath")
+
+    grid = Grid.square(1, 64, 12.4e-6)
+    for distance in (4e-3, 0.4, 4.0):
+        squared = grid.x().square()
+        r = (squared + distance**2).sqrt()
+        phase = 2 * torch.pi / WAVELENGTH * squared / (r + distance)
+        got = unit_phasor(phase, torch.complex64)
+        with mpmath.workdps(50):
+            z, wl = mpmath.mpf(distance), mpmath.mpf(WAVELENGTH)
+            wanted = [
+                complex(mpmath.expjpi(2 * (mpmath.sqrt(mpmath.mpf(x) ** 2 + z**2) - z) / wl))
+                for x in grid.x().tolist()
+            ]
+        error = (got.to(torch.complex128) - torch.tensor(wanted)).abs().max()
+        assert float(error) < 3e-7
+    with pytest.raises(OpticsError, match="float64"):
+        unit_phasor(torch.zeros(3), torch.complex64)

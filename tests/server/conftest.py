@@ -1,0 +1,350 @@
+"""A tiny bundle, and a panel and sensor whose faults a test can choose."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import httpx
+import numpy as np
+import numpy.typing as npt
+import pytest
+import structlog
+import torch
+
+from veilcam_client.models import BundleInfo, Release, RotationOff, RotationPolicy
+from veilcam_client.models import Device as DeviceInfo
+from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
+from veilcam_optics.keys import MaskDistribution, Secret
+from veilcam_server.app import create_app
+from veilcam_server.camera import MaskedCamera
+from veilcam_server.demo_data import load_digits
+from veilcam_server.devices import Device, DisplayError, Exposure, Shown
+from veilcam_server.devices.scene import write_scene
+from veilcam_server.epochs import EpochStore
+from veilcam_server.fence import Fence
+from veilcam_server.fresh import FreshSource
+from veilcam_server.identity import Identity
+from veilcam_server.masks import MaskSource
+from veilcam_server.pairs import load_pairs
+from veilcam_server.preparation import Preparation
+from veilcam_server.service import Service
+from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, write_bundle
+from veilcam_training.bundle.layers import (
+    BatchNorm,
+    Conv2d,
+    Flatten,
+    LayerRecord,
+    Linear,
+    MaxPool,
+    ReLU,
+    Reshape,
+)
+
+LABELS = tuple("0123456789")
+CAMERA = Camera(panel=Panel(), window=Window(rows=9, columns=5))
+EMBEDDING = Embedding(4, 5)
+OFF = RotationOff()
+
+
+def make_bundle(pairs: int = 3) -> Bundle:
+    """Random masks and random linear classifiers, for a small window and embedding."""
+    generator = torch.Generator().manual_seed(7)
+
+    def pair() -> Pair:
+        levels = torch.randint(0, 64, CAMERA.mask_shape, generator=generator)
+        return Pair(
+            levels=levels.to(torch.uint8).numpy(),
+            layers=(Linear(inputs=EMBEDDING.size, outputs=len(LABELS)),),
+            weights={
+                "0.weight": torch.randn(len(LABELS), EMBEDDING.size, generator=generator),
+                "0.bias": torch.zeros(len(LABELS)),
+            },
+        )
+
+    return Bundle(
+        task="mnist",
+        labels=LABELS,
+        camera=CAMERA,
+        scene=Scene(),
+        embedding=EMBEDDING,
+        mode="pairs",
+        pairs=tuple(pair() for _ in range(pairs)),
+    )
+
+
+def make_fresh_bundle() -> Bundle:
+    """A random small CNN, and statistics of the first digits of the sample that comes along."""
+    scene = Scene()
+    layers: tuple[LayerRecord, ...] = (
+        Reshape(shape=(2, *scene.shape)),
+        Conv2d(inputs=2, outputs=3),
+        BatchNorm(features=3, dimensions=2),
+        ReLU(),
+        MaxPool(kernel=4),
+        Flatten(),
+        Linear(inputs=3 * 7 * 7, outputs=len(LABELS)),
+    )
+    digits = torch.from_numpy(load_digits().images[:300] / np.float32(255))
+    with torch.random.fork_rng():
+        torch.manual_seed(11)
+        weights = build_untrained(layers).state_dict()
+    return Bundle(
+        task="mnist",
+        labels=LABELS,
+        camera=CAMERA,
+        scene=scene,
+        embedding=EMBEDDING,
+        mode="fresh",
+        fresh=Fresh(
+            device="test camera",
+            distribution=MaskDistribution.uniform(CAMERA),
+            statistics=fit_statistics([digits], 24),
+            noise=ReadingNoise(40.0),
+            layers=layers,
+            weights=weights,
+        ),
+    )
+
+
+SECRET = Secret(bytes(range(32)))
+
+
+class FakeDisplay:
+    """Remembers what it was shown; ``faults`` are taken one for each write."""
+
+    name = "fake panel"
+
+    def __init__(self) -> None:
+        self.shown: list[npt.NDArray[np.uint8]] = []
+        self.faults: list[Exception | None] = []
+        self.closed = False
+
+    def show(self, levels: npt.NDArray[np.uint8]) -> Shown:
+        fault = self.faults.pop(0) if self.faults else None
+        if fault is not None:
+            raise fault
+        self.shown.append(levels.copy())
+        return Shown(time.monotonic())
+
+    def blank(self) -> None:
+        self.show(np.zeros(CAMERA.mask_shape, np.uint8))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class FakeSensor:
+    """Reads ones at once; ``early`` [s] makes it start before it may, ``before`` runs first."""
+
+    name = "fake sensor"
+
+    def __init__(self) -> None:
+        self.reading = np.ones(EMBEDDING.shape, np.float32)
+        self.early = 0.0
+        self.before: Callable[[], None] = lambda: None
+        self.captures = 0
+        self.closed = False
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        self.before()
+        self.captures += 1
+        time.sleep(max(0.0, not_before - time.monotonic()))
+        now = time.monotonic()
+        started = now if not self.early else not_before - self.early
+        return Exposure(self.reading, started, max(now, started))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class Bench:
+    """An engine with everything around it within reach."""
+
+    bundle: Bundle
+    state_dir: Path
+    source: MaskSource
+    release: Release = "raw"
+    display: FakeDisplay = field(default_factory=FakeDisplay)
+    sensor: FakeSensor = field(default_factory=FakeSensor)
+    epochs: list[str] = field(default_factory=list)
+    states: list[tuple[str, str | None]] = field(default_factory=list)
+
+    def camera(self, *, policy: RotationPolicy = OFF, settle: float = 0.0) -> MaskedCamera:
+        camera = MaskedCamera(
+            Device(self.display, self.sensor, simulated=True),
+            Preparation(self.source, EpochStore(self.state_dir)),
+            self.bundle.embedding.shape,
+            fence=Fence(settle=settle),
+            policy=policy,
+        )
+        camera.listen(
+            self.epochs.append,
+            lambda state, detail: self.states.append((state, detail)),
+            lambda: None,
+        )
+        try:
+            camera.rotate()
+        except BaseException:
+            camera.preparation.close()
+            raise
+        return camera
+
+    def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
+        service = Service(
+            camera,
+            Identity(
+                DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
+                BundleInfo(
+                    digest="0" * 64,
+                    task=self.bundle.task,
+                    mode=self.bundle.mode,
+                    labels=self.bundle.labels,
+                    embedding_shape=self.bundle.embedding.shape,
+                    pairs=len(self.bundle.pairs),
+                ),
+            ),
+            form=self.release,
+            queue_limit=queue_limit,
+            heartbeat=0.05,
+        )
+        on_mask, on_state = camera._on_mask, camera._on_state
+
+        def mask(epoch: str) -> None:
+            self.epochs.append(epoch)
+            on_mask(epoch)
+
+        camera.listen(mask, on_state, camera.preparation.on_ready)
+        return service
+
+    def pair_shown(self) -> int | None:
+        """Index of the pair on the panel, None for any other picture."""
+        for index, pair in enumerate(self.bundle.pairs):
+            if np.array_equal(pair.levels, self.display.shown[-1]):
+                return index
+        return None
+
+
+Running: TypeAlias = Callable[..., AbstractAsyncContextManager[httpx.AsyncClient]]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+def bundle() -> Bundle:
+    return make_bundle()
+
+
+@pytest.fixture
+def bench(bundle: Bundle, tmp_path: Path) -> Bench:
+    return Bench(bundle, tmp_path / "state", load_pairs(bundle))
+
+
+@pytest.fixture
+def lone_bench(tmp_path: Path) -> Bench:
+    """A bench whose bundle holds one pair."""
+    lone = make_bundle(1)
+    return Bench(lone, tmp_path / "state", load_pairs(lone))
+
+
+@pytest.fixture(scope="session")
+def fresh_bundle() -> Bundle:
+    return make_fresh_bundle()
+
+
+@pytest.fixture
+def secret() -> Secret:
+    return SECRET
+
+
+@pytest.fixture
+def fresh_bench(fresh_bundle: Bundle, tmp_path: Path) -> Bench:
+    """A bench whose masks are drawn from a key, and whose embeddings leave white."""
+    source = FreshSource(fresh_bundle, SECRET, form="white")
+    return Bench(fresh_bundle, tmp_path / "state", source, release="white")
+
+
+@pytest.fixture
+def running(bench: Bench) -> Running:
+    """A factory of HTTP clients of a whole application in this process."""
+
+    @asynccontextmanager
+    async def run(
+        *,
+        policy: RotationPolicy = OFF,
+        queue_limit: int = 8,
+        settle: float = 0.0,
+        raising: bool = True,
+        on: Bench | None = None,
+    ) -> AsyncIterator[httpx.AsyncClient]:
+        chosen = on or bench
+        service = chosen.service(
+            chosen.camera(policy=policy, settle=settle), queue_limit=queue_limit
+        )
+        app = create_app(service)
+        transport = httpx.ASGITransport(app, raise_app_exceptions=raising)
+        async with (
+            service.open(),
+            httpx.AsyncClient(transport=transport, base_url="http://localhost") as client,
+        ):
+            yield client
+
+    return run
+
+
+@pytest.fixture
+def bundle_file(bundle: Bundle, tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.veilcam"
+    write_bundle(path, bundle)
+    return path
+
+
+@pytest.fixture
+def fresh_file(fresh_bundle: Bundle, tmp_path: Path) -> Path:
+    path = tmp_path / "fresh.veilcam"
+    write_bundle(path, fresh_bundle)
+    return path
+
+
+@pytest.fixture
+def secret_file(tmp_path: Path) -> Path:
+    path = tmp_path / "mask-secret"
+    path.touch(mode=0o600)
+    path.write_text(SECRET.reveal().hex())
+    return path
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.npy"
+    write_scene(path, np.random.default_rng(3).integers(0, 256, (28, 28)).astype(np.uint8))
+    return path
+
+
+@pytest.fixture
+def display_fault() -> DisplayError:
+    return DisplayError("the bus gave no answer")
+
+
+@pytest.fixture(autouse=True)
+def _own_logs() -> Iterator[None]:
+    yield
+    structlog.reset_defaults()
+
+
+@pytest.fixture(autouse=True)
+def _no_settings_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    import os
+
+    for name in list(os.environ):
+        if name.startswith("VEILCAM_") or name in ("STATE_DIRECTORY", "CREDENTIALS_DIRECTORY"):
+            monkeypatch.delenv(name)

@@ -1,0 +1,324 @@
+"""The engine: one mask per reading, whatever fails."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from veilcam_client.models import EveryCaptures, EverySeconds, RotationOff
+from veilcam_server.devices import DisplayError, SensorError
+from veilcam_server.errors import (
+    EpochError,
+    FenceError,
+    NotReadyError,
+    RotationImpossibleError,
+)
+from veilcam_server.pairs import PairReader
+from veilcam_server.rotation import due_in
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench
+
+
+def test_capture_carries_its_epoch_and_proof(bench: Bench) -> None:
+    camera = bench.camera(settle=0.01)
+    captured = camera.capture()
+    assert captured.epoch == bench.epochs[-1]
+    assert captured.started_after_shown >= captured.settle == 0.01
+    assert camera.present == (captured.epoch, 1)
+
+
+def test_mask_and_classifier_change_together(bench: Bench) -> None:
+    camera = bench.camera()
+    for _ in range(12):
+        camera.rotate()
+        index = bench.pair_shown()
+        assert index is not None
+        reader = camera.capture().reader
+        assert isinstance(reader, PairReader)
+        weight = reader.classifier.module.state_dict()["0.weight"]
+        assert bool((weight == bench.bundle.pairs[index].weights["0.weight"]).all())
+
+
+def test_never_the_same_pair_twice_in_a_row_and_every_pair_in_time(bench: Bench) -> None:
+    camera = bench.camera()
+    order = [bench.pair_shown()]
+    for _ in range(60):
+        camera.rotate()
+        order.append(bench.pair_shown())
+    assert all(one != other for one, other in pairwise(order))
+    assert set(order) == {0, 1, 2}
+
+
+def test_the_order_of_masks_differs_from_run_to_run(bench: Bench) -> None:
+    camera = bench.camera()
+    orders = set()
+    for _ in range(4):
+        order = []
+        for _ in range(20):
+            camera.rotate()
+            order.append(bench.pair_shown())
+        orders.add(tuple(order))
+    assert len(orders) == 4
+
+
+def test_epoch_names_are_random_and_never_repeat(bench: Bench) -> None:
+    camera = bench.camera()
+    for _ in range(50):
+        camera.rotate()
+    assert len(set(bench.epochs)) == 51
+    assert all(len(name) == 32 for name in bench.epochs)
+
+
+def test_every_n_captures_never_serves_one_more(bench: Bench) -> None:
+    camera = bench.camera(policy=EveryCaptures(captures=3))
+    epochs = [camera.capture().epoch for _ in range(12)]
+    assert [epochs.count(name) for name in dict.fromkeys(epochs)] == [3, 3, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("policy", "shown_for", "captures", "expected"),
+    [
+        (RotationOff(), 1e9, 10**9, float("inf")),
+        (EverySeconds(seconds=2.0), 0.5, 99, 1.5),
+        (EverySeconds(seconds=2.0), 2.5, 0, 0.0),
+        (EverySeconds(seconds=2.0, jitter=1.0), 0.5, 0, 1.25),
+        (EveryCaptures(captures=2), 1e9, 1, float("inf")),
+        (EveryCaptures(captures=2), 0.0, 2, 0.0),
+    ],
+)
+def test_when_a_mask_is_due(
+    policy: RotationOff | EverySeconds | EveryCaptures,
+    shown_for: float,
+    captures: int,
+    expected: float,
+) -> None:
+    assert due_in(policy, shown_for=shown_for, captures=captures, chance=0.25) == expected
+
+
+def test_jitter_shortens_every_showing_by_its_own_time(bench: Bench) -> None:
+    camera = bench.camera(policy=EverySeconds(seconds=1000.0, jitter=600.0))
+    times = []
+    for _ in range(8):
+        times.append(camera.due_in())
+        camera.rotate()
+    assert all(390 < seconds <= 1000 for seconds in times)
+    assert max(times) - min(times) > 1
+    camera.policy = EverySeconds(seconds=1000.0)
+    assert camera.due_in() > 990
+
+
+def test_an_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
+    camera = bench.camera(settle=0.01)
+    bench.sensor.early = 1e-4
+    with pytest.raises(FenceError, match="thrown away"):
+        camera.capture()
+    bench.sensor.early = 0.0
+    assert camera.capture().epoch == bench.epochs[-1]
+
+
+def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None:
+    camera = bench.camera()
+
+    def swap() -> None:
+        # Nothing but a defect can do this: the lock is held. The fence looks all the same.
+        camera._rotate()
+
+    bench.sensor.before = swap
+    with pytest.raises(FenceError):
+        camera.capture()
+
+
+@pytest.mark.parametrize(
+    "reading", [np.ones((5, 4), np.float32), np.full((4, 5), np.nan, np.float32)]
+)
+def test_a_reading_that_cannot_be_is_refused(bench: Bench, reading: np.ndarray) -> None:
+    camera = bench.camera()
+    bench.sensor.reading = reading
+    with pytest.raises(FenceError):
+        camera.capture()
+
+
+def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
+    camera = bench.camera()
+    inside, go_on = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        inside.set()
+        go_on.wait(10)
+
+    bench.sensor.before = hold
+    results: list[str] = []
+    capturing = threading.Thread(target=lambda: results.append(camera.capture().epoch))
+    capturing.start()
+    assert inside.wait(10)
+    rotating = threading.Thread(target=camera.rotate)
+    rotating.start()
+    before = len(bench.display.shown)
+    rotating.join(0.05)
+    assert rotating.is_alive()
+    assert len(bench.display.shown) == before
+    go_on.set()
+    capturing.join(10)
+    rotating.join(10)
+    assert results == [bench.epochs[0]]
+    assert camera.present == (bench.epochs[1], 0)
+
+
+def test_a_failed_write_puts_the_mask_before_back(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    epoch, index = camera.present[0], bench.pair_shown()
+    camera.capture()
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError, match="could not be changed"):
+        camera.rotate()
+    assert bench.pair_shown() == index
+    assert camera.state == ("ready", None)
+    assert camera.present == (epoch, 1)
+    assert camera.capture().epoch == epoch
+
+
+def test_the_mask_put_back_must_settle_again(bench: Bench, display_fault: DisplayError) -> None:
+    camera = bench.camera(settle=0.02)
+    camera.capture()
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    assert camera.capture().settle_time > 0
+
+
+def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    bench.display.faults = [display_fault, display_fault]
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    assert not bench.display.shown[-1].any()
+    assert camera.state[0] == "safe"
+    assert camera.present == (None, 0)
+    with pytest.raises(NotReadyError, match="made opaque"):
+        camera.capture()
+    assert bench.sensor.captures == 0
+    camera.rotate()
+    assert camera.state == ("ready", None)
+    assert camera.capture().epoch == bench.epochs[-1]
+
+
+def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    bench.display.faults = [display_fault] * 3
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    state, detail = camera.state
+    assert state == "safe"
+    assert detail is not None
+    assert "cannot be made opaque" in detail
+    assert bench.states[-1] == (state, detail)
+
+
+def test_an_unforeseen_error_of_a_driver_does_not_leave_a_half_written_mask(bench: Bench) -> None:
+    camera = bench.camera()
+    index = bench.pair_shown()
+    bench.display.faults = [ZeroDivisionError()]
+    with pytest.raises(ZeroDivisionError):
+        camera.rotate()
+    assert bench.pair_shown() == index
+
+
+def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera(policy=EveryCaptures(captures=1))
+    camera.capture()
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError):
+        camera.capture()
+    assert bench.sensor.captures == 1
+    assert camera.capture().epoch == bench.epochs[-1]
+
+
+def test_no_mask_is_shown_before_its_epoch_is_durable(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = bench.camera()
+    camera.preparation.take()  # the one that was prepared while the disk had room
+    present, shown = camera.present, len(bench.display.shown)
+
+    class FullDisk:
+        def execute(self, *_: object) -> None:
+            raise sqlite3.OperationalError("database or disk is full")
+
+    database = camera.preparation._epochs._database
+    monkeypatch.setattr(camera.preparation._epochs, "_database", FullDisk())
+    with pytest.raises(EpochError, match="disk is full"):
+        camera.rotate()
+    assert len(bench.display.shown) == shown
+    assert camera.present == present
+    monkeypatch.setattr(camera.preparation._epochs, "_database", database)
+    camera.rotate()
+    assert camera.present[0] == bench.epochs[-1] != present[0]
+
+
+def test_a_sensor_that_fails_leaves_the_mask_usable(bench: Bench) -> None:
+    camera = bench.camera()
+
+    def fail() -> None:
+        raise SensorError("no frame")
+
+    bench.sensor.before = fail
+    with pytest.raises(SensorError):
+        camera.capture()
+    bench.sensor.before = lambda: None
+    assert camera.capture().epoch == bench.epochs[0]
+
+
+def test_one_pair_cannot_rotate(lone_bench: Bench, display_fault: DisplayError) -> None:
+    camera = lone_bench.camera()
+    with pytest.raises(RotationImpossibleError, match="two or more"):
+        camera.rotate()
+    with pytest.raises(RotationImpossibleError):
+        camera.policy = EveryCaptures(captures=1)
+    assert camera.capture().epoch == lone_bench.epochs[0]
+
+
+def test_stopping_shows_opaque_and_ends_captures(bench: Bench) -> None:
+    camera = bench.camera()
+    camera.stop()
+    camera.stop()
+    assert not bench.display.shown[-1].any()
+    assert bench.display.closed
+    assert bench.sensor.closed
+    with pytest.raises(NotReadyError, match="stopping"):
+        camera.capture()
+    with pytest.raises(NotReadyError):
+        camera.rotate()
+
+
+def test_a_first_mask_that_fails_leaves_the_panel_opaque(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError):
+        bench.camera()
+    assert not bench.display.shown[-1].any()
+    assert bench.states[-1][0] == "safe"
+
+
+def test_secrets_stay_out_of_representations(bench: Bench) -> None:
+    camera = bench.camera()
+    bench.sensor.reading = np.full((4, 5), 0.123456, np.float32)
+    captured = camera.capture()
+    assert "0.123" not in repr(captured)
+    assert camera._showing is not None
+    assert "array" not in repr(camera._showing)
+    assert "tensor" not in repr(captured)

@@ -1,0 +1,175 @@
+"""The demonstration, end to end on a tiny bundle, and its parts."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from veilcam_optics.grid import GridLight
+from veilcam_optics.masks import to_weights
+from veilcam_optics.noise import shot_noise
+from veilcam_server.cli import app
+from veilcam_server.demo.figures import record
+from veilcam_server.demo.observer import KeyObserver, PairObserver
+from veilcam_server.demo.report import draw_mask
+from veilcam_server.demo.tally import EPOCHS_SHOWN, Sample, Tally
+from veilcam_server.demo_data import load_digits
+from veilcam_server.errors import StartError
+from veilcam_server.fresh import FreshSource
+
+if TYPE_CHECKING:
+    from veilcam_optics.keys import Secret
+    from veilcam_training.bundle import Bundle
+
+runner = CliRunner()
+
+
+def test_the_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
+    out, figures = tmp_path / "out", tmp_path / "figures.json"
+    figures.write_text('{"other": {"value": 1}}')
+    result = runner.invoke(
+        app,
+        [
+            *("demo", "--bundle", str(bundle_file), "--captures", "12", "--every", "2"),
+            *("--wrong-classifier", "--out", str(out), "--figures", str(figures)),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    last = result.stdout.splitlines()[-1]
+    found = re.fullmatch(r"accuracy=(\d\.\d{3}) captures=12 masks=([123])", last)
+    assert found
+    assert "experiment wrong-classifier" in result.stdout
+    assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
+    written = json.loads(figures.read_text())
+    assert written["other"] == {"value": 1}
+    figure = written["demo_wrong_classifier_accuracy"]
+    assert figure["value"] == pytest.approx(float(found[1]), abs=5e-4)
+    assert set(figure) == {"value", "command", "commit", "date", "machine"}
+
+
+def test_the_demo_runs_with_fresh_masks(fresh_file: Path, tmp_path: Path) -> None:
+    out, figures = tmp_path / "out", tmp_path / "figures.json"
+    result = runner.invoke(
+        app,
+        [
+            *("demo", "--fresh", "--bundle", str(fresh_file), "--captures", "6"),
+            *("--out", str(out), "--figures", str(figures)),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    # One mask a capture, none of them twice.
+    assert result.stdout.splitlines()[-1].endswith("captures=6 masks=6")
+    assert "fresh masks, a new one every 1 captures" in result.stdout
+    assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
+    assert "demo_fresh_accuracy" in json.loads(figures.read_text())
+
+
+def test_the_fresh_demo_refuses_pairs(bundle_file: Path) -> None:
+    result = runner.invoke(app, ["demo", "--fresh", "--bundle", str(bundle_file)])
+    assert result.exit_code == 1
+    assert "holds pairs: give a bundle of mode 'fresh'" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--bundle", "nothing.veilcam"], "nothing.veilcam: there is no such file"),
+        (["--digits", "nothing.npz"], "there is no digit file nothing.npz"),
+        (["--captures", "5001"], "holds 5000 digits"),
+    ],
+)
+def test_what_is_missing_is_named(bundle_file: Path, options: list[str], message: str) -> None:
+    result = runner.invoke(app, ["demo", "--bundle", str(bundle_file), *options])
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Path) -> None:
+    from veilcam_server.demo.daemon import running
+
+    with (
+        pytest.raises(StartError, match="there is no scene file"),
+        running(bundle_file, tmp_path / "nothing.npy", tmp_path),
+    ):
+        pytest.fail("it must not start")
+
+
+def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
+    light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
+    observer, digits = PairObserver(bundle), load_digits()
+    generator = torch.Generator().manual_seed(0)
+    for index, pair in enumerate(bundle.pairs):
+        psf = light.psf(to_weights(pair.levels, bundle.camera.panel))
+        for image in digits.images[:5]:
+            scene = torch.from_numpy(image / np.float32(255))
+            seen = shot_noise(light.embed(scene, psf, bundle.embedding)[None], 40.0, generator)
+            assert observer.which(image, seen[0].numpy(), "any") == index
+
+
+def test_the_observer_with_the_key_finds_the_mask_of_an_epoch(
+    fresh_bundle: Bundle, secret: Secret
+) -> None:
+    source, observer = FreshSource(fresh_bundle, secret), KeyObserver(fresh_bundle, secret)
+    image, reading = np.zeros((28, 28), np.uint8), np.zeros((4, 5), np.float32)
+    for counter, number in ((70, 0), (9, 1), (70, 0), (12, 2)):
+        assert observer.which(image, reading, source.name(counter)) == number
+        assert np.array_equal(observer.levels(number), source.make(counter, "").levels)
+
+
+def test_a_long_table_is_cut_short() -> None:
+    def sample(number: int) -> Sample:
+        return Sample(f"{number:032}", number, True, settle=0, capture=0, inference=0, http=0)
+
+    table = Tally([sample(number) for number in range(EPOCHS_SHOWN + 7)]).table()
+    assert table.row_count == EPOCHS_SHOWN + 2
+    assert "and 7 more" in list(table.columns[0].cells)
+
+
+def test_the_tally_counts() -> None:
+    def sample(epoch: str, mask: int, right: bool) -> Sample:
+        return Sample(epoch, mask, right, settle=0.1, capture=0.02, inference=0.001, http=0.003)
+
+    tally = Tally([sample("a", 0, True), sample("a", 0, False), sample("b", 2, True)])
+    assert tally.summary() == "accuracy=0.667 captures=3 masks=2"
+    assert tally.table().row_count == 3
+
+
+def test_a_drawn_mask_shows_levels_filters_and_dead_space(bundle: Bundle) -> None:
+    rows, columns = bundle.camera.mask_shape
+    levels = np.zeros((rows, columns), np.uint8)
+    levels[1, 2] = 63
+    drawn = draw_mask(levels, bundle.camera)
+    assert drawn.shape == (rows * 12, columns * 36, 3)
+    cell = drawn[12:24, 72:108]
+    assert cell.max() > 0.9
+    assert not cell[0].any()
+    assert not cell[:, 0].any()
+    assert drawn.sum() == pytest.approx(cell.sum())
+    assert not np.array_equal(
+        draw_mask(np.full_like(levels, 63), bundle.camera)[6, 18],
+        draw_mask(np.full_like(levels, 63), bundle.camera)[18, 18],
+    )
+
+
+def test_figures_that_cannot_be_written_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "figures.json"
+    path.write_text("not json")
+    with pytest.raises(StartError, match="figures cannot be written"):
+        record(path, "demo_accuracy", 0.9, "veilcamd demo")
+    assert path.read_text() == "not json"
+
+
+def test_the_sample_is_whole() -> None:
+    digits = load_digits()
+    assert digits.images.shape == (5000, 28, 28)
+    counts = np.bincount(digits.labels, minlength=10)
+    assert counts.min() > 400
+    assert counts.sum() == 5000

@@ -1,0 +1,99 @@
+"""Mask epochs outlive the process and are never used twice."""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from veilcam_server.epochs import EpochStore
+from veilcam_server.errors import StartError
+
+
+def no_clock() -> float:
+    return 0.0
+
+
+def test_the_counter_goes_on_after_a_restart(tmp_path: Path) -> None:
+    with EpochStore(tmp_path, no_clock) as store:
+        first = [store.next() for _ in range(3)]
+    with EpochStore(tmp_path, no_clock) as store:
+        assert store.next() == first[-1] + 1 == 4
+
+
+def test_a_lost_state_directory_brings_no_epoch_back(tmp_path: Path) -> None:
+    with EpochStore(tmp_path / "old", lambda: 1000.0) as store:
+        last = [store.next() for _ in range(100)][-1]
+    with EpochStore(tmp_path / "new", lambda: 1000.5) as store:
+        assert store.next() > last
+    # A clock that stands or goes back is no harm while the directory is there.
+    with EpochStore(tmp_path / "old", lambda: 900.0) as store:
+        assert store.next() == last + 1
+
+
+def test_the_clock_of_this_machine_is_the_one_that_counts(tmp_path: Path) -> None:
+    before = 1e6 * time.time()
+    with EpochStore(tmp_path) as store:
+        assert before <= store.next() <= 1e6 * time.time() + 1
+
+
+def test_the_mark_of_the_mask_shown_last_is_kept(tmp_path: Path) -> None:
+    with EpochStore(tmp_path) as store:
+        assert store.mark == ""
+        store.mark = "a1"
+    with EpochStore(tmp_path) as store:
+        assert store.mark == "a1"
+
+
+def test_the_counter_survives_a_process_that_is_killed(tmp_path: Path) -> None:
+    script = (
+        "import os, pathlib, sys\n"
+        "from veilcam_server.epochs import EpochStore\n"
+        "store = EpochStore(pathlib.Path(sys.argv[1]), lambda: 0.0)\n"
+        "for _ in range(5): print(store.next(), flush=True)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    killed = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert killed.returncode == -9
+    with EpochStore(tmp_path, no_clock) as store:
+        assert store.next() == int(killed.stdout.split()[-1]) + 1
+
+
+def test_every_commit_is_flushed_to_the_disk(tmp_path: Path) -> None:
+    with EpochStore(tmp_path) as store:
+        assert store._database.execute("PRAGMA synchronous").fetchone() == (2,)
+        assert store._database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_two_daemons_cannot_share_a_state_directory(tmp_path: Path) -> None:
+    with EpochStore(tmp_path), pytest.raises(StartError, match="another veilcamd uses"):
+        EpochStore(tmp_path)
+
+
+def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "epochs.sqlite3").write_bytes(b"not a database at all, but long enough" * 100)
+    with pytest.raises(StartError, match="cannot be used"):
+        EpochStore(tmp_path)
+
+
+def test_the_state_directory_is_private(tmp_path: Path) -> None:
+    with EpochStore(tmp_path / "new"):
+        assert (tmp_path / "new").stat().st_mode & 0o777 == 0o700
+
+
+def test_nothing_but_a_counter_and_a_mark_is_stored(tmp_path: Path) -> None:
+    with EpochStore(tmp_path, no_clock) as store:
+        store.next()
+        store.mark = "a1"
+    database = sqlite3.connect(tmp_path / "epochs.sqlite3")
+    tables = database.execute("SELECT name FROM sqlite_master").fetchall()
+    rows = database.execute("SELECT * FROM epoch, shown").fetchall()
+    database.close()
+    assert tables == [("epoch",), ("shown",)]
+    assert rows == [(1, 1, 1, "a1")]

@@ -1,0 +1,295 @@
+"""Epochs made ready in the background: no needless wait, no mask reused beyond the policy."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_server import preparation as preparation_module
+from veilcam_server.camera import MaskedCamera
+from veilcam_server.devices import DisplayError
+from veilcam_server.epochs import EpochStore
+from veilcam_server.errors import NotReadyError
+from veilcam_server.masks import Mask, MaskSource
+from veilcam_server.pairs import load_pairs
+from veilcam_server.preparation import Preparation
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+    from veilcam_training.bundle import Bundle
+
+
+class Gated:
+    """A source whose next mask is ready when a test says so."""
+
+    def __init__(self, source: MaskSource) -> None:
+        self._source = source
+        self.gate = threading.Event()
+        self.gate.set()
+        self.counters: list[int] = []
+        self.fault: Exception | None = None
+
+    @property
+    def renewable(self) -> bool:
+        return self._source.renewable
+
+    def name(self, counter: int) -> str:
+        return self._source.name(counter)
+
+    def make(self, counter: int, last_mark: str) -> Mask:
+        assert self.gate.wait(20)
+        self.counters.append(counter)
+        if self.fault is not None:
+            raise self.fault
+        return self._source.make(counter, last_mark)
+
+
+@pytest.fixture
+def gated(bench: Bench) -> Iterator[Gated]:
+    source = Gated(bench.source)
+    bench.source = source
+    yield source
+    source.gate.set()
+
+
+def settled(camera: MaskedCamera) -> MaskedCamera:
+    """Wait for the preparation under way."""
+    deadline = time.monotonic() + 20
+    while camera.preparation.under_way:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    return camera
+
+
+def held(bench: Bench, gated: Gated, policy: RotationPolicy) -> MaskedCamera:
+    """A camera whose first mask is due and whose second is not ready."""
+    camera = settled(bench.camera())
+    gated.gate.clear()
+    camera.rotate()
+    camera.policy = policy
+    camera.capture()
+    return camera
+
+
+def test_the_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gated: Gated) -> None:
+    camera = settled(bench.camera(policy=EveryCaptures(captures=1)))
+    assert camera.preparation.ready
+    assert (camera.preparation.count, len(gated.counters)) == (2, 2)
+    assert camera.preparation.took > 0
+    gated.gate.clear()  # nothing of what follows may need another one
+    camera.capture()
+    camera.capture()
+    assert camera.present == (bench.epochs[1], 1)
+    assert (camera.lateness.late, camera.lateness.reused) == (0, 0)
+
+
+def test_late_and_told_to_wait(bench: Bench, gated: Gated) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=1))
+    taken: list[str] = []
+    waiting = threading.Thread(target=lambda: taken.append(camera.capture().epoch))
+    waiting.start()
+    while not camera.lateness.late:
+        time.sleep(0.001)
+    waiting.join(0.05)
+    assert waiting.is_alive()
+    assert not taken
+    gated.gate.set()
+    waiting.join(20)
+    assert taken == [bench.epochs[2]]
+    assert (camera.lateness.late, camera.lateness.reused) == (1, 0)
+
+
+def test_late_and_told_to_reuse_but_no_more_often_than_that(bench: Bench, gated: Gated) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=1, reuse=2))
+    assert [camera.capture().epoch for _ in range(2)] == [bench.epochs[1]] * 2
+    assert (camera.lateness.late, camera.lateness.reused) == (1, 2)
+    taken: list[str] = []
+    waiting = threading.Thread(target=lambda: taken.append(camera.capture().epoch))
+    waiting.start()
+    waiting.join(0.05)
+    assert waiting.is_alive()
+    gated.gate.set()
+    waiting.join(20)
+    assert taken == [bench.epochs[2]]
+    assert (camera.lateness.late, camera.lateness.reused) == (1, 2)
+
+
+def test_a_mask_that_is_due_by_time_may_be_reused_too(bench: Bench, gated: Gated) -> None:
+    camera = held(bench, gated, EverySeconds(seconds=0.1, reuse=1))
+    while camera.due_in() > 0:
+        time.sleep(0.01)
+    assert camera.capture().epoch == bench.epochs[1]
+    assert (camera.lateness.late, camera.lateness.reused) == (1, 1)
+
+
+def test_nothing_is_late_that_nobody_waits_for(bench: Bench, gated: Gated) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=1))
+    camera.rotate_if_due()  # returns at once
+    assert camera.present == (bench.epochs[1], 1)
+    assert camera.lateness.late == 0
+
+
+def test_a_preparation_that_fails_is_not_a_licence_to_reuse(bench: Bench, gated: Gated) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=1, reuse=100))
+    gated.fault = RuntimeError("no decoder")
+    gated.gate.set()
+    settled(camera)
+    captures = bench.sensor.captures
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="no decoder"):
+            camera.capture()
+    assert bench.sensor.captures == captures
+    assert not camera.preparation.ready
+    gated.fault = None
+    assert camera.capture().epoch == bench.epochs[2]
+
+
+def test_every_mask_has_an_epoch_of_its_own_even_if_it_failed(
+    bench: Bench, gated: Gated, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    for fault in (None, display_fault, None, None):
+        bench.display.faults = [fault] if fault else []
+        with contextlib.suppress(DisplayError):
+            camera.rotate()
+    settled(camera)
+    assert gated.counters == sorted(set(gated.counters))
+    assert len(gated.counters) == 6
+    assert len(set(bench.epochs)) == 4
+
+
+def test_a_wait_without_end_is_ended(
+    bench: Bench, gated: Gated, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=1))
+    monkeypatch.setattr(preparation_module, "LONGEST", 0.01)
+    with pytest.raises(NotReadyError, match="still being prepared"):
+        camera.capture()
+    gated.gate.set()
+    settled(camera)
+    assert camera.capture().epoch == bench.epochs[2]
+
+
+def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
+    bench: Bench, gated: Gated
+) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=1))
+    stopping = threading.Thread(target=camera.stop)
+    stopping.start()
+    gated.gate.set()
+    stopping.join(20)
+    assert not stopping.is_alive()
+    assert not bench.display.shown[-1].any()
+    with EpochStore(bench.state_dir):  # it is free again
+        pass
+
+
+@pytest.mark.parametrize("pairs", [2, 3])
+def test_a_restart_does_not_show_the_pair_shown_last(
+    bench: Bench, tmp_path: Path, pairs: int
+) -> None:
+    import dataclasses
+
+    bench.bundle = dataclasses.replace(bench.bundle, pairs=bench.bundle.pairs[:pairs])
+    before = None
+    seen = set()
+    for _ in range(20):
+        bench.source = load_pairs(bench.bundle)
+        camera = bench.camera()
+        assert bench.pair_shown() != before
+        before = bench.pair_shown()
+        seen.add(before)
+        camera.preparation.close()  # as a kill would: nothing is put in order
+    assert seen == set(range(pairs))
+
+
+def test_a_pair_that_failed_is_not_what_a_restart_avoids(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    import dataclasses
+
+    bench.bundle = dataclasses.replace(bench.bundle, pairs=bench.bundle.pairs[:2])
+    bench.source = load_pairs(bench.bundle)
+    camera = bench.camera()
+    shown = bench.pair_shown()
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    assert bench.pair_shown() == shown
+    camera.preparation.close()
+    bench.source = load_pairs(bench.bundle)
+    bench.camera().preparation.close()
+    assert bench.pair_shown() != shown
+
+
+def test_what_is_stored_of_a_pair_is_no_plain_digest_of_it(bench: Bench) -> None:
+    import hashlib
+
+    camera = bench.camera()
+    index = bench.pair_shown()
+    assert index is not None
+    mark = camera.preparation._epochs.mark
+    camera.preparation.close()
+    levels = bench.bundle.pairs[index].levels.tobytes()
+    assert mark
+    for name in ("sha256", "sha1", "md5", "blake2b"):
+        assert mark[:16] not in hashlib.new(name, levels).hexdigest()
+    assert mark != load_pairs(make_other(bench))._masks[index].mark
+
+
+def make_other(bench: Bench) -> Bundle:
+    """The same pairs but one."""
+    import dataclasses
+
+    changed = bench.bundle.pairs[-1].levels ^ np.uint8(1)
+    pairs = (*bench.bundle.pairs[:-1], dataclasses.replace(bench.bundle.pairs[-1], levels=changed))
+    return dataclasses.replace(bench.bundle, pairs=pairs)
+
+
+@pytest.mark.anyio
+async def test_the_status_says_so(running: Running, bench: Bench, gated: Gated) -> None:
+    import asyncio
+
+    async with running(policy=EveryCaptures(captures=1, reuse=1)) as client:
+
+        async def preparation() -> dict[str, object]:
+            answer: dict[str, object] = (await client.get("/v1/rotation")).json()["preparation"]
+            return answer
+
+        while not (await preparation())["ready"]:
+            await asyncio.sleep(0.01)
+        gated.gate.clear()
+        first = (await client.post("/v1/captures")).json()["epoch"]
+        while len(bench.epochs) < 2:
+            await asyncio.sleep(0.01)
+        epochs = [(await client.post("/v1/captures")).json()["epoch"] for _ in range(2)]
+        assert epochs == [bench.epochs[1]] * 2
+        assert first == bench.epochs[0]
+        told = await preparation()
+        assert (told["ready"], told["prepared"], told["late"], told["reused"]) == (False, 2, 1, 1)
+        gated.gate.set()
+        # Nobody captures now; the mask is changed as soon as the next is ready.
+        while len(bench.epochs) < 3:
+            await asyncio.sleep(0.01)
+
+
+def test_preparing_takes_no_time_of_the_panel_s_lock(bench: Bench, gated: Gated) -> None:
+    camera = held(bench, gated, EveryCaptures(captures=9))
+    assert camera.preparation.under_way
+    assert [camera.capture().epoch for _ in range(3)] == [bench.epochs[1]] * 3
+
+
+def test_closing_twice_does_no_harm(bench: Bench) -> None:
+    preparation = Preparation(bench.source, EpochStore(bench.state_dir))
+    preparation.begin()
+    preparation.close()
+    preparation.close()

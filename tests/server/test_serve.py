@@ -1,0 +1,432 @@
+"""The daemon as a process: what it refuses, and a whole journey over a real socket."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import safetensors.numpy
+from typer.testing import CliRunner
+
+from veilcam_client import (
+    AsyncCamera,
+    Camera,
+    DeviceError,
+    EveryCaptures,
+    EverySeconds,
+    RotationOff,
+    VeilcamError,
+)
+from veilcam_client.cli import app as client_cli
+from veilcam_client.events import Classified, MaskChanged
+from veilcam_optics.keys import Secret
+from veilcam_server.cli import app
+from veilcam_server.demo_data import DIGITS, load_digits
+from veilcam_server.devices.scene import write_scene
+from veilcam_server.epoch_names import EpochNames
+from veilcam_server.errors import StartError
+from veilcam_server.serve import bind, build_service
+from veilcam_server.settings import Settings
+from veilcam_server.sources import release_form, rotation_policy
+
+if TYPE_CHECKING:
+    from veilcam_training.bundle import Bundle
+
+runner = CliRunner()
+
+
+@contextmanager
+def daemon(log: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A ``veilcamd serve`` and its URL."""
+    command = [sys.executable, "-m", "veilcam_server", "serve", "--simulate", *options]
+    with (
+        log.open("w") as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        try:
+            assert line.startswith("veilcamd listening on "), log.read_text()
+            yield process, line.split()[-1]
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
+    return [
+        *("--bundle", str(bundle_file), "--scene", str(scene_file)),
+        *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0.001"),
+    ]
+
+
+def test_a_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
+    log = tmp_path / "log"
+    with daemon(log, "--port", "0", *options) as (process, url), Camera(url) as camera:
+        status = camera.status()
+        assert status.state == "ready"
+        assert status.device.simulated
+
+        # Light, not luck: another scene is another embedding, the same scene nearly the same.
+        image = np.zeros((28, 28), np.uint8)
+        image[:10, :10] = 255
+        write_scene(scene_file, image)
+        first, second = np.asarray(camera.capture()), np.asarray(camera.capture())
+        write_scene(scene_file, image[::-1].copy())
+        other = np.asarray(camera.capture())
+        repeated = np.linalg.norm(first - second) / np.linalg.norm(first)
+        assert repeated < 0.1 < np.linalg.norm(first - other) / np.linalg.norm(first)
+
+        # Every capture under its own mask, and the events tell of them in order.
+        start = next(iter(camera.events(last_event_id="")))
+        camera.set_rotation(EveryCaptures(captures=1))
+        results = [camera.classify() for _ in range(4)]
+        assert len({result.epoch for result in results}) == 4
+        heard: list[Classified] = []
+        masks: list[str] = []
+        for event in camera.events(last_event_id=start.id):
+            if isinstance(event, Classified):
+                heard.append(event)
+            if isinstance(event, MaskChanged):
+                masks.append(event.epoch)
+            if len(heard) == 4:
+                break
+        assert [event.capture for event in heard] == [result.id for result in results]
+        assert set(masks) >= {result.epoch for result in results[1:]}
+
+        # The async camera sees the same.
+        async def ask() -> tuple[str, str]:
+            async with AsyncCamera(url) as other:
+                result = await other.classify()
+                async for event in other.events(last_event_id=start.id):
+                    if isinstance(event, Classified) and event.capture == result.id:
+                        return result.label, event.label
+            raise AssertionError("the event did not come")
+
+        label, told = asyncio.run(ask())
+        assert label == told
+
+        # A scene that disappears is a problem; the daemon goes on when it is back.
+        moved = scene_file.rename(tmp_path / "gone.npy")
+        with Camera(url, max_retries=0) as impatient, pytest.raises(DeviceError) as caught:
+            impatient.capture()
+        assert caught.value.code == "sensor_failed"
+        moved.rename(scene_file)
+        camera.capture()
+
+        _others_give_up(url, options, tmp_path)
+        camera.classify()
+
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0
+        with pytest.raises(VeilcamError):
+            Camera(url, max_retries=0).status()
+    assert '"state": "stopping"' in log.read_text()
+    _check_no_secrets(log.read_bytes(), bundle)
+
+
+def _others_give_up(url: str, options: list[str], tmp_path: Path) -> None:
+    """Another daemon on the same port, or on the same state, does not start."""
+    port = url.rpartition(":")[2]
+    for more, reason in (
+        (["--port", port, "--state-dir", str(tmp_path / "s2")], f"port {port} is occupied"),
+        (["--port", "0"], "another veilcamd uses"),
+    ):
+        result = runner.invoke(app, ["serve", "--simulate", *options, *more])
+        assert result.exit_code == 1
+        assert reason in result.stderr
+        assert result.stderr.count("veilcamd: error:") == 1
+
+
+def _check_no_secrets(text: bytes, bundle: Bundle) -> None:
+    """No four neighbouring levels of any mask stand in ``text`` as a list of numbers."""
+    numbers = re.sub(rb"[^0-9]+", b" ", text)
+    for pair in bundle.pairs:
+        for row in pair.levels:
+            for start in range(len(row) - 3):
+                run = " ".join(str(level) for level in row[start : start + 4])
+                assert f" {run} ".encode() not in numbers
+
+
+def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "v.sock"
+    left_behind = socket.socket(socket.AF_UNIX)
+    left_behind.bind(str(path))
+    left_behind.close()
+    with daemon(tmp_path / "log", "--socket", str(path), *options) as (process, url):
+        assert url == f"unix://{path}"
+        assert path.stat().st_mode & 0o777 == 0o600
+        with Camera(url) as camera:
+            assert camera.classify().label in "0123456789"
+        result = runner.invoke(client_cli, ["watch", "--url", url, "--since", "", "--count", "2"])
+        assert result.exit_code == 0
+        assert len(result.stdout.splitlines()) == 2
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0
+    assert not path.exists()
+
+
+def test_a_journey_through_fresh_masks(
+    fresh_file: Path, secret_file: Path, scene_file: Path, tmp_path: Path, secret: Secret
+) -> None:
+    log = tmp_path / "log"
+    options = [
+        *("--bundle", str(fresh_file), "--scene", str(scene_file), "--port", "0"),
+        *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0"),
+        *("--mask-secret", str(secret_file)),
+    ]
+    names = EpochNames(secret, "test camera")
+    counters: list[int] = []
+    for _ in range(2):
+        with daemon(log, *options) as (process, url), Camera(url) as camera:
+            status = camera.status()
+            assert (status.bundle.mode, status.release) == ("fresh", "white")
+            assert status.rotation.policy == EveryCaptures(captures=1)
+            for _ in range(3):
+                captured = camera.capture()
+                assert captured.embedding.form == "white"
+                counters.append(names.counter(captured.epoch))
+            camera.set_rotation(EverySeconds(seconds=50, jitter=10))
+            assert camera.rotate().epoch != captured.epoch
+            assert camera.status().rotation.preparation.prepared >= 4
+            process.kill()
+        assert secret.reveal().hex()[:16] not in log.read_text()
+    assert counters == sorted(set(counters))
+
+
+def settings(tmp_path: Path, bundle: Path, scene: Path, **more: object) -> Settings:
+    given = {"device": "simulated", "bundle": bundle, "scene": scene, "state_dir": tmp_path / "st"}
+    return Settings(**{**given, **more})  # type: ignore[arg-type]
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def unknown(path: Path) -> None:
+    path.write_bytes(b"PNG or anything else")
+
+
+def missing(path: Path) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [(truncated, "truncated"), (unknown, "not a whole bundle"), (missing, "no such file")],
+)
+def test_a_bad_bundle_is_refused(
+    tmp_path: Path, bundle_file: Path, scene_file: Path, damage: object, reason: str
+) -> None:
+    assert callable(damage)
+    damage(bundle_file)
+    with pytest.raises(StartError, match=reason) as caught:
+        build_service(settings(tmp_path, bundle_file, scene_file))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bundle_with_nan_weights_is_refused(
+    tmp_path: Path, bundle_file: Path, scene_file: Path
+) -> None:
+    import hashlib
+    import json
+    import zipfile
+
+    # Rebuilt with digests that fit, as somebody would who means it.
+    with zipfile.ZipFile(bundle_file) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    weights = {k: v.copy() for k, v in safetensors.numpy.load(parts["weights.safetensors"]).items()}
+    weights["pair.1.0.weight"][0, 0] = np.nan
+    parts["weights.safetensors"] = safetensors.numpy.save(weights)
+    manifest = json.loads(parts["bundle.json"])
+    manifest["parts"]["weights.safetensors"] = hashlib.sha256(
+        parts["weights.safetensors"]
+    ).hexdigest()
+    parts["bundle.json"] = json.dumps(manifest).encode()
+    with zipfile.ZipFile(bundle_file, "w") as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    with pytest.raises(StartError, match="NaN"):
+        build_service(settings(tmp_path, bundle_file, scene_file))
+
+
+def test_a_missing_scene_is_refused(tmp_path: Path, bundle_file: Path) -> None:
+    with pytest.raises(StartError, match=r"there is no scene file .* 'veilcamd show'"):
+        build_service(settings(tmp_path, bundle_file, tmp_path / "nothing.npy"))
+
+
+def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_file: Path) -> None:
+    given = Settings(device="pi", bundle=bundle_file, state_dir=tmp_path / "st")
+    with pytest.raises(StartError, match=r"no driver .* --simulate"):
+        build_service(given)
+
+
+def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(
+    tmp_path: Path, bundle: Bundle, bundle_file: Path, scene_file: Path
+) -> None:
+    import dataclasses
+
+    from veilcam_training.bundle import write_bundle
+
+    service = build_service(settings(tmp_path, bundle_file, scene_file, wrong_classifier=True))
+    assert service.status().experiment == "wrong-classifier"
+    service.stop()
+    lone = tmp_path / "lone.veilcam"
+    write_bundle(lone, dataclasses.replace(bundle, pairs=bundle.pairs[:1]))
+    with pytest.raises(StartError, match="two or more pairs"):
+        build_service(settings(tmp_path, lone, scene_file, wrong_classifier=True))
+
+
+def test_rotation_of_a_lone_pair_is_refused_at_the_start(
+    tmp_path: Path, bundle: Bundle, scene_file: Path
+) -> None:
+    import dataclasses
+
+    from veilcam_training.bundle import write_bundle
+
+    lone = tmp_path / "lone.veilcam"
+    write_bundle(lone, dataclasses.replace(bundle, pairs=bundle.pairs[:1]))
+    rotation = EveryCaptures(captures=3)
+    with pytest.raises(StartError, match="one pair only"):
+        build_service(settings(tmp_path, lone, scene_file, rotation=rotation))
+
+
+@pytest.mark.parametrize(
+    ("device", "mode", "given", "expected"),
+    [
+        ("simulated", "pairs", None, "raw"),
+        ("simulated", "fresh", None, "white"),
+        ("pi", "pairs", None, "none"),
+        ("pi", "fresh", None, "white"),
+        ("pi", "pairs", "raw", "raw"),
+        ("pi", "fresh", "none", "none"),
+        ("pi", "fresh", "flat", "flat"),
+    ],
+)
+def test_how_embeddings_leave(
+    bundle: Bundle,
+    fresh_bundle: Bundle,
+    *,
+    device: str,
+    mode: str,
+    given: str | None,
+    expected: str,
+) -> None:
+    chosen = bundle if mode == "pairs" else fresh_bundle
+    made = Settings.model_validate({"bundle": "x", "device": device, "release": given})
+    assert release_form(made, chosen) == expected
+
+
+@pytest.mark.parametrize("form", ["flat", "white"])
+def test_forms_that_pairs_do_not_have(
+    tmp_path: Path, bundle_file: Path, scene_file: Path, form: str
+) -> None:
+    with pytest.raises(StartError, match=f"--release {form} needs the scene statistics"):
+        build_service(settings(tmp_path, bundle_file, scene_file, release=form))
+
+
+def test_when_masks_change(bundle: Bundle, fresh_bundle: Bundle) -> None:
+    made = Settings(bundle=Path("x"))
+    assert rotation_policy(made, bundle) == RotationOff()
+    assert rotation_policy(made, fresh_bundle) == EveryCaptures(captures=1)
+    often = made.model_copy(update={"rotation": EverySeconds(seconds=3)})
+    assert rotation_policy(often, fresh_bundle) == EverySeconds(seconds=3)
+
+
+def test_fresh_masks_need_a_secret_and_pairs_have_none(
+    tmp_path: Path, bundle_file: Path, fresh_file: Path, scene_file: Path, secret_file: Path
+) -> None:
+    with pytest.raises(StartError, match="make one with 'veilcamd secret FILE'"):
+        build_service(settings(tmp_path, fresh_file, scene_file))
+    for more in ({"mask_secret": secret_file}, {"device_label": "a"}):
+        with pytest.raises(StartError, match="is for fresh masks: this bundle holds pairs"):
+            build_service(settings(tmp_path, bundle_file, scene_file, **more))
+
+
+def test_a_label_makes_other_masks(
+    tmp_path: Path, fresh_file: Path, scene_file: Path, secret_file: Path, secret: Secret
+) -> None:
+    made = settings(
+        tmp_path, fresh_file, scene_file, mask_secret=secret_file, device_label="the other one"
+    )
+    service = build_service(made)
+    counter = EpochNames(secret, "the other one").counter(service.rotation().epoch or "")
+    service.stop()
+    assert 1.6e15 < counter < 1e16
+
+
+def test_a_start_that_fails_leaves_nothing_locked(
+    tmp_path: Path, bundle_file: Path, scene_file: Path
+) -> None:
+    missing = tmp_path / "nothing.npy"
+    for _ in range(2):
+        with pytest.raises(StartError, match="there is no scene file"):
+            build_service(settings(tmp_path, bundle_file, missing))
+    build_service(settings(tmp_path, bundle_file, scene_file)).stop()
+
+
+def test_what_listens_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(StartError, match=f"port {port} is occupied: .* --port"):
+            bind(Settings(bundle=bundle_file, port=port))
+    path = tmp_path / "v.sock"
+    with socket.socket(socket.AF_UNIX) as unix:
+        unix.bind(str(path))
+        unix.listen()
+        with pytest.raises(StartError, match=r"is occupied: .* --socket"):
+            bind(Settings(bundle=bundle_file, socket=path))
+        assert path.exists()
+    path.unlink()
+    path.write_text("a file")
+    with pytest.raises(StartError, match="there is a file of that name"):
+        bind(Settings(bundle=bundle_file, socket=path))
+    assert path.read_text() == "a file"
+    with pytest.raises(StartError, match="cannot listen"):
+        bind(Settings(bundle=bundle_file, socket=tmp_path / "no" / "folder"))
+
+
+def test_answers_do_not_wait_for_acknowledgements(bundle_file: Path) -> None:
+    listener, _ = bind(Settings(bundle=bundle_file, port=0))
+    with listener:
+        # asyncio sets TCP_NODELAY on accepted sockets of exactly this protocol.
+        assert listener.proto == socket.IPPROTO_TCP
+
+
+def test_show_holds_a_digit_up(tmp_path: Path) -> None:
+    scene = tmp_path / "deep" / "scene.npy"
+    result = runner.invoke(app, ["show", "--scene", str(scene), "--digit", "7"])
+    assert result.exit_code == 0
+    index = int(re.findall(r"held-out digit (\d+)", result.stdout)[0])
+    digits = load_digits()
+    assert digits.labels[index] == 7
+    assert np.array_equal(np.load(scene), digits.images[index])
+    runner.invoke(app, ["show", "--scene", str(scene), "--index", "3"])
+    assert np.array_equal(np.load(scene), digits.images[3])
+    result = runner.invoke(app, ["show", "--scene", str(scene), "--index", "5000"])
+    assert result.exit_code == 1
+    assert "there are 5000 digits" in result.stderr
+
+
+def test_bad_digit_files_are_refused(tmp_path: Path) -> None:
+    copy = tmp_path / "digits.npz"
+    with pytest.raises(StartError, match="there is no digit file"):
+        load_digits(copy)
+    shutil.copy(DIGITS, copy)
+    copy.write_bytes(copy.read_bytes()[:5000])
+    with pytest.raises(StartError, match="truncated or damaged"):
+        load_digits(copy)
+    np.savez(copy, images=np.zeros((2, 28, 28)), labels=np.zeros(2, np.uint8))
+    with pytest.raises(StartError, match="uint8"):
+        load_digits(copy)

@@ -1,0 +1,114 @@
+"""What a daemon may be told, and the refusal of everything else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from typer.testing import CliRunner
+
+from veilcam_client.models import EveryCaptures
+from veilcam_server.cli import app, one_line
+from veilcam_server.demo_data import KEYRING
+from veilcam_server.settings import Settings, default_state_dir
+
+runner = CliRunner()
+
+
+def refused(**given: Any) -> str:
+    with pytest.raises(ValidationError) as caught:
+        Settings(**{"bundle": Path("a.veilcam"), "device": "simulated", **given})
+    return one_line(caught.value)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "camera.example", ""])
+def test_other_machines_are_not_served(host: str) -> None:
+    assert "--host: other machines cannot be served yet" in refused(host=host)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])
+def test_this_machine_is_served(host: str) -> None:
+    settings = Settings(bundle=Path("a.veilcam"), host=host)
+    assert settings.host in ("127.0.0.1", "127.0.0.2", "::1")
+
+
+def test_a_scene_needs_a_simulated_camera() -> None:
+    assert "add --simulate" in refused(device="pi", scene=Path("scene.npy"))
+
+
+def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
+    assert "it needs --simulate" in refused(device="pi", wrong_classifier=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("port", 70_000),
+        ("settle", -1.0),
+        ("settle", float("nan")),
+        ("exposure", 11.0),
+        ("capture_timeout", 0.0),
+        ("queue_limit", 0),
+        ("heartbeat", 0.0),
+        ("log_level", "loud"),
+        ("device_label", ""),
+        ("device_label", "x" * 256),
+        ("release", "everything"),
+        ("device", "virtual"),
+    ],
+)
+def test_values_out_of_range_are_named(name: str, value: object) -> None:
+    message = refused(**{name: value})
+    assert message.startswith(f"--{name.replace('_', '-')}: ")
+    assert "\n" not in message
+
+
+def test_a_real_camera_needs_a_bundle_and_a_simulated_one_has_the_demo_s() -> None:
+    with pytest.raises(ValidationError) as caught:
+        Settings.model_validate({})
+    assert one_line(caught.value).startswith("--bundle is missing")
+    assert Settings.model_validate({"device": "simulated"}).bundle == KEYRING
+
+
+def test_the_environment_fills_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VEILCAM_BUNDLE", "b.veilcam")
+    monkeypatch.setenv("VEILCAM_ROTATION", '{"mode": "captures", "captures": 4}')
+    monkeypatch.setenv("VEILCAM_PORT", "9000")
+    settings = Settings.model_validate({"port": 9001})
+    assert settings.bundle == Path("b.veilcam")
+    assert settings.rotation == EveryCaptures(captures=4)
+    assert settings.port == 9001
+
+
+def test_state_goes_where_systemd_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/elsewhere")
+    assert default_state_dir() == Path("/elsewhere/veilcam")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/veilcam")
+    assert default_state_dir() == Path("/var/lib/veilcam")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--every-seconds", "0"], "--every-seconds: Input should be greater than or equal to 0.1"),
+        (["--every-captures", "0"], "--every-captures: Input should be greater than"),
+        (["--every-captures", "2", "--every-seconds", "2"], "not both"),
+        (["--jitter", "2"], "--jitter goes with --every-seconds"),
+        (["--every-captures", "2", "--jitter", "2"], "--jitter goes with --every-seconds"),
+        (["--every-seconds", "2", "--jitter", "2"], "leaves a mask less than 0.1 s"),
+        (["--reuse", "2"], "--reuse goes with --every-seconds or --every-captures"),
+        (["--every-captures", "2", "--reuse", "-1"], "--reuse: Input should be greater than"),
+        (["--release", "everything"], "--release: Input should be 'none'"),
+        (["--host", "0.0.0.0"], "other machines cannot be served yet"),
+        (["--port", "-1"], "--port: "),
+        (["--settle", "-1"], "--settle: "),
+    ],
+)
+def test_bad_options_end_with_one_line(options: list[str], message: str) -> None:
+    result = runner.invoke(app, ["serve", "--simulate", *options])
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert result.stderr.startswith("veilcamd: error: ")
+    assert result.stderr.count("\n") == 1

@@ -1,0 +1,320 @@
+"""A bundle comes back as it was written, and a bad one is refused whole, with the reason."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+import safetensors.torch
+import torch
+
+from veilcam_optics.geometry import Camera, Embedding, Panel, Scene
+from veilcam_training.bundle import (
+    Accuracy,
+    Bundle,
+    BundleError,
+    Pair,
+    archive,
+    build_classifier,
+    build_untrained,
+    read_bundle,
+    write_bundle,
+)
+from veilcam_training.bundle.layers import BatchNorm, LayerRecord, Linear, ReLU
+
+Parts = dict[str, bytes]
+
+
+def make_pair(seed: int) -> Pair:
+    generator = torch.Generator().manual_seed(seed)
+    layers: tuple[LayerRecord, ...] = (
+        BatchNorm(features=12),
+        ReLU(),
+        Linear(inputs=12, outputs=10),
+    )
+    weights = {
+        name: torch.rand(tensor.shape, generator=generator)
+        if tensor.is_floating_point()
+        else tensor
+        for name, tensor in build_untrained(layers).state_dict().items()
+    }
+    levels = torch.randint(0, 64, Camera().mask_shape, generator=generator, dtype=torch.uint8)
+    return Pair(levels=levels.numpy(), layers=layers, weights=weights)
+
+
+def make_bundle() -> Bundle:
+    return Bundle(
+        task="mnist",
+        labels=tuple("0123456789"),
+        camera=Camera(panel=Panel(filter_leakage=0.05)),
+        scene=Scene(),
+        embedding=Embedding(3, 4),
+        mode="pairs",
+        pairs=(make_pair(1), make_pair(2)),
+        provenance={"seed": 1, "recipe": {"epochs": 2, "rates": [0.1, None]}},
+        accuracy=Accuracy(0.9, "MNIST", 10_000),
+    )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    result = tmp_path / "a.veilcam"
+    write_bundle(result, make_bundle())
+    return result
+
+
+def unpack(path: Path) -> Parts:
+    with zipfile.ZipFile(path) as file:
+        return {name: file.read(name) for name in file.namelist()}
+
+
+def pack(path: Path, parts: Parts) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in parts.items():
+            file.writestr(name, data)
+
+
+def edit_manifest(path: Path, edit: Callable[[dict[str, Any]], None]) -> None:
+    parts = unpack(path)
+    manifest = json.loads(parts["bundle.json"])
+    edit(manifest)
+    pack(path, {**parts, "bundle.json": json.dumps(manifest).encode()})
+
+
+def replace_part(path: Path, name: str, data: bytes) -> None:
+    """Put another part in place, with its right digest: only the content is wrong."""
+    pack(path, {**unpack(path), name: data})
+    edit_manifest(path, lambda m: m["parts"].update({name: hashlib.sha256(data).hexdigest()}))
+
+
+def refuse(path: Path, reason: str) -> None:
+    with pytest.raises(BundleError, match=reason) as caught:
+        read_bundle(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_it_comes_back_as_it_was_written(path: Path) -> None:
+    written, read = make_bundle(), read_bundle(path)
+    assert read.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert dataclasses.replace(read, pairs=(), digest="") == dataclasses.replace(written, pairs=())
+    for before, after in zip(written.pairs, read.pairs, strict=True):
+        np.testing.assert_array_equal(before.levels, after.levels)
+        assert before.layers == after.layers
+        assert before.weights.keys() == after.weights.keys()
+        for name, tensor in before.weights.items():
+            torch.testing.assert_close(tensor, after.weights[name], rtol=0, atol=0)
+
+
+def test_the_same_bundle_gives_the_same_bytes_readable_by_the_owner_alone(path: Path) -> None:
+    first = path.read_bytes()
+    write_bundle(path, make_bundle())
+    assert path.read_bytes() == first
+    assert path.stat().st_mode & 0o077 == 0
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_classifier_is_the_module_that_was_trained() -> None:
+    torch.manual_seed(0)
+    pair = make_pair(3)
+    module = build_untrained(pair.layers)
+    module.load_state_dict(dict(pair.weights))
+    x = torch.rand(5, 12)
+    built = build_classifier(pair.layers, pair.weights)
+    assert not built.training
+    torch.testing.assert_close(built(x), module.eval()(x), rtol=0, atol=0)
+    pair.weights["2.bias"].add_(1)  # the classifier holds a copy
+    torch.testing.assert_close(built(x), module(x), rtol=0, atol=0)
+
+
+def test_secrets_are_not_in_the_repr(path: Path) -> None:
+    shown = repr(read_bundle(path))
+    assert "array" not in shown
+    assert "tensor" not in shown
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    refuse(tmp_path / "none.veilcam", "no such file: check the path")
+    refuse(tmp_path, "cannot be read")
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.01, 0.5, 0.9, 0.999])
+def test_truncated(path: Path, kept: float) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data))])
+    refuse(path, "not a whole bundle")
+
+
+def test_every_flipped_byte_is_noticed_or_harmless(path: Path) -> None:
+    data, reference = path.read_bytes(), read_bundle(path)
+    for place in range(0, len(data), 97):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
+        try:
+            bundle = read_bundle(path)
+        except BundleError:
+            continue
+        # A byte of the archive's own bookkeeping (a time, say): the content is untouched.
+        assert bundle.digest != reference.digest
+        for before, after in zip(reference.pairs, bundle.pairs, strict=True):
+            np.testing.assert_array_equal(before.levels, after.levels)
+
+
+@pytest.mark.parametrize("name", ["masks.safetensors", "weights.safetensors"])
+def test_tampered_part(path: Path, name: str) -> None:
+    parts = unpack(path)
+    pack(path, {**parts, name: parts[name][:-1] + bytes([parts[name][-1] ^ 1])})
+    refuse(path, f"{name} is not what bundle.json says")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_numbers(path: Path, value: float) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    tensors["pair.1.2.weight"][3, 4] = value
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, r"pair 1: weight '2.weight' holds NaN or infinity")
+
+
+def test_negative_variance(path: Path) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    tensors["pair.0.0.running_var"][0] = -1
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, "negative variance")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t: t.pop("pair.0.2.bias"), "pair 0: weights lack '2.bias'"),
+        (lambda t: t.update({"pair.0.9.bias": torch.ones(1)}), "unknown '9.bias'"),
+        (lambda t: t.update({"pair.7.2.bias": torch.ones(1)}), "there are 2 pairs"),
+        (lambda t: t.update({"../evil": torch.ones(1)}), "unknown '../evil'"),
+        (lambda t: t.update({"pair.0.2.bias": torch.ones(9)}), r"use torch.float32 \(10,\)"),
+        (lambda t: t.update({"pair.0.2.bias": torch.ones(10).double()}), "use torch.float32"),
+    ],
+)
+def test_weights_that_do_not_fit(
+    path: Path, change: Callable[[dict[str, torch.Tensor]], None], reason: str
+) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    change(tensors)
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    ("mask", "reason"),
+    [
+        (np.full((51, 22), 64, dtype=np.uint8), "exceeds what the panel can show"),
+        (np.zeros((22, 51), dtype=np.uint8), "use uint8"),
+        (np.zeros((51, 22), dtype=np.float32), "use uint8"),
+    ],
+)
+def test_masks_that_do_not_fit(path: Path, mask: Any, reason: str) -> None:
+    masks = safetensors.numpy.load(unpack(path)["masks.safetensors"])
+    masks["pair.1.levels"] = mask
+    replace_part(path, "masks.safetensors", safetensors.numpy.save(masks))
+    refuse(path, f"pair 1: mask.*{reason}")
+
+
+def test_a_mask_too_few(path: Path) -> None:
+    masks = safetensors.numpy.load(unpack(path)["masks.safetensors"])
+    del masks["pair.1.levels"]
+    replace_part(path, "masks.safetensors", safetensors.numpy.save(masks))
+    refuse(path, "one mask for each of 2 pairs")
+
+
+def test_a_part_that_is_no_safetensors(path: Path) -> None:
+    replace_part(path, "weights.safetensors", b"pickle")
+    refuse(path, "not a safetensors file")
+
+
+@pytest.mark.parametrize(
+    ("edit", "reason"),
+    [
+        (lambda m: m.update(version=2), "version 2 is unknown: this Veilcam reads version 1"),
+        (lambda m: m.update(version=True), "version True is unknown"),
+        (lambda m: m.update(format="other"), "is this a Veilcam bundle"),
+        (lambda m: m.update(surprise=1), "surprise"),
+        (lambda m: m["camera"]["panel"].update(colour="red"), "camera.panel.colour: Unexpected"),
+        (lambda m: m["camera"].update(distance=-1.0), "camera.distance"),
+        (lambda m: m["camera"].update(distance="4 mm"), "camera.distance"),
+        (lambda m: m["embedding"].update(rows=0), "embedding.rows"),
+        (lambda m: m["embedding"].update(rows=4), "layer 0 .batch_norm. gets shape .16,."),
+        (lambda m: m.update(mode="fresh"), "mode"),
+        (lambda m: m.update(labels=["a", "b"]), r"shape \(10,\) .* for 2 labels"),
+        (lambda m: m.update(labels=["a", "a"]), "different names"),
+        (lambda m: m.update(pairs=[]), "0 pairs|one mask for each of 0"),
+        (lambda m: m["parts"].pop("masks.safetensors"), "lacks the digest"),
+        (lambda m: m["accuracy"].update(value=93.0), "accuracy.value"),
+        (lambda m: m["pairs"][0]["layers"][1].update(kind="pickle"), "pickle"),
+        (lambda m: m["pairs"][0]["layers"][2].update(outputs=10**9), "outputs"),
+        (lambda m: m["pairs"][0]["layers"][2].update(outputs=11), "11,"),
+        (lambda m: m["pairs"][0]["layers"][2].update(hook="os.system"), "hook"),
+        (lambda m: m["pairs"][0].update(layers=[]), "0 layers"),
+    ],
+)
+def test_manifests_that_are_refused(
+    path: Path, edit: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    edit_manifest(path, edit)
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "null", '{"format": NaN}', '{"format": 1, "format": 2}', "[" * 9**5]
+)
+def test_manifests_that_are_no_json(path: Path, text: str) -> None:
+    pack(path, {**unpack(path), "bundle.json": text.encode()})
+    refuse(path, "bundle.json is not")
+
+
+@pytest.mark.parametrize("name", ["../../etc/cron.d/x", "/etc/passwd", "code.py", "masks.npy"])
+def test_parts_that_a_bundle_does_not_have(path: Path, name: str) -> None:
+    pack(path, {**unpack(path), name: b"x"})
+    refuse(path, "unknown part")
+
+
+def test_a_part_twice_and_a_part_too_few(path: Path) -> None:
+    parts = unpack(path)
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "a") as file:
+        file.writestr("bundle.json", parts["bundle.json"])
+    refuse(path, "once each")
+    pack(path, {"bundle.json": parts["bundle.json"]})
+    refuse(path, "once each")
+
+
+def test_oversized_parts_and_files(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = unpack(path)
+    # A bomb: it unpacks to far more than the archive is long.
+    pack(path, {**parts, "bundle.json": b" " * (archive.MAX_PART["bundle.json"] + 1)})
+    assert path.stat().st_size < 100_000
+    refuse(path, "use at most")
+    pack(path, parts)
+    monkeypatch.setattr(archive, "MAX_FILE", 1000)
+    refuse(path, "at most 1000")
+
+
+def test_a_bad_bundle_is_not_written_and_the_old_one_stays(path: Path) -> None:
+    before = path.read_bytes()
+    bad = dataclasses.replace(make_bundle(), labels=("a", "b"))
+    with pytest.raises(BundleError, match="for 2 labels"):
+        write_bundle(path, bad)
+    with pytest.raises(BundleError, match="cannot be written"):
+        write_bundle(path, dataclasses.replace(make_bundle(), provenance={"loss": float("nan")}))
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_accuracy_is_a_share() -> None:
+    with pytest.raises(BundleError, match="use 0 to 1"):
+        Accuracy(93.0, "MNIST", 10)
+    with pytest.raises(BundleError, match="at least 1"):
+        Accuracy(0.93, "MNIST", 0)

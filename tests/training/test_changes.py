@@ -1,0 +1,152 @@
+"""Changes of the scene do what they say, and agree with the slow way of the optics package."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_optics.geometry import Camera, Scene
+from veilcam_optics.scenes import SceneTransform
+from veilcam_training.changes import (
+    CHANGES,
+    Perspective,
+    Rescale,
+    Rotate,
+    Shift,
+    homographies,
+    make_change,
+    warp,
+)
+from veilcam_training.errors import TrainingError
+from veilcam_training.randomness import stream
+
+IMAGE, CAMERA = Scene(), Camera()
+
+
+def images(count: int = 6) -> Tensor:
+    """Smooth blobs, the same from seed to seed, with one bright corner to tell sides apart."""
+    noise = torch.rand(count, 1, 7, 7, generator=stream(0, "images"))
+    smooth = torch.nn.functional.interpolate(noise, (28, 28), mode="bilinear")[:, 0]
+    smooth[:, :6, :6] = 1
+    return smooth
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("name", CHANGES)
+def test_contract(name: str, colour: bool) -> None:
+    change = make_change(name, IMAGE, CAMERA)
+    pictures = images()[:, None].repeat(1, 3, 1, 1) if colour else images()
+    scenes = change(pictures, stream(0, "change"))
+    assert scenes.shape == (*pictures.shape[:-2], *change.scene.shape)
+    assert float(scenes.min()) >= 0
+    assert float(scenes.max()) <= 1 + 1e-5
+    assert torch.equal(change(pictures, stream(0, "change")), scenes)
+    assert torch.equal(change(pictures, stream(1, "change")), scenes) == (name == "none")
+    if colour:
+        gray = change(pictures[:, 0], stream(0, "change"))
+        torch.testing.assert_close(scenes, gray[:, None].expand_as(scenes))
+    # A scene pixel is as large as an image pixel, whatever the scene's extent.
+    assert change.scene.pixel == pytest.approx(IMAGE.pixel)
+    assert change.scene.distance == IMAGE.distance
+    assert change(pictures[:0], stream(0, "change")).shape == (0, *scenes.shape[1:])
+
+
+def test_shift_is_anywhere_wholly_on_the_sensor() -> None:
+    change = Shift(IMAGE, CAMERA)
+    assert change.scene.shape == (109, 146)
+    assert change.scene.rows * IMAGE.pixel_at_sensor(CAMERA) <= CAMERA.sensor.height
+    pictures = images(1).repeat(4000, 1, 1)
+    scenes = change(pictures, stream(0, "change"))
+    torch.testing.assert_close(scenes.sum((1, 2)), pictures.sum((1, 2)))
+    for axis, room in ((2, 109 - 28), (1, 146 - 28)):
+        firsts = (scenes.amax(axis) > 0).int().argmax(1)
+        assert int(firsts.min()) == 0
+        assert int(firsts.max()) == room
+        assert float(firsts.float().mean()) == pytest.approx(room / 2, rel=0.05)
+    top, left = ((scenes[0].amax(axis) > 0).int().argmax() for axis in (1, 0))
+    torch.testing.assert_close(scenes[0, top : top + 28, left : left + 28], pictures[0])
+
+
+def test_an_object_that_does_not_fit() -> None:
+    with pytest.raises(TrainingError, match="does not fit the sensor's view"):
+        Shift(Scene(height=0.6), CAMERA)
+    with pytest.raises(TrainingError, match="use one of none, shift"):
+        make_change("twist", IMAGE, CAMERA)
+
+
+@pytest.mark.parametrize("height", [0.02, 0.03, 0.055, 0.09, 0.12, 0.17, 0.20])
+def test_rescale_keeps_the_light_per_area(height: float) -> None:
+    change = Rescale(IMAGE, (height, height))
+    scene = change(images(), stream(0, "change"))
+    factor = height / IMAGE.height
+    assert change.scene.rows == math.ceil(28 * factor - 1e-6)
+    light = scene.sum((1, 2)) / images().sum((1, 2))
+    torch.testing.assert_close(light, torch.full_like(light, factor**2), rtol=0.04, atol=0)
+
+
+def test_rescale_draws_every_height_between_its_bounds() -> None:
+    change = Rescale(IMAGE)
+    assert change.scene.shape == (47, 47)
+    white = torch.ones(2000, 28, 28)
+    sides = change(white, stream(0, "change")).sum((1, 2)).sqrt() * IMAGE.pixel
+    assert float(sides.min()) == pytest.approx(0.02, abs=0.002)
+    assert float(sides.max()) == pytest.approx(0.20, abs=0.002)
+    assert float(sides.mean()) == pytest.approx(0.11, rel=0.03)
+
+
+@pytest.mark.parametrize("angle", [-math.pi / 2, math.pi / 2])
+def test_a_right_angle_is_exact(angle: float) -> None:
+    c, s = math.cos(angle), math.sin(angle)
+    matrix = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]]).repeat(6, 1, 1)
+    turned = warp(images(), matrix, (28, 28))
+    expected = torch.rot90(images(), -1 if angle > 0 else 1, (2, 1))
+    torch.testing.assert_close(turned, expected, atol=1e-4, rtol=0)
+
+
+def test_rotation_is_up_to_the_angle_to_either_side() -> None:
+    bar = torch.zeros(2000, 28, 28)
+    bar[:, 13:15, 18:24] = 1  # to the right of the centre
+    turned = Rotate(IMAGE)(bar, stream(0, "change"))
+    place = torch.arange(28) - 13.5
+    y = (turned.sum(2) * place).sum(1) / turned.sum((1, 2))
+    x = (turned.sum(1) * place).sum(1) / turned.sum((1, 2))
+    angles = torch.atan2(y, x).rad2deg()
+    assert float(angles.min()) == pytest.approx(-90, abs=1)
+    assert float(angles.max()) == pytest.approx(90, abs=1)
+    assert abs(float(angles.mean())) < 4
+
+
+def test_perspective_moves_corners_inwards() -> None:
+    white = torch.ones(2000, 28, 28)
+    scenes = Perspective(IMAGE)(white, stream(0, "change"))
+    # Each corner moves by 0 to a quarter of the side along each axis, an eighth on average.
+    share = scenes.mean((1, 2))
+    assert 0.25 < float(share.min()) < 0.5
+    assert 0.8 < float(share.max()) <= 1
+    assert float(share.mean()) == pytest.approx(0.75**2, rel=0.03)
+    torch.testing.assert_close(
+        Perspective(IMAGE, 0.0)(images(), stream(0, "change")), images(), atol=1e-5, rtol=0
+    )
+
+
+def test_homographies_take_corners_to_corners() -> None:
+    target = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    sources = target + 0.3 * torch.rand(5, 4, 2, generator=stream(0, "corners"))
+    ones = torch.ones(5, 4, 1)
+    mapped = torch.cat([sources, ones], 2).double() @ homographies(sources, target).mT
+    torch.testing.assert_close(mapped[..., :2] / mapped[..., 2:], target.double().expand(5, 4, 2))
+
+
+@pytest.mark.parametrize("perspective", [0.0, 0.5])
+def test_it_agrees_with_the_optics_package(perspective: float) -> None:
+    slow = SceneTransform(
+        IMAGE, (0.12, 0.12), rotation=(-90, 90), perspective=perspective, supersampling=1
+    )
+    indices = range(6)
+    corners = torch.stack([slow.corners(index) for index in indices]).flip(-1) / IMAGE.pixel
+    ends = 14 * torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    fast = warp(images(), homographies(corners, ends), (28, 28))
+    torch.testing.assert_close(fast, slow(images(), indices), atol=1e-4, rtol=0)

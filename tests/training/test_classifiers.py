@@ -1,0 +1,89 @@
+"""Every classifier fits every embedding, and survives a bundle's rules."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from pydantic import TypeAdapter
+
+from veilcam_training.bundle import LayerRecord, build_classifier, build_untrained
+from veilcam_training.bundle.classifier import output_shape
+from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
+from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.errors import TrainingError
+
+NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
+
+
+def task(channels: int = 1, rows: int = 24, columns: int = 32) -> Task:
+    return Task(channels, rows, columns, 10, rectified=True, per_pixel=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "shape", [(1, 24, 32), (1, 12, 16), (1, 6, 8), (1, 3, 4), (3, 27, 36), (3, 13, 17), (3, 3, 4)]
+)
+def test_it_fits_the_papers_embeddings(name: str, shape: tuple[int, int, int]) -> None:
+    layers = make_layers(name, task(*shape))
+    inputs = shape[0] * shape[1] * shape[2]
+    assert output_shape(layers, inputs) == (10,)
+    torch.manual_seed(0)
+    module = build_untrained(layers)
+    x = torch.rand(2, inputs)
+    with torch.no_grad():
+        assert build_classifier(layers, module.state_dict())(x).shape == (2, 10)
+    adapter: TypeAdapter[tuple[LayerRecord, ...]] = TypeAdapter(tuple[LayerRecord, ...])
+    assert adapter.validate_json(adapter.dump_json(layers)) == layers
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_its_sensor_layers(name: str) -> None:
+    def start(**changes: bool) -> tuple[LayerRecord, ...]:
+        layers = make_layers(name, dataclasses.replace(task(3, 12, 16), **changes))
+        return tuple(layer for layer in layers[:4] if isinstance(layer, BatchNorm | ReLU))
+
+    assert start()[:2] == (BatchNorm(features=576), ReLU())
+    assert start(per_pixel=False)[:2] == (BatchNorm(features=3, dimensions=2), ReLU())
+    bare = make_layers(name, dataclasses.replace(task(3, 12, 16), rectified=False))
+    assert bare[0] == BatchNorm(features=576)
+    assert not isinstance(bare[1], ReLU)
+
+
+def test_gain_comes_first() -> None:
+    layers = make_layers("LR", dataclasses.replace(task(), gain=20.0))
+    assert layers == (Affine(scale=20.0), *make_layers("LR", task()))
+
+
+def test_vgg11_is_configuration_a() -> None:
+    layers = make_layers("VGG11", task(3, 32, 32))
+    widths = [layer.outputs for layer in layers if isinstance(layer, Conv2d)]
+    assert widths == [64, 128, 256, 256, 512, 512, 512, 512]
+    parameters = sum(p.numel() for p in build_untrained(layers).parameters())
+    # Its convolutions, their normalisation, the last layer, and the sensor's 2 x 3072.
+    assert parameters == 9_217_728 + 2 * 2752 + 5130 + 2 * 3072
+
+
+def test_fc800_has_the_papers_size() -> None:
+    widths = [(r.inputs, r.outputs) for r in make_layers("FC800", task()) if isinstance(r, Linear)]
+    assert widths == [(768, 800), (800, 10)]
+
+
+@pytest.mark.parametrize("name", ["FC20", "MLP16", "CNN4", "VGG11"])
+def test_dropout(name: str) -> None:
+    def count(layers: tuple[LayerRecord, ...]) -> int:
+        return sum(
+            isinstance(layer, Dropout) + count(getattr(layer, "layers", ())) for layer in layers
+        )
+
+    assert count(make_layers(name, task(), dropout=0.2)) >= 1
+    assert count(make_layers(name, task())) == 0
+
+
+def test_what_is_refused() -> None:
+    for name in ("FC", "FC0", "FC1e3", "LR5", "ResNet", "VGG16"):
+        with pytest.raises(TrainingError, match="use one of LR, FC<width>"):
+            make_layers(name, task())
+    with pytest.raises(TrainingError, match="use dropout 0"):
+        make_layers("LR", task(), dropout=0.5)

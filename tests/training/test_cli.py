@@ -1,0 +1,158 @@
+"""``veilcam-train`` end to end on small files, and what it says to bad input."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tensorboard.backend.event_processing import (  # type: ignore[import-untyped]
+    event_accumulator,
+)
+
+from veilcam_optics.masks import to_weights
+from veilcam_optics.noise import shot_noise
+from veilcam_optics.transfer import TransferOperator
+from veilcam_training import cli
+from veilcam_training.bundle import build_classifier, read_bundle
+from veilcam_training.data import Source
+from veilcam_training.randomness import stream
+
+FIT = ("--embedding", "6x8", "--classifier", "FC20", "--epochs", "6", "--batch", "30")
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, arguments)])
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    return int(caught.value.code or 0)
+
+
+def test_keyring_end_to_end(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    source: Source,
+    digit_folder: Path,
+    tmp_path: Path,
+) -> None:
+    out, work = tmp_path / "k.veilcam", tmp_path / "work"
+    command = ("keyring", "--data", digit_folder, *FIT, "--pairs", 2, "--out", out, "--seed", 7)
+    assert call(monkeypatch, *command, "--work", work) == 0
+    assert "2 pairs, mean accuracy" in capsys.readouterr().out
+    assert len(list(work.iterdir())) == 2
+    bundle = read_bundle(out)
+    assert bundle.accuracy is not None
+    assert bundle.accuracy.value > 0.8
+    assert bundle.provenance["settings"]["recipe"]["epochs"] == 6  # type: ignore[index, call-overload]
+    seeds = {pair["seed"] for pair in bundle.provenance["pairs"]}  # type: ignore[union-attr, index, call-overload]
+    assert len(seeds) == 2
+    assert 7 in seeds
+    # Each pair works behind its own mask and not behind the other's.
+    test, share = source.test(), {}
+    operator = TransferOperator(bundle.camera, bundle.scene, bundle.embedding)
+    for i, mask in enumerate(bundle.pairs):
+        weights = to_weights(mask.levels, bundle.camera.panel)
+        reading = shot_noise(operator.embed(test.scenes(), weights), 40, stream(0, "noise"))
+        for j, pair in enumerate(bundle.pairs):
+            logits = build_classifier(pair.layers, pair.weights)(reading.flatten(1))
+            share[i, j] = float((logits.argmax(1) == test.labels).float().mean())
+    assert min(share[0, 0], share[1, 1]) > 0.8
+    assert max(share[0, 1], share[1, 0]) < 0.6
+    # Started again, it is done at once and writes the same masks.
+    assert call(monkeypatch, *command, "--work", work) == 0
+    again = read_bundle(out)
+    assert all((a.levels == b.levels).all() for a, b in zip(bundle.pairs, again.pairs, strict=True))
+
+
+def test_fit_prints_and_writes(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    digit_folder: Path,
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "a.veilcam"
+    assert call(monkeypatch, "fit", "--data", digit_folder, *FIT, "--threads", 1, "--out", out) == 0
+    printed = capsys.readouterr().out
+    assert "FC20" in printed
+    assert f"wrote {out}" in printed.replace("\n", "")
+    assert read_bundle(out).task == "mnist"
+    assert torch.get_num_threads() == 1
+
+
+def test_file_logs_and_other_options(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    digit_folder: Path,
+    tmp_path: Path,
+) -> None:
+    config, logs = tmp_path / "a.toml", tmp_path / "logs"
+    config.write_text(
+        'embedding = "3x4"\nencoder = "lens"\nchange = "rotate"\n[recipe]\nepochs = 2\n'
+    )
+    options = ("--config", config, "--embedding", "6x8", "--tensorboard", logs, "--device", "cpu")
+    assert call(monkeypatch, "fit", "--data", digit_folder, *options) == 0
+    printed = capsys.readouterr().out
+    assert "lens" in printed
+    assert "6x8" in printed
+    curves = event_accumulator.EventAccumulator(str(logs))
+    curves.Reload()
+    assert len(curves.Scalars("accuracy/validation")) == 2
+    assert [point.step for point in curves.Scalars("loss/training")] == [1, 2]
+
+
+def test_download_says_what_it_can_fetch(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert call(monkeypatch, "download", "celeba-gender", "--data", tmp_path) == 1
+    assert "use one of mnist, fashion, cifar10" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("--data", "/none"), "not a folder"),
+        (("--dataset", "imagenet"), "data set 'imagenet' is unknown: use one of mnist"),
+        (("--classifier", "FC0"), "classifier 'FC0' is unknown: use one of LR, FC<width>"),
+        (("--encoder", "eye"), "encoder 'eye' is unknown"),
+        (("--embedding", "24"), "embedding '24' is not valid: use ROWSxCOLUMNS"),
+        (("--embedding", "0x4"), "embedding '0x4' is not valid"),
+        (("--recipe", "none"), "recipe 'none' is unknown"),
+        (("--epochs", "0"), "epochs is not valid"),
+        (("--seed", "-1"), "seed is not valid"),
+        (("--device", "tpu"), "use cpu, cuda or auto"),
+        (("--reading", "line"), "reading is not valid"),
+        (("--change", "twist"), "change is not valid"),
+        (("--psf", "a.npz"), "leave out --psf"),
+        (("--encoder", "fixed_measured"), "give --psf FILE"),
+        (("--encoder", "fixed_measured", "--psf", "a.npz"), "a.npz is missing"),
+        (("--config", "none.toml"), "none.toml is missing"),
+        (("--out", "a.zip"), "ends in .veilcam"),
+        (("--out", "none/a.veilcam"), "make the folder none first"),
+        (("--encoder", "digital", "--out", "a.veilcam"), "no mask that a panel can show"),
+    ],
+)
+def test_bad_input_is_one_line_that_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    digit_folder: Path,
+    tmp_path: Path,
+    *,
+    arguments: tuple[str, ...],
+    reason: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(monkeypatch, "fit", "--data", digit_folder, *arguments) == 1
+    printed = capsys.readouterr()
+    assert printed.err.startswith("error: ")
+    assert reason in printed.err
+    assert printed.err.count("\n") == 1
+    assert not list(tmp_path.glob("*.veilcam"))
+
+
+def test_misspelt_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(monkeypatch, "fit", "--data", ".", "--epoch", "3") == 2
+    assert "--epoch" in capsys.readouterr().err

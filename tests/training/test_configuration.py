@@ -1,0 +1,147 @@
+"""Recipes by name, and settings from files, of which no unknown key passes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from veilcam_training.configuration import load_settings
+from veilcam_training.errors import TrainingError
+from veilcam_training.job import Settings
+from veilcam_training.recipes import RECIPES, Situation, find_recipe
+
+
+@pytest.mark.parametrize(
+    ("situation", "batch", "optimiser", "every"),
+    [
+        (Situation(encoder="lens"), 64, "adam", None),
+        (Situation(), 100, "adam", None),
+        (Situation(classifier="FC800", encoder="diffuser"), 32, "adam", 20),
+        (Situation(classifier="FC800"), 64, "adam", 20),
+        (Situation("celeba-gender", "lens", classifier="FC800"), 64, "adam", 10),
+        (Situation("celeba-smiling", classifier="FC800"), 64, "adam", 20),
+        (Situation("cifar10", "lens", "27x36", "VGG11"), 32, "sgd", 10),
+        (Situation("cifar10", "learned", "27x36", "VGG11"), 32, "sgd", 20),
+    ],
+)
+def test_the_papers_recipes(
+    situation: Situation, batch: int, optimiser: str, every: int | None
+) -> None:
+    recipe = find_recipe("paper", situation)
+    assert recipe.epochs == 50
+    assert recipe.batch == batch
+    assert recipe.optimiser == optimiser
+    assert recipe.rate == (1e-2 if optimiser == "sgd" else 1e-3)
+    assert recipe.schedule == ("constant" if every is None else "steps")
+    assert every is None or recipe.steps_every == every
+    assert recipe.normalisation == "shared"
+    assert recipe.jitter.mirror == (situation.data == "cifar10")
+
+
+@pytest.mark.parametrize(
+    ("encoder", "embedding", "share"),
+    [
+        ("lens", "27x36", 4 / 27),
+        ("diffuser", "27x36", 1 / 27),
+        ("learned", "27x36", 2 / 27),
+        ("lens", "6x8", 2 / 6),
+        ("learned", "3x4", 0),
+        ("learned", "24x32", 0),
+    ],
+)
+def test_the_papers_padding_of_cifar10(encoder: str, embedding: str, share: float) -> None:
+    recipe = find_recipe("paper", Situation("cifar10", encoder, embedding, "VGG11"))
+    assert recipe.jitter.shift == pytest.approx(share)
+
+
+def test_our_recipes() -> None:
+    for classifier in ("LR", "FC800", "MLP64", "CNN16", "VGG11"):
+        short, long = (
+            find_recipe(name, Situation(classifier=classifier)) for name in ("default", "long")
+        )
+        assert (short.epochs, long.epochs) == (15, 50)
+        assert short.model_copy(update={"epochs": 50}) == long
+    with pytest.raises(TrainingError, match=f"use one of {', '.join(RECIPES)}"):
+        find_recipe("best", Situation())
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    return path
+
+
+FILE = """
+data = "fashion"
+classifier = "FC800"
+psf = "psf.npz"
+seed = 3
+
+[recipe]
+base = "paper"
+epochs = 7
+
+[recipe.jitter]
+rotation = 5.0
+
+[recipe.panel_errors]
+shift = 5e-5
+"""
+
+
+def test_a_file(tmp_path: Path) -> None:
+    settings = load_settings(write(tmp_path, FILE), {})
+    assert (settings.data, settings.classifier, settings.seed) == ("fashion", "FC800", 3)
+    assert settings.psf == Path("psf.npz")
+    paper = find_recipe("paper", Situation("fashion", classifier="FC800"))
+    assert settings.recipe.epochs == 7
+    assert settings.recipe.batch == paper.batch
+    assert settings.recipe.jitter.rotation == 5
+    assert settings.recipe.panel_errors.shift == 5e-5
+    assert settings.recipe.panel_errors.places == 8
+
+
+def test_options_go_before_the_file(tmp_path: Path) -> None:
+    overrides = {"classifier": "LR", "recipe": {"epochs": 2}}
+    settings = load_settings(write(tmp_path, FILE), overrides)
+    assert settings.classifier == "LR"
+    assert settings.recipe.epochs == 2
+    assert settings.recipe.batch == find_recipe("paper", Situation("fashion")).batch
+    assert load_settings(write(tmp_path, FILE), {"recipe": {"base": "default"}}).recipe.batch == 256
+
+
+def test_a_recipe_by_its_name_alone(tmp_path: Path) -> None:
+    settings = load_settings(write(tmp_path, 'recipe = "long"'), {})
+    assert settings.recipe == find_recipe("long", Situation())
+
+
+def test_without_a_file() -> None:
+    assert load_settings(None, {}) == Settings(recipe=find_recipe("default", Situation()))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("encodr = 'lens'", "encodr is not valid: Extra"),
+        ("[recipe]\nepoch = 3", "epoch is not valid: Extra"),
+        ("[recipe.jitter]\ntwist = 3.0", "jitter.twist is not valid: Extra"),
+        ("[recipe]\nepochs = '3'", "epochs is not valid"),
+        ("[recipe]\nepochs = true", "epochs is not valid"),
+        ("[recipe]\nrate = -1.0", "rate is not valid"),
+        ("[recipe]\nbase = 'none'", "recipe 'none' is unknown"),
+        ("recipe = 3", "use a name or a table"),
+        ("change = 'twist'", "change is not valid"),
+        ("seed = -1", "seed is not valid"),
+        ("seed = ", "not a TOML file"),
+    ],
+)
+def test_files_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(TrainingError, match=reason) as caught:
+        load_settings(write(tmp_path, text), {})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="missing: give a TOML file"):
+        load_settings(tmp_path / "none.toml", {})

@@ -1,0 +1,52 @@
+"""The record of figures keeps what others wrote and says what made each."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from veilcam_training.errors import TrainingError
+from veilcam_training.figures import own_command, record_figures
+
+
+def test_figures_are_merged(tmp_path: Path) -> None:
+    path = tmp_path / "results" / "a.json"
+    record_figures(path, {"one": 1.0, "two": 2.0}, ["python", "x.py", "a b"])
+    record_figures(path, {"two": 3.0})
+    record = json.loads(path.read_text())
+    assert record["one"]["value"] == 1.0
+    assert record["two"]["value"] == 3.0
+    assert record["one"]["command"] == "python x.py 'a b'"
+    assert record["one"].keys() == {"value", "command", "commit", "date", "machine"}
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", record["one"]["date"])
+    assert record["one"]["machine"].endswith("cores")
+    assert [file.name for file in path.parent.iterdir()] == ["a.json"]
+
+
+def test_two_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda i: record_figures(path, {f"n{i}": i}, ["x"]), range(12)))
+    assert len(json.loads(path.read_text())) == 12
+
+
+def test_the_command_is_as_one_types_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(sys, "argv", ["/long/way/veilcam-train", "fit", "--data", "d"])
+    assert own_command() == ["veilcam-train", "fit", "--data", "d"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "benchmarks" / "a.py"), "-x"])
+    assert own_command() == ["python", "benchmarks/a.py", "-x"]
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    with pytest.raises(TrainingError, match="finite"):
+        record_figures(path, {"a": float("nan")})
+    path.write_text("[]")
+    with pytest.raises(TrainingError, match="not a record"):
+        record_figures(path, {"a": 1.0})

@@ -1,0 +1,239 @@
+"""Faces, CIFAR-10 and CelebA are read from small files in their published formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from veilcam_optics.geometry import Camera
+from veilcam_training.bundle import build_classifier, read_bundle, write_bundle
+from veilcam_training.data import SOURCES, open_source, split
+from veilcam_training.data.celeba import CelebaSource, stratified
+from veilcam_training.errors import TrainingError
+from veilcam_training.job import Settings, run_job
+from veilcam_training.keyring import as_bundle
+from veilcam_training.recipe import Recipe
+
+
+def faces_file(folder: Path, **changes: Any) -> Path:
+    random = np.random.default_rng(0)
+    content: dict[str, Any] = {
+        "images": random.integers(0, 256, (120, 64, 52), dtype=np.uint8),
+        "identity": np.repeat(np.arange(40), 3),
+        "female": random.integers(0, 2, 120),
+        "smiling": random.integers(0, 2, 120).astype(bool),
+        "glasses": random.integers(0, 2, 120),
+    }
+    content.update(changes)
+    np.savez(folder / "faces.npz", **{k: v for k, v in content.items() if v is not None})
+    return folder
+
+
+@pytest.mark.parametrize("task", ["gender", "smiling", "glasses"])
+def test_faces(tmp_path: Path, task: str) -> None:
+    source = open_source(f"faces-{task}", faces_file(tmp_path))
+    training, test = source.training(), source.test()
+    assert len(training) == 102
+    assert len(test) == 18
+    with np.load(tmp_path / "faces.npz") as content:
+        column = content["female" if task == "gender" else task].astype(int)
+        for images in (training, test):
+            for pixels, label in zip(images.pixels, images.labels, strict=True):
+                index = int((content["images"] == pixels.numpy()).all((1, 2)).argmax())
+                assert int(label) == column[index]
+    # No identity is in two of the three parts.
+    parts = split(training)
+    groups = [set(p.groups.tolist()) for p in (parts.training, parts.validation, test)]  # type: ignore[union-attr]
+    assert not groups[0] & groups[1]
+    assert not (groups[0] | groups[1]) & groups[2]
+    assert len(groups[0] | groups[1] | groups[2]) == 40
+    assert len(source.labels) == 2
+    assert set(source.digests()) == {"faces.npz"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"female": None}, "damaged"),
+        ({"identity": np.arange(3)}, "lacks female or identity"),
+        ({"images": np.zeros((120, 64, 50), np.uint8)}, r"use uint8 \(count, 64, 52\)"),
+        ({"images": np.zeros((120, 64, 52))}, "use uint8"),
+        ({"female": np.full(120, 2)}, "other than 0 and 1"),
+    ],
+)
+def test_bad_faces(tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
+    source = open_source("faces-gender", faces_file(tmp_path, **changes))
+    with pytest.raises(TrainingError, match=reason):
+        source.training()
+
+
+def test_missing_and_broken_faces(tmp_path: Path) -> None:
+    source = open_source("faces-gender", tmp_path)
+    for read in (source.training, source.digests):
+        with pytest.raises(TrainingError, match="missing"):
+            read()
+    (tmp_path / "faces.npz").write_bytes(b"PK\x03\x04")
+    with pytest.raises(TrainingError, match="damaged"):
+        source.training()
+
+
+def cifar_files(folder: Path, count: int = 4) -> Path:
+    folder.mkdir(exist_ok=True)
+    random = np.random.default_rng(0)
+    for name in (*(f"data_batch_{n}" for n in range(1, 6)), "test_batch"):
+        records = random.integers(0, 256, (count, 3073), dtype=np.uint8)
+        records[:, 0] %= 10
+        (folder / f"{name}.bin").write_bytes(records.tobytes())
+    return folder
+
+
+@pytest.mark.parametrize("inside", ["", "cifar-10-batches-bin"])
+def test_cifar10(tmp_path: Path, inside: str) -> None:
+    files = cifar_files(tmp_path / inside)
+    source = open_source("cifar10", tmp_path)
+    training, test = source.training(), source.test()
+    assert training.pixels.shape == (20, 3, 32, 32)
+    assert len(test) == 4
+    raw = (files / "data_batch_2.bin").read_bytes()
+    assert int(training.labels[4]) == raw[0]
+    # Green, row 1, column 2 of the first record of the second batch.
+    assert int(training.pixels[4, 1, 1, 2]) == raw[1 + 1024 + 32 + 2]
+    assert source.colour
+    assert source.labels[3] == "cat"
+    assert len(source.digests()) == 6
+
+
+def test_bad_cifar10(tmp_path: Path) -> None:
+    cifar_files(tmp_path)
+    path = tmp_path / "data_batch_3.bin"
+    data = path.read_bytes()
+    for bad, reason in (
+        (data[:-1], "not a multiple of 3073"),
+        (b"", "not a multiple of 3073"),
+        (b"\x0b" + data[1:], "label 11: use 0 to 9"),
+    ):
+        path.write_bytes(bad)
+        with pytest.raises(TrainingError, match=reason):
+            open_source("cifar10", tmp_path).training()
+    path.unlink()
+    with pytest.raises(TrainingError, match=r"data_batch_3.bin is missing"):
+        open_source("cifar10", tmp_path).training()
+    with pytest.raises(TrainingError, match="missing"):
+        open_source("cifar10", tmp_path).digests()
+
+
+NAMES = "5_o_Clock_Shadow Male Smiling Young"
+
+
+def celeba_files(folder: Path, count: int = 40) -> Path:
+    random = np.random.default_rng(0)
+    images = folder / "img_align_celeba"
+    images.mkdir()
+    lines = [str(count), NAMES]
+    for number in range(1, count + 1):
+        name = f"{number:06d}.jpg"
+        male, smiling = number % 4 == 0, number % 2 == 0
+        shade = 200 if male else 60
+        pixels = random.integers(shade - 20, shade + 20, (218, 178, 3), dtype=np.uint8)
+        Image.fromarray(pixels).save(images / name, quality=90)
+        lines.append(f"{name} -1 {1 if male else -1:2d} {1 if smiling else -1:2d}  1")
+    (folder / "list_attr_celeba.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_celeba(tmp_path: Path) -> None:
+    source = open_source("celeba-gender", celeba_files(tmp_path))
+    training, test = source.training(), source.test()
+    assert training.pixels.shape == (34, 64, 52)
+    assert len(test) == 6
+    # 10 of 40 are male, and 85 to 15 of either class are kept apart.
+    assert int(training.labels.sum()) == 8
+    assert int(test.labels.sum()) == 2
+    # The photograph belongs to its label.
+    bright = torch.cat([training.pixels, test.pixels]).float().mean((1, 2)) > 130
+    assert torch.equal(bright.long(), torch.cat([training.labels, test.labels]))
+    assert source.labels == ("female", "male")
+    assert int(open_source("celeba-smiling", tmp_path).training().labels.sum()) == 17
+    before = source.digests()
+    assert set(before) == {"list_attr_celeba.txt", "img_align_celeba"}
+    Image.new("RGB", (178, 218)).save(tmp_path / "img_align_celeba" / "000007.jpg")
+    assert source.digests() != before
+
+
+def test_celeba_takes_the_first(tmp_path: Path) -> None:
+    source = CelebaSource("celeba-smiling", celeba_files(tmp_path), first=20)
+    assert len(source.training()) + len(source.test()) == 20
+
+
+def test_bad_celeba(tmp_path: Path) -> None:
+    source = open_source("celeba-gender", celeba_files(tmp_path))
+    photograph = tmp_path / "img_align_celeba" / "000005.jpg"
+    data = photograph.read_bytes()
+    for bad in (b"", data[:300], b"GIF89a"):
+        photograph.write_bytes(bad)
+        with pytest.raises(TrainingError, match=r"000005.jpg is damaged"):
+            [source.training(), source.test()]
+    photograph.unlink()
+    with pytest.raises(TrainingError, match=r"unpack img_align_celeba.zip there"):
+        [source.training(), source.test()]
+    table = tmp_path / "list_attr_celeba.txt"
+    text = table.read_text()
+    for bad_text, reason in (
+        ("", "has no column Male"),
+        (text.replace("Male", "Mail"), "has no column Male"),
+        (text.replace("000003.jpg -1 -1", "000003.jpg -1 0"), "line 5 is not valid"),
+        (text.replace("000003.jpg", ""), "line 5 is not valid"),
+    ):
+        table.write_text(bad_text)
+        with pytest.raises(TrainingError, match=reason):
+            source.training()
+    table.unlink()
+    with pytest.raises(TrainingError, match=r"list_attr_celeba.txt is missing"):
+        source.training()
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [
+        ("cifar10", cifar_files),
+        ("celeba-smiling", celeba_files),
+        ("faces-glasses", faces_file),
+    ],
+)
+def test_from_files_to_a_bundle(name: str, files: Callable[[Path], Path], tmp_path: Path) -> None:
+    source = open_source(name, files(tmp_path))
+    recipe = Recipe(epochs=1, batch=8)
+    settings = Settings(data=name, embedding="3x4", classifier="FC8", recipe=recipe)
+    outcome = run_job(settings, source, Camera())
+    assert 0 <= outcome.accuracy.value <= 1
+    path = tmp_path / "a.veilcam"
+    write_bundle(path, as_bundle([outcome], source, Camera()))
+    bundle = read_bundle(path)
+    assert bundle.labels == source.labels
+    assert bundle.scene == source.scene
+    assert bundle.channels == (3 if source.colour else 1)
+    pair = bundle.pairs[0]
+    logits = build_classifier(pair.layers, pair.weights)(torch.rand(2, bundle.inputs))
+    assert logits.shape == (2, len(source.labels))
+
+
+def test_stratified_needs_both_classes() -> None:
+    with pytest.raises(TrainingError, match="use more of them"):
+        stratified(torch.tensor([0] * 50 + [1]), 0.15)
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_every_source_says_what_it_is(name: str, tmp_path: Path) -> None:
+    source = open_source(name, tmp_path)
+    assert source.name == name
+    assert len(set(source.labels)) == len(source.labels) >= 2
+    assert source.scene.height > 0
+    for read in (source.training, source.test):
+        with pytest.raises(TrainingError, match="missing"):
+            read()

@@ -1,0 +1,1 @@
+"""Training: data sets, encoders, classifiers, fitting and bundles."""

@@ -1,0 +1,197 @@
+"""Reading and writing ``*.veilcam`` files: zip archives with the parts of a mode, and no code."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import os
+import tempfile
+import zipfile
+import zlib
+from pathlib import Path
+
+from veilcam_training.bundle.bundle import Bundle, check_bundle
+from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.manifest import (
+    FreshManifest,
+    Manifest,
+    PairManifest,
+    dump_manifest,
+    load_manifest,
+)
+from veilcam_training.bundle.parts import (
+    MASKS,
+    PARTS,
+    SCENES,
+    WEIGHTS,
+    dump_parts,
+    load_fresh,
+    load_pairs,
+)
+
+MANIFEST = "bundle.json"
+
+MEBIBYTE = 2**20
+MAX_FILE = 1024 * MEBIBYTE
+MAX_PART = {
+    MANIFEST: 8 * MEBIBYTE,
+    MASKS: 256 * MEBIBYTE,
+    WEIGHTS: 1024 * MEBIBYTE,
+    SCENES: 256 * MEBIBYTE,
+}
+"""Largest size of each part after decompression [bytes]."""
+
+
+def read_bundle(path: Path) -> Bundle:
+    """Read and check a bundle; nothing of a bad one is used.
+
+    Args:
+        path: a ``*.veilcam`` file.
+
+    Returns:
+        The bundle, its ``digest`` set to the SHA-256 of the file.
+
+    Raises:
+        BundleError: the file is missing, truncated, tampered with, too large, of an unknown format,
+            or holds parts that do not fit together; one line that says what to do.
+    """
+    try:
+        return _read(path)
+    except BundleError as error:
+        raise BundleError(f"{path}: {error}") from None
+
+
+def write_bundle(path: Path, bundle: Bundle) -> None:
+    """Write ``bundle`` so that ``path`` holds either what it held before or all of it.
+
+    The same bundle gives the same bytes. The file is readable by its owner alone: it holds the
+    masks, which are the camera's secret.
+
+    Raises:
+        BundleError: the bundle's parts do not fit together.
+    """
+    check_bundle(bundle)
+    parts, fresh = dump_parts(bundle), bundle.fresh
+    manifest = Manifest(
+        task=bundle.task,
+        labels=bundle.labels,
+        camera=bundle.camera,
+        scene=bundle.scene,
+        embedding=bundle.embedding,
+        channels=bundle.channels,
+        mode=bundle.mode,
+        pairs=tuple(PairManifest(layers=pair.layers) for pair in bundle.pairs),
+        fresh=None
+        if fresh is None
+        else FreshManifest(
+            device=fresh.device,
+            noise=fresh.noise,
+            reach=fresh.reach,
+            features=fresh.features,
+            layers=fresh.layers,
+        ),
+        provenance=dict(bundle.provenance),
+        accuracy=bundle.accuracy,
+        parts={name: _sha256(data) for name, data in parts.items()},
+    )
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in {MANIFEST: dump_manifest(manifest), **parts}.items():
+            if len(data) > MAX_PART[name]:
+                raise BundleError(f"{name} has {len(data)} bytes: use at most {MAX_PART[name]}")
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+    _replace(path, buffer.getvalue())
+
+
+def _read(path: Path) -> Bundle:
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE:
+            raise BundleError(f"has {size} bytes: a bundle has at most {MAX_FILE}")
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise BundleError("there is no such file: check the path, or train a bundle") from None
+    except OSError as error:
+        raise BundleError(f"cannot be read ({error.strerror}): check the file") from None
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            parts = _parts(archive)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+        if isinstance(error, BundleError):
+            raise
+        raise BundleError("is not a whole bundle (truncated or damaged): copy it again") from None
+    manifest = load_manifest(parts[MANIFEST])
+    wanted = set(PARTS[manifest.mode])
+    if manifest.parts.keys() != wanted:
+        raise BundleError("bundle.json lacks the digest of a part: export the bundle again")
+    if parts.keys() - {MANIFEST} != wanted:
+        raise BundleError(f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only")
+    for name, digest in manifest.parts.items():
+        if _sha256(parts[name]) != digest:
+            raise BundleError(f"{name} is not what bundle.json says (damaged or tampered with)")
+    bundle = Bundle(
+        task=manifest.task,
+        labels=manifest.labels,
+        camera=manifest.camera,
+        scene=manifest.scene,
+        embedding=manifest.embedding,
+        mode=manifest.mode,
+        pairs=() if manifest.mode == "fresh" else load_pairs(manifest.pairs, parts),
+        fresh=None if manifest.fresh is None else load_fresh(manifest.fresh, parts),
+        provenance=manifest.provenance,
+        accuracy=manifest.accuracy,
+        channels=manifest.channels,
+    )
+    check_bundle(bundle)
+    return dataclasses.replace(bundle, digest=_sha256(data))
+
+
+def _parts(archive: zipfile.ZipFile) -> dict[str, bytes]:
+    """All parts, none larger than it may be, whatever the archive says about itself."""
+    names = [entry.filename for entry in archive.infolist()]
+    for name in names:
+        if name not in MAX_PART:
+            raise BundleError(f"holds an unknown part {name!r}: a bundle has none")
+    if len(set(names)) != len(names) or not {MANIFEST, MASKS, WEIGHTS} <= set(names):
+        raise BundleError(
+            f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again"
+        )
+    parts = {}
+    for name in names:
+        entry, limit = archive.getinfo(name), MAX_PART[name]
+        if entry.flag_bits & 1 or entry.compress_type not in (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        ):
+            raise BundleError(f"{name} is encrypted or oddly compressed: export the bundle again")
+        if entry.file_size > limit:
+            raise BundleError(f"{name} has {entry.file_size} bytes: use at most {limit}")
+        with archive.open(entry) as stream:
+            parts[name] = stream.read(limit + 1)
+        if len(parts[name]) > limit:
+            raise BundleError(f"{name} has more than {limit} bytes")
+    return parts
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Write to a neighbour, flush to the disk, and move it into place."""
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    directory = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)

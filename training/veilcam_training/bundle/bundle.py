@@ -1,0 +1,140 @@
+"""The nouns: a bundle is a task and a camera, and pairs of mask and classifier or a key policy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from pydantic import JsonValue
+
+from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_training.bundle.classifier import build_untrained, check_weights, output_shape
+from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.fresh import Fresh, check_fresh
+from veilcam_training.bundle.layers import LayerRecord
+
+MAX_PAIRS = 4096
+MAX_LABELS = 1024
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Share of ``samples`` of a test set that were classified right; ``value`` in [0, 1]."""
+
+    value: float
+    test_set: str
+    samples: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.value <= 1:
+            raise BundleError(f"accuracy.value = {self.value} is not valid: use 0 to 1")
+        if self.samples < 1:
+            raise BundleError(f"accuracy.samples = {self.samples} is not valid: use at least 1")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One mask and the classifier trained for it. Both are secret: neither is in the repr."""
+
+    levels: npt.NDArray[np.uint8] = field(repr=False)
+    """What the panel shows, shape ``camera.mask_shape``, 0 to ``panel.levels - 1``."""
+    layers: tuple[LayerRecord, ...]
+    weights: Mapping[str, torch.Tensor] = field(repr=False)
+    """By the names of the built module's ``state_dict``."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """All that a daemon needs to classify: written by training, read by the server.
+
+    Mode ``pairs`` holds masks and a classifier for each; mode ``fresh`` holds none, but says how
+    to draw them from a key, and one classifier for all.
+    """
+
+    task: str
+    labels: tuple[str, ...]
+    camera: Camera
+    scene: Scene
+    embedding: Embedding
+    mode: Literal["pairs", "fresh"]
+    pairs: tuple[Pair, ...] = ()
+    fresh: Fresh | None = None
+    provenance: Mapping[str, JsonValue] = field(default_factory=dict)
+    accuracy: Accuracy | None = None
+    """Mean over the pairs."""
+    channels: Literal[1, 3] = 1
+    """1 for a gray embedding, 3 for one per colour (R, G, B, each ``embedding.size`` long)."""
+    digest: str = ""
+    """SHA-256 of the file that it was read from, hexadecimal."""
+
+    @property
+    def inputs(self) -> int:
+        """How many numbers a classifier takes."""
+        return self.channels * self.embedding.size if self.fresh is None else self.fresh.inputs
+
+
+def check_bundle(bundle: Bundle) -> None:
+    """Raise :class:`BundleError` unless every part of ``bundle`` fits every other."""
+    if not bundle.task or len(bundle.task) > 64:
+        raise BundleError("task is not valid: use a name of 1 to 64 letters")
+    if not 2 <= len(bundle.labels) <= MAX_LABELS or len(set(bundle.labels)) != len(bundle.labels):
+        raise BundleError(f"labels are not valid: use 2 to {MAX_LABELS} different names")
+    if bundle.mode == "fresh":
+        _check_fresh(bundle)
+    elif bundle.mode == "pairs":
+        _check_pairs(bundle)
+    else:
+        raise BundleError(f"mode = {bundle.mode} is not valid: use 'pairs' or 'fresh'")
+
+
+def _check_fresh(bundle: Bundle) -> None:
+    fresh = bundle.fresh
+    if fresh is None or bundle.pairs:
+        raise BundleError("mode 'fresh' has a key policy and no pairs: export the bundle again")
+    if bundle.channels != 1:
+        raise BundleError(f"mode 'fresh' has gray embeddings: channels = {bundle.channels}, use 1")
+    check_fresh(fresh, bundle.camera, bundle.scene, bundle.embedding)
+    _check_classifier(bundle, fresh.layers, fresh.weights)
+
+
+def _check_pairs(bundle: Bundle) -> None:
+    if bundle.fresh is not None:
+        raise BundleError("mode 'pairs' has no key policy: export the bundle again")
+    if not 1 <= len(bundle.pairs) <= MAX_PAIRS:
+        raise BundleError(f"the bundle holds {len(bundle.pairs)} pairs: use 1 to {MAX_PAIRS}")
+    for index, pair in enumerate(bundle.pairs):
+        try:
+            _check_pair(bundle, pair)
+        except BundleError as error:
+            raise BundleError(f"pair {index}: {error}") from None
+
+
+def _check_pair(bundle: Bundle, pair: Pair) -> None:
+    if pair.levels.dtype != np.uint8 or pair.levels.shape != bundle.camera.mask_shape:
+        raise BundleError(
+            f"mask is {pair.levels.dtype} {pair.levels.shape}: "
+            f"use uint8 {bundle.camera.mask_shape} as the camera's window"
+        )
+    top = bundle.camera.panel.levels - 1
+    if int(pair.levels.max()) > top:
+        raise BundleError(f"mask exceeds what the panel can show: use levels 0 to {top}")
+    _check_classifier(bundle, pair.layers, pair.weights)
+
+
+def _check_classifier(
+    bundle: Bundle, layers: tuple[LayerRecord, ...], weights: Mapping[str, torch.Tensor]
+) -> None:
+    shape = output_shape(layers, bundle.inputs)
+    if shape != (len(bundle.labels),):
+        raise BundleError(
+            f"classifier gives shape {shape} ({math.prod(shape)} numbers) "
+            f"for {len(bundle.labels)} labels: train it again"
+        )
+    with torch.device("meta"):
+        module = build_untrained(layers)
+    check_weights(module, weights)

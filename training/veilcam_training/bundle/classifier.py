@@ -1,0 +1,90 @@
+"""From layer records and weights to a torch module, with every mismatch found first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.layers import LayerRecord, LayerShapeError, Shape, checked_shape
+
+MAX_LAYERS = 128
+MAX_PARAMETERS = 2**27
+
+
+def output_shape(layers: Sequence[LayerRecord], inputs: int) -> Shape:
+    """Shape of one sample after ``layers``, for ``inputs`` numbers going in.
+
+    Raises:
+        BundleError: two layers do not fit together.
+    """
+    if not 1 <= len(layers) <= MAX_LAYERS:
+        raise BundleError(f"a classifier has {len(layers)} layers: use 1 to {MAX_LAYERS}")
+    shape: Shape = (inputs,)
+    for index, layer in enumerate(layers):
+        try:
+            shape = checked_shape(layer, shape)
+        except LayerShapeError as error:
+            raise BundleError(f"layer {index} ({layer.kind}) {error}: train it again") from None
+    return shape
+
+
+def build_untrained(layers: Sequence[LayerRecord]) -> nn.Sequential:
+    """A new module with random parameters, in training mode."""
+    return nn.Sequential(*(layer.module() for layer in layers))
+
+
+def build_classifier(layers: Sequence[LayerRecord], weights: Mapping[str, Tensor]) -> nn.Module:
+    """The classifier that ``layers`` and ``weights`` describe, in evaluation mode.
+
+    Args:
+        layers: records in order.
+        weights: by the names of the module's ``state_dict``; they are copied.
+
+    Returns:
+        A module from (batch, embedding.size) float32 to logits (batch, labels).
+
+    Raises:
+        BundleError: names, shapes, types or values that do not fit the layers.
+    """
+    # On the meta device a module has shapes but no numbers: a lying record costs no memory.
+    with torch.device("meta"):
+        module = build_untrained(layers)
+    check_weights(module, weights)
+    module.load_state_dict(
+        {name: tensor.detach().clone() for name, tensor in weights.items()}, assign=True
+    )
+    return module.requires_grad_(False).eval()
+
+
+def check_weights(module: nn.Module, weights: Mapping[str, Tensor]) -> None:
+    """Raise :class:`BundleError` unless ``weights`` are exactly what ``module`` needs.
+
+    Messages name tensors but hold no number of theirs.
+    """
+    expected = module.state_dict()
+    total = sum(math.prod(tensor.shape) for tensor in expected.values())
+    if total > MAX_PARAMETERS:
+        raise BundleError(f"a classifier has {total} parameters: use at most {MAX_PARAMETERS}")
+    missing, unknown = (
+        sorted(expected.keys() - weights.keys()),
+        sorted(weights.keys() - expected.keys()),
+    )
+    if missing:
+        raise BundleError(f"weights lack {missing[0]!r}: export the bundle again")
+    if unknown:
+        raise BundleError(f"weights hold unknown {unknown[0]!r}: export the bundle again")
+    for name, wanted in expected.items():
+        tensor = weights[name]
+        if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
+            raise BundleError(
+                f"weight {name!r} is {tensor.dtype} {tuple(tensor.shape)}: "
+                f"use {wanted.dtype} {tuple(wanted.shape)}"
+            )
+        if not bool(torch.isfinite(tensor).all()):
+            raise BundleError(f"weight {name!r} holds NaN or infinity: train it again")
+        if name.endswith("running_var") and bool((tensor < 0).any()):
+            raise BundleError(f"weight {name!r} holds a negative variance: train it again")

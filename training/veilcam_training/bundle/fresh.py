@@ -1,0 +1,104 @@
+"""What a bundle of mode ``fresh`` holds instead of pairs: how to draw masks, and one reader of all.
+
+None of it is secret: masks come from a key that the camera alone has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.decoding import Decoder, ReadingNoise, SceneFrame, SceneStatistics
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.keys import MaskDistribution, Secret, epoch_key
+from veilcam_optics.transfer import Reach
+from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.layers import LayerRecord
+
+Feature = Literal["estimate", "deviation"]
+"""``estimate`` is the decoded scene, ``deviation`` its posterior standard deviation."""
+
+MAX_RESPONSE = 2**26
+"""Most numbers in a transfer matrix: 256 MiB of float32."""
+LEAST_BITS = 128.0
+"""Least entropy of one mask [bit]: below it, guessing a mask is easier than guessing a key."""
+
+
+@dataclass(frozen=True)
+class Fresh:
+    """Key policy, scene statistics and the one classifier that serves all masks."""
+
+    device: str
+    """Label that enters the key derivation; two cameras with one secret need different ones."""
+    distribution: MaskDistribution
+    """What masks are drawn from; its curve holds the levels that the panel can show."""
+    statistics: SceneStatistics
+    noise: ReadingNoise
+    layers: tuple[LayerRecord, ...]
+    weights: Mapping[str, Tensor] = field(repr=False)
+    """By the names of the built module's ``state_dict``."""
+    reach: Reach = field(default_factory=Reach)
+    features: tuple[Feature, ...] = ("estimate", "deviation")
+    """What the classifier is given, each as large as the scene, one after the other."""
+
+    @property
+    def inputs(self) -> int:
+        """How many numbers the classifier takes."""
+        return len(self.features) * self.statistics.pixels
+
+    def classifier_inputs(self, decoder: Decoder, readings: Tensor) -> Tensor:
+        """What the classifier is given of readings behind one mask.
+
+        Args:
+            decoder: of that mask.
+            readings: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
+
+        Returns:
+            (batch, ``inputs``) float32.
+        """
+        estimate = decoder(readings).flatten(1)
+        known = {"estimate": estimate, "deviation": decoder.deviation.flatten().expand_as(estimate)}
+        return torch.cat([known[feature] for feature in self.features], dim=1)
+
+    def frame(self, camera: Camera, scene: Scene, embedding: Embedding) -> SceneFrame:
+        """All that decoding needs besides the secret."""
+        known = (self.statistics, self.noise, self.reach, self.distribution)
+        return SceneFrame(camera, scene, embedding, *known)
+
+
+def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding) -> None:
+    """Raise :class:`BundleError` unless key policy and statistics fit camera and scene."""
+    try:
+        # The derivation itself knows what it can serve; this key is thrown away.
+        epoch_key(
+            Secret(bytes(32)), fresh.device, 0, camera=camera, distribution=fresh.distribution
+        )
+    except OpticsError as error:
+        raise BundleError(f"key policy: {error}") from None
+    if fresh.distribution.bits < LEAST_BITS:
+        raise BundleError(
+            f"key policy: a mask holds {fresh.distribution.bits:.0f} bits: "
+            f"use a distribution with at least {LEAST_BITS:.0f}"
+        )
+    statistics = fresh.statistics
+    if statistics.pixels != scene.rows * scene.columns:
+        raise BundleError(
+            f"scene statistics are of {statistics.pixels} pixels: "
+            f"use {scene.rows * scene.columns} as the scene has"
+        )
+    if statistics.rank > statistics.pixels:
+        raise BundleError(
+            f"scene statistics have rank {statistics.rank}: use at most {statistics.pixels}"
+        )
+    if statistics.pixels * embedding.size > MAX_RESPONSE:
+        raise BundleError(
+            f"scene and embedding make {statistics.pixels} x {embedding.size} responses: "
+            f"use at most {MAX_RESPONSE}"
+        )
+    if not fresh.features or len(set(fresh.features)) != len(fresh.features):
+        raise BundleError(f"features = {fresh.features} are not valid: use each once at most")

@@ -1,0 +1,358 @@
+"""Layer records: a classifier as data, so that loading one runs no code of its author.
+
+Every record knows the torch module it stands for and the shape that comes out of it; shapes are
+those of one sample, without the batch.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Protocol
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor, nn
+
+Shape = tuple[int, ...]
+Width = Annotated[int, Field(ge=1, le=2**16)]
+Side = Annotated[int, Field(ge=1, le=4096)]
+Small = Annotated[int, Field(ge=1, le=64)]
+
+MAX_VALUES = 2**24
+"""Most numbers that one sample may occupy between two layers."""
+
+
+class LayerShapeError(ValueError):
+    """A layer that cannot take what the layer before it gives."""
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class _HasShape(Protocol):
+    def output_shape(self, shape: Shape) -> Shape: ...
+
+
+def _require(condition: bool, shape: Shape, wants: str) -> None:
+    if not condition:
+        raise LayerShapeError(f"gets shape {shape} but wants {wants}")
+
+
+class Linear(_Record):
+    """Fully connected layer."""
+
+    kind: Literal["linear"] = "linear"
+    inputs: Annotated[int, Field(ge=1, le=2**20)]
+    outputs: Width
+    bias: bool = True
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.Linear(self.inputs, self.outputs, bias=self.bias)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(shape == (self.inputs,), shape, f"({self.inputs},)")
+        return (self.outputs,)
+
+
+class BatchNorm(_Record):
+    """Batch normalisation of vectors (``dimensions`` 1) or images (``dimensions`` 2)."""
+
+    kind: Literal["batch_norm"] = "batch_norm"
+    features: Annotated[int, Field(ge=1, le=2**20)]
+    dimensions: Literal[1, 2] = 1
+    epsilon: Annotated[float, Field(gt=0, le=1)] = 1e-5
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        if self.dimensions == 1:
+            return nn.BatchNorm1d(self.features, eps=self.epsilon)
+        return nn.BatchNorm2d(self.features, eps=self.epsilon)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        ranks = (1,) if self.dimensions == 1 else (3,)
+        _require(
+            len(shape) in ranks and shape[0] == self.features,
+            shape,
+            f"{self.features} features of rank {ranks[0]}",
+        )
+        return shape
+
+
+class LayerNorm(_Record):
+    """Normalisation of one sample over all its numbers: it takes out the exposure."""
+
+    kind: Literal["layer_norm"] = "layer_norm"
+    shape: Annotated[tuple[Side, ...], Field(min_length=1, max_length=3)]
+    affine: bool = True
+    epsilon: Annotated[float, Field(gt=0, le=1)] = 1e-5
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.LayerNorm(self.shape, eps=self.epsilon, elementwise_affine=self.affine)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(shape == self.shape, shape, f"{self.shape}")
+        return shape
+
+
+class Affine(_Record):
+    """``scale * x + offset``, two constants: brings a reading to a handy range."""
+
+    kind: Literal["affine"] = "affine"
+    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    offset: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return AffineModule(self.scale, self.offset)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer."""
+        return shape
+
+
+class ReLU(_Record):
+    """max(x, 0)."""
+
+    kind: Literal["relu"] = "relu"
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.ReLU()
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer."""
+        return shape
+
+
+class GELU(_Record):
+    """x times the normal distribution function of x."""
+
+    kind: Literal["gelu"] = "gelu"
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.GELU()
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer."""
+        return shape
+
+
+class Dropout(_Record):
+    """Dropout in training; nothing at all in use."""
+
+    kind: Literal["dropout"] = "dropout"
+    probability: Annotated[float, Field(ge=0, lt=1)] = 0.5
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.Dropout(self.probability)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer."""
+        return shape
+
+
+class Flatten(_Record):
+    """All numbers of a sample in one row."""
+
+    kind: Literal["flatten"] = "flatten"
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.Flatten()
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer."""
+        return (math.prod(shape),)
+
+
+class Reshape(_Record):
+    """A vector as an image of shape (channels, rows, columns)."""
+
+    kind: Literal["reshape"] = "reshape"
+    shape: tuple[Side, Side, Side]
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.Unflatten(1, self.shape)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(shape == (math.prod(self.shape),), shape, f"({math.prod(self.shape)},)")
+        return self.shape
+
+
+class Resize(_Record):
+    """Bilinear resizing of an image to ``rows x columns``."""
+
+    kind: Literal["resize"] = "resize"
+    rows: Side
+    columns: Side
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.Upsample((self.rows, self.columns), mode="bilinear")
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(len(shape) == 3, shape, "(channels, rows, columns)")
+        return (shape[0], self.rows, self.columns)
+
+
+class Conv2d(_Record):
+    """Two-dimensional convolution with a square kernel."""
+
+    kind: Literal["conv2d"] = "conv2d"
+    inputs: Side
+    outputs: Side
+    kernel: Small = 3
+    stride: Small = 1
+    padding: Annotated[int, Field(ge=0, le=64)] = 1
+    groups: Side = 1
+    bias: bool = True
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.Conv2d(
+            self.inputs,
+            self.outputs,
+            self.kernel,
+            stride=self.stride,
+            padding=self.padding,
+            groups=self.groups,
+            bias=self.bias,
+        )
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(
+            len(shape) == 3 and shape[0] == self.inputs, shape, f"({self.inputs}, rows, columns)"
+        )
+        _require(
+            self.inputs % self.groups == 0 and self.outputs % self.groups == 0,
+            shape,
+            f"channels that {self.groups} groups divide",
+        )
+        rows, columns = (
+            (side + 2 * self.padding - self.kernel) // self.stride + 1 for side in shape[1:]
+        )
+        _require(min(rows, columns) >= 1, shape, f"an image that holds a kernel of {self.kernel}")
+        return (self.outputs, rows, columns)
+
+
+class MaxPool(_Record):
+    """Maximum over squares of ``kernel`` pixels, one every ``kernel`` pixels."""
+
+    kind: Literal["max_pool"] = "max_pool"
+    kernel: Small = 2
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.MaxPool2d(self.kernel)
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(
+            len(shape) == 3 and min(shape[1:]) >= self.kernel,
+            shape,
+            f"an image of at least {self.kernel} x {self.kernel}",
+        )
+        return (shape[0], shape[1] // self.kernel, shape[2] // self.kernel)
+
+
+class AveragePool(_Record):
+    """Average over a grid of ``rows x columns`` equal parts of an image."""
+
+    kind: Literal["average_pool"] = "average_pool"
+    rows: Side = 1
+    columns: Side = 1
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return nn.AdaptiveAvgPool2d((self.rows, self.columns))
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        _require(len(shape) == 3, shape, "(channels, rows, columns)")
+        return (shape[0], self.rows, self.columns)
+
+
+PlainLayer = (
+    Linear
+    | BatchNorm
+    | LayerNorm
+    | Affine
+    | ReLU
+    | GELU
+    | Dropout
+    | Flatten
+    | Reshape
+    | Resize
+    | Conv2d
+    | MaxPool
+    | AveragePool
+)
+
+
+class Residual(_Record):
+    """``x + layers(x)``."""
+
+    kind: Literal["residual"] = "residual"
+    layers: Annotated[
+        tuple[Annotated[PlainLayer, Field(discriminator="kind")], ...],
+        Field(min_length=1, max_length=16),
+    ]
+
+    def module(self) -> nn.Module:
+        """Return a new torch module."""
+        return ResidualModule(*(layer.module() for layer in self.layers))
+
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer, or raise :class:`LayerShapeError`."""
+        after = shape
+        for layer in self.layers:
+            after = checked_shape(layer, after)
+        _require(after == shape, shape, "layers that keep the shape")
+        return shape
+
+
+LayerRecord = Annotated[PlainLayer | Residual, Field(discriminator="kind")]
+"""Any layer record; ``kind`` tells which."""
+
+
+def checked_shape(layer: _HasShape, shape: Shape) -> Shape:
+    """Return the shape after ``layer``; raise :class:`LayerShapeError` where it grows too large."""
+    after = layer.output_shape(shape)
+    _require(math.prod(after) <= MAX_VALUES, shape, f"at most {MAX_VALUES} numbers after it")
+    return after
+
+
+class AffineModule(nn.Module):
+    """``scale * x + offset``."""
+
+    def __init__(self, scale: float, offset: float) -> None:
+        super().__init__()
+        self.scale, self.offset = scale, offset
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply it to a tensor of any shape."""
+        return torch.add(x * self.scale, self.offset)
+
+
+class ResidualModule(nn.Module):
+    """``x + layers(x)``."""
+
+    def __init__(self, *layers: nn.Module) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(*layers)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply it to a tensor of any shape that the layers take."""
+        return torch.add(x, self.layers(x))

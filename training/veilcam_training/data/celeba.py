@@ -1,0 +1,149 @@
+"""CelebA: aligned photographs and ``list_attr_celeba.txt`` (Liu et al. 2015), as in the paper.
+
+The paper takes the first 100,000 images, gray, and splits them 85 to 15. The split is stratified:
+both parts have the same share of either class.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+
+from veilcam_optics.geometry import Scene
+from veilcam_training.data.images import Images
+from veilcam_training.errors import TrainingError
+
+ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
+    "celeba-gender": ("Male", "female", "male"),
+    "celeba-smiling": ("Smiling", "not smiling", "smiling"),
+}
+"""Task: the column that holds it, and what its -1 and 1 are called."""
+FIRST = 100_000
+TEST_SHARE = 0.15
+SPLIT_SEED = 1
+ATTRIBUTE_FILE = "list_attr_celeba.txt"
+IMAGE_FOLDER = "img_align_celeba"
+
+
+@dataclass(frozen=True)
+class CelebaSource:
+    """One attribute of the first ``first`` photographs.
+
+    An embedding pixel of 24 x 32 is 21 rows of the original at the sensor, so the photographs are
+    reduced to the scene's rows and columns (area averages) when they are read.
+    """
+
+    name: str
+    folder: Path
+    first: int = FIRST
+    scene: Scene = field(default_factory=lambda: Scene(64, 52, 0.27, 0.55))
+    colour: bool = False
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Name of either class."""
+        return ATTRIBUTES[self.name][1:]
+
+    def training(self) -> Images:
+        """Read the training set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(test=False)
+
+    def test(self) -> Images:
+        """Read the test set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(test=True)
+
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of the attributes, and of all photographs one after the other."""
+        photographs = hashlib.sha256()
+        for name, _ in self._attributes():
+            photographs.update(self._photograph(name).read_bytes())
+        return {
+            ATTRIBUTE_FILE: hashlib.sha256(self._table().read_bytes()).hexdigest(),
+            IMAGE_FOLDER: photographs.hexdigest(),
+        }
+
+    def _table(self) -> Path:
+        for folder in (self.folder, self.folder / "Anno"):
+            if (folder / ATTRIBUTE_FILE).is_file():
+                return folder / ATTRIBUTE_FILE
+        raise TrainingError(
+            f"{self.folder / ATTRIBUTE_FILE} is missing: give the folder that holds it as --data"
+        )
+
+    def _photograph(self, name: str) -> Path:
+        for folder in (self.folder / IMAGE_FOLDER, self.folder / "Img" / IMAGE_FOLDER):
+            if (folder / name).is_file():
+                return folder / name
+        raise TrainingError(
+            f"{self.folder / IMAGE_FOLDER / name} is missing: unpack {IMAGE_FOLDER}.zip there"
+        )
+
+    def _attributes(self) -> list[tuple[str, int]]:
+        """File name and class of the first photographs."""
+        path, column = self._table(), ATTRIBUTES[self.name][0]
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+        # The first line counts the photographs, the second names the columns.
+        if len(lines) < 3 or column not in lines[1].split():
+            raise TrainingError(f"{path} has no column {column}: fetch it again")
+        columns = lines[1].split()
+        index = columns.index(column) + 1
+        result = []
+        for number, line in enumerate(lines[2 : 2 + self.first], start=3):
+            words = line.split()
+            if len(words) != len(columns) + 1 or words[index] not in ("1", "-1"):
+                raise TrainingError(f"{path} line {number} is not valid: fetch it again")
+            result.append((words[0], int(words[index] == "1")))
+        return result
+
+    def _read(self, *, test: bool) -> Images:
+        attributes = self._attributes()
+        labels = torch.tensor([label for _, label in attributes])
+        chosen = stratified(labels, TEST_SHARE) == test
+        names = [name for (name, _), take in zip(attributes, chosen.tolist(), strict=True) if take]
+        pixels = np.stack([self._pixels(self._photograph(name)) for name in names])
+        return Images(torch.from_numpy(pixels), labels[chosen])
+
+    def _pixels(self, path: Path) -> npt.NDArray[np.uint8]:
+        try:
+            with Image.open(path) as photograph:
+                rows, columns = self.scene.shape
+                gray = photograph.convert("L").resize((columns, rows), Image.Resampling.BOX)
+                return np.asarray(gray)
+        except (OSError, UnidentifiedImageError, SyntaxError) as error:
+            raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
+
+
+def stratified(labels: Tensor, share: float) -> Tensor:
+    """Which of ``labels`` are held out: the same ``share`` of each class, by a fixed seed.
+
+    Raises:
+        TrainingError: a class is missing, or too small for both parts.
+    """
+    held = torch.zeros(len(labels), dtype=torch.bool)
+    generator = torch.Generator().manual_seed(SPLIT_SEED)
+    for label in (0, 1):
+        members = (labels == label).nonzero().flatten()
+        count = round(share * len(members))
+        if not 0 < count < len(members):
+            raise TrainingError(
+                f"{len(members)} photographs of class {label} do not make a training and a test "
+                "set: use more of them"
+            )
+        held[members[torch.randperm(len(members), generator=generator)[:count]]] = True
+    return held

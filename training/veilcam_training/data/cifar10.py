@@ -1,0 +1,92 @@
+"""CIFAR-10 in its binary format (https://www.cs.toronto.edu/~kriz/cifar.html): no pickle.
+
+Each record is a label byte and 3,072 bytes of pixels: red, green, blue, each row by row.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from veilcam_optics.geometry import Scene
+from veilcam_training.data.images import Images
+from veilcam_training.errors import TrainingError
+
+LABELS = (
+    "airplane",
+    "automobile",
+    "bird",
+    "cat",
+    "deer",
+    "dog",
+    "frog",
+    "horse",
+    "ship",
+    "truck",
+)
+TRAINING = tuple(f"data_batch_{number}.bin" for number in range(1, 6))
+TEST = ("test_batch.bin",)
+FOLDER = "cifar-10-batches-bin"
+RECORD = 1 + 3 * 32 * 32
+
+
+@dataclass(frozen=True)
+class Cifar10Source:
+    """Six binary files, in the folder or in the one that the archive unpacks to."""
+
+    folder: Path
+    name: str = "cifar10"
+    labels: tuple[str, ...] = LABELS
+    scene: Scene = field(default_factory=lambda: Scene(32, 32, 0.25, 0.40))
+    colour: bool = True
+
+    def training(self) -> Images:
+        """Read the five training batches.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(TRAINING)
+
+    def test(self) -> Images:
+        """Read the test batch.
+
+        Raises:
+            TrainingError: the file is missing, damaged, or not in this format.
+        """
+        return self._read(TEST)
+
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of each of the six files, by its name."""
+        return {name: hashlib.sha256(self._bytes(name)).hexdigest() for name in (*TRAINING, *TEST)}
+
+    def _bytes(self, name: str) -> bytes:
+        for folder in (self.folder, self.folder / FOLDER):
+            if (folder / name).is_file():
+                return (folder / name).read_bytes()
+        raise TrainingError(
+            f"{self.folder / name} is missing: give the folder that holds it as --data"
+        )
+
+    def _read(self, names: tuple[str, ...]) -> Images:
+        records = []
+        for name in names:
+            data = self._bytes(name)
+            if len(data) == 0 or len(data) % RECORD:
+                raise TrainingError(
+                    f"{name} has {len(data)} bytes, not a multiple of {RECORD}: fetch it again "
+                    "(the binary version, not the Python one)"
+                )
+            batch = np.frombuffer(data, np.uint8).reshape(-1, RECORD)
+            if int(batch[:, 0].max()) >= len(LABELS):
+                raise TrainingError(
+                    f"{name} has label {int(batch[:, 0].max())}: use 0 to 9; fetch it again"
+                )
+            records.append(batch)
+        together = torch.from_numpy(np.concatenate(records))
+        return Images(together[:, 1:].reshape(-1, 3, 32, 32).contiguous(), together[:, 0].long())

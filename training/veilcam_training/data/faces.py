@@ -1,0 +1,110 @@
+"""Drawn faces in one ``faces.npz``: portraits made by a program, with known attributes.
+
+They are easier than photographs: their numbers do not stand beside those of photographs as equals.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from veilcam_optics.geometry import Scene
+from veilcam_training.data.images import Images
+from veilcam_training.errors import TrainingError
+
+ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
+    "faces-gender": ("female", "male", "female"),
+    "faces-smiling": ("smiling", "not smiling", "smiling"),
+    "faces-glasses": ("glasses", "no glasses", "glasses"),
+}
+"""Task: the array that holds it, and what its 0 and 1 are called."""
+TEST_SHARE = 0.15
+SPLIT_SEED = 1
+
+
+@dataclass(frozen=True)
+class FacesSource:
+    """One attribute of the drawn faces.
+
+    The file holds ``images`` uint8 (count, rows, columns), ``identity`` (count,), and one array of
+    0 and 1 for each attribute. An identity is either in the training set or in the test set.
+    """
+
+    name: str
+    folder: Path
+    scene: Scene = field(default_factory=lambda: Scene(64, 52, 0.27, 0.55))
+    colour: bool = False
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Name of either class."""
+        return ATTRIBUTES[self.name][1:]
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / "faces.npz"
+
+    def training(self) -> Images:
+        """Read the training set; ``groups`` are the identities.
+
+        Raises:
+            TrainingError: the file is missing, damaged, or not such a file.
+        """
+        images, test = self._read()
+        return images.take((~test).nonzero().flatten())
+
+    def test(self) -> Images:
+        """Read the test set.
+
+        Raises:
+            TrainingError: the file is missing, damaged, or not such a file.
+        """
+        images, test = self._read()
+        return images.take(test.nonzero().flatten())
+
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of the file."""
+        try:
+            return {self.path.name: hashlib.sha256(self.path.read_bytes()).hexdigest()}
+        except OSError:
+            raise TrainingError(
+                f"{self.path} is missing: give the folder that holds it as --data"
+            ) from None
+
+    def _read(self) -> tuple[Images, Tensor]:
+        """All images, and which of them are for testing."""
+        array = ATTRIBUTES[self.name][0]
+        try:
+            with self.path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+                pixels, labels = content["images"], content[array]
+                identities = content["identity"]
+        except FileNotFoundError:
+            raise TrainingError(
+                f"{self.path} is missing: give the folder that holds it as --data"
+            ) from None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise TrainingError(f"{self.path} is damaged ({error}): get it again") from None
+        count = len(pixels)
+        if pixels.dtype != np.uint8 or pixels.shape != (count, *self.scene.shape) or count == 0:
+            raise TrainingError(
+                f"{self.path} has images {pixels.dtype} {pixels.shape}: "
+                f"use uint8 (count, {self.scene.rows}, {self.scene.columns})"
+            )
+        if labels.shape != (count,) or identities.shape != (count,):
+            raise TrainingError(f"{self.path} lacks {array} or identity of some images")
+        if not np.isin(labels, (0, 1)).all():
+            raise TrainingError(f"{self.path} has {array} other than 0 and 1: get it again")
+        groups = torch.from_numpy(identities.astype(np.int64))
+        known = torch.unique(groups)
+        order = torch.randperm(len(known), generator=torch.Generator().manual_seed(SPLIT_SEED))
+        held = known[order[: round(TEST_SHARE * len(known))]]
+        images = Images(torch.from_numpy(pixels), torch.from_numpy(labels.astype(np.int64)), groups)
+        return images, torch.isin(groups, held)

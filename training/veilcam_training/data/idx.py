@@ -1,0 +1,152 @@
+"""MNIST and Fashion-MNIST in their published idx files, packed with gzip or not.
+
+The format: two zero bytes, 8 for unsigned bytes, the number of dimensions, every dimension as a
+big-endian 32-bit number, then the bytes (http://yann.lecun.com/exdb/mnist).
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from veilcam_optics.geometry import Scene
+from veilcam_training.data.images import Images
+from veilcam_training.errors import TrainingError
+
+DIGITS = tuple("0123456789")
+CLOTHES = (
+    "T-shirt",
+    "trouser",
+    "pullover",
+    "dress",
+    "coat",
+    "sandal",
+    "shirt",
+    "sneaker",
+    "bag",
+    "ankle boot",
+)
+MAX_BYTES = 2**30
+
+
+def find(folder: Path, name: str) -> Path:
+    """Return ``folder/name`` or ``folder/name.gz``, whichever is there.
+
+    Raises:
+        TrainingError: neither is.
+    """
+    for path in (folder / name, folder / f"{name}.gz"):
+        if path.is_file():
+            return path
+    raise TrainingError(f"{folder / name}[.gz] is missing: give the folder that holds it as --data")
+
+
+def read_idx(path: Path, dimensions: int) -> Tensor:
+    """Read an idx file of unsigned bytes.
+
+    Args:
+        path: plain, or with gzip if the name ends in ``.gz``.
+        dimensions: how many the file must have.
+
+    Returns:
+        uint8 tensor of the shape that the file says.
+
+    Raises:
+        TrainingError: the file is missing, damaged, or not such a file.
+    """
+    try:
+        if path.suffix == ".gz":
+            with gzip.open(path) as stream:
+                data = stream.read(MAX_BYTES + 1)
+        else:
+            with path.open("rb") as stream:
+                data = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise TrainingError(f"{path} is missing: give the folder that holds it as --data") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
+    header = 4 + 4 * dimensions
+    if data[:4] != bytes([0, 0, 8, dimensions]) or len(data) < header:
+        raise TrainingError(
+            f"{path} is not an idx file of bytes with {dimensions} dimensions: fetch it again"
+        )
+    shape = tuple(int(size) for size in np.frombuffer(data, ">u4", dimensions, 4))
+    expected = header + int(np.prod(shape, dtype=np.uint64))
+    if len(data) != expected:
+        raise TrainingError(f"{path} has {len(data)} bytes but says {expected}: fetch it again")
+    pixels = np.frombuffer(data, np.uint8, offset=header).reshape(shape)
+    return torch.from_numpy(pixels.copy())
+
+
+def idx_bytes(array: Tensor) -> bytes:
+    """Return ``array``, uint8 of any shape, as the content of an idx file."""
+    header = bytes([0, 0, 8, array.ndim]) + struct.pack(f">{array.ndim}I", *array.shape)
+    return header + array.contiguous().numpy().tobytes()
+
+
+@dataclass(frozen=True)
+class IdxSource:
+    """Four idx files in one folder."""
+
+    name: str
+    labels: tuple[str, ...]
+    folder: Path
+    scene: Scene = field(default_factory=Scene)
+    colour: bool = False
+
+    def training(self) -> Images:
+        """Read the training set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or does not fit the other.
+        """
+        return self._read("train")
+
+    def test(self) -> Images:
+        """Read the test set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or does not fit the other.
+        """
+        return self._read("t10k")
+
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of each of the four files, by its name."""
+        return {
+            path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+            for part in ("train", "t10k")
+            for path in self._paths(part)
+        }
+
+    def _paths(self, part: str) -> tuple[Path, Path]:
+        return (
+            find(self.folder, f"{part}-images-idx3-ubyte"),
+            find(self.folder, f"{part}-labels-idx1-ubyte"),
+        )
+
+    def _read(self, part: str) -> Images:
+        images_path, labels_path = self._paths(part)
+        images, labels = read_idx(images_path, 3), read_idx(labels_path, 1)
+        if len(images) != len(labels) or len(images) == 0:
+            raise TrainingError(
+                f"{images_path} has {len(images)} images but {labels_path.name} {len(labels)} "
+                "labels: fetch both again"
+            )
+        if tuple(images.shape[1:]) != self.scene.shape:
+            raise TrainingError(
+                f"{images_path} has images of {tuple(images.shape[1:])}: use {self.scene.shape}"
+            )
+        if int(labels.max()) >= len(self.labels):
+            raise TrainingError(
+                f"{labels_path} has label {int(labels.max())}: use 0 to {len(self.labels) - 1}"
+            )
+        return Images(images, labels.long())

@@ -1,0 +1,37 @@
+"""No camera at all: the best linear projection that a computer can learn, as a ceiling."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_training.encoders.encoder import Encoder
+from veilcam_training.encoders.setup import Setup
+
+
+class Digital(Encoder):
+    """An unconstrained learned projection to as many numbers as the embedding has.
+
+    Its values have either sign, so there are no photons to count: its noise is white, at the same
+    signal-to-noise ratio as that of the cameras.
+    """
+
+    trainable = True
+
+    def __init__(self, setup: Setup, generator: torch.Generator) -> None:
+        super().__init__(setup)
+        shape = setup.matrix_shape
+        matrix = torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
+        self.matrix = nn.Parameter(matrix)
+
+    def transfer(self) -> Tensor:
+        """T, all parameters."""
+        return self.matrix
+
+    def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
+        """White noise at the delivered signal-to-noise ratio ``snr_db`` [dB] of each image."""
+        power = values.detach().square().mean(1, keepdim=True) * 10 ** (-snr_db / 10)
+        noise = torch.randn(values.shape, generator=generator, device=values.device)
+        return values + power.sqrt() * noise

@@ -1,0 +1,69 @@
+"""What every camera does: a linear map from scene to embedding, then noise.
+
+All of them are used in the same way, so that a comparison compares the cameras alone.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.noise import shot_noise
+from veilcam_training.encoders.setup import Setup
+
+
+class Encoder(nn.Module, ABC):
+    """A camera as ``v = x T``; ``trainable`` says whether T has parameters.
+
+    ``constant`` says whether T is the same in every step, so that a noiseless reading need be
+    computed only once.
+    """
+
+    trainable: bool = False
+    constant: bool = False
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__()
+        self.setup = setup
+
+    @abstractmethod
+    def transfer(self) -> Tensor:
+        """T, of shape ``setup.matrix_shape``."""
+
+    def forward(self, scenes: Tensor) -> Tensor:
+        """Noiseless embeddings.
+
+        Args:
+            scenes: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
+
+        Returns:
+            (batch, ``setup.outputs``).
+        """
+        transfer = self.transfer()
+        if not self.setup.colour:
+            return scenes.flatten(1) @ transfer
+        return torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
+
+    def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
+        """Noise of the sensor at the delivered signal-to-noise ratio ``snr_db`` [dB]."""
+        return shot_noise(values, snr_db, generator)
+
+    def project(self) -> None:
+        """Bring the parameters back into what the device can show, after an optimiser's step."""
+
+
+class FixedEncoder(Encoder):
+    """A camera that does not learn: its transfer is a constant."""
+
+    constant = True
+    matrix: Tensor
+
+    def __init__(self, setup: Setup, matrix: Tensor) -> None:
+        super().__init__(setup)
+        self.register_buffer("matrix", matrix)
+
+    def transfer(self) -> Tensor:
+        """T, a constant."""
+        return self.matrix

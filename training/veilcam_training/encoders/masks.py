@@ -1,0 +1,132 @@
+"""The programmable mask: learned together with the classifier, or fixed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
+from veilcam_training.encoders.encoder import Encoder
+from veilcam_training.encoders.panel import PanelErrors, make_operators
+from veilcam_training.encoders.setup import Setup
+
+NO_ERRORS = PanelErrors()
+
+
+class Mask(Encoder):
+    """A mask on the panel, which is ideal in evaluation and errs in training as ``errors`` says."""
+
+    def __init__(self, setup: Setup, generator: torch.Generator, errors: PanelErrors) -> None:
+        super().__init__(setup)
+        self._drawn = random_mask(setup.camera, generator)
+        self.errors = errors
+        # Held in a tuple: kernels are constants of the camera and belong in no state_dict.
+        self._operators = make_operators(setup, errors, generator)
+
+    def _transfer(self, shown: Tensor) -> Tensor:
+        """T of the mask that an ideal panel would show."""
+        place = 0
+        if self.training and self.errors.any:
+            shown = self.errors.shown(shown)
+            if self.errors.moves:
+                place = int(torch.randint(1, len(self._operators), (1,)))
+        transfer: Tensor = self._operators[place](shown)
+        return transfer
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Take the operators along to another device."""
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        for operator in self._operators:
+            # What nn.Module does to its own children.
+            operator._apply(fn)  # type: ignore[no-untyped-call]  # noqa: SLF001
+        return self
+
+    def levels(self) -> npt.NDArray[np.uint8]:
+        """What the panel has to show, uint8, ``camera.mask_shape``."""
+        raise NotImplementedError
+
+
+class LearnedMask(Mask):
+    """A mask that is learned, by the amplitude that each of its sub-pixels transmits.
+
+    Weights stay in [0, 1] by projection after every step, and what is propagated is those weights
+    rounded to the panel's levels (straight-through). No sub-pixel dies: clamping in the forward
+    pass would leave no gradient beyond the bounds, and at exactly 0 there is none either, because
+    light grows as the weight squared. So the projection stops just short of 0, at ``closed``, which
+    the panel shows, and evaluation takes, as opaque.
+
+    Learning intensities instead would pull dark sub-pixels as hard as open ones. Weights are
+    better: their gradient fades as they close, so masks grow sparse and keep the contrast that
+    few large pixels need.
+
+    Args:
+        setup: camera, scene and reading; the masks are those of ``setup.camera.panel``.
+        generator: draws the mask that training starts from.
+        errors: of the panel, in training.
+    """
+
+    trainable = True
+
+    def __init__(
+        self, setup: Setup, generator: torch.Generator, errors: PanelErrors = NO_ERRORS
+    ) -> None:
+        super().__init__(setup, generator, errors)
+        self.weights = nn.Parameter(self._drawn.clone())
+        self.closed = 0.3 / (setup.camera.panel.levels - 1)
+
+    def transfer(self) -> Tensor:
+        """T of the mask as the panel shows it, differentiable in the weights."""
+        shown = quantise(self.weights, self.setup.camera.panel)
+        if self.training:
+            # Lifted without touching the gradient, which a plain clamp would cut.
+            shown = shown + (self.closed - shown).clamp_min(0).detach()
+        return self._transfer(shown)
+
+    def project(self) -> None:
+        """Bring the weights back into [closed, 1]."""
+        with torch.no_grad():
+            self.weights.clamp_(self.closed, 1)
+
+    def levels(self) -> npt.NDArray[np.uint8]:
+        """What the panel has to show, uint8, ``camera.mask_shape``."""
+        return to_levels(self.weights.detach(), self.setup.camera.panel)
+
+
+class FixedMask(Mask):
+    """A mask drawn at random once.
+
+    Args:
+        setup: camera, scene and reading; the masks are those of ``setup.camera.panel``.
+        generator: draws the mask.
+        errors: of the panel, in training.
+    """
+
+    shown: Tensor
+    matrix: Tensor
+
+    def __init__(
+        self, setup: Setup, generator: torch.Generator, errors: PanelErrors = NO_ERRORS
+    ) -> None:
+        super().__init__(setup, generator, errors)
+        panel = setup.camera.panel
+        levels = to_levels(self._drawn, panel)
+        self.constant = not errors.any
+        self.register_buffer("shown", torch.from_numpy(levels))
+        self.register_buffer("matrix", self._operators[0](to_weights(levels, panel)))
+
+    def transfer(self) -> Tensor:
+        """T, a constant as long as the panel does not err."""
+        if self.training and self.errors.any:
+            panel = self.setup.camera.panel
+            return self._transfer(to_weights(self.levels(), panel).to(self.matrix.device))
+        return self.matrix
+
+    def levels(self) -> npt.NDArray[np.uint8]:
+        """What the panel has to show, uint8, ``camera.mask_shape``."""
+        levels: npt.NDArray[np.uint8] = self.shown.cpu().numpy()
+        return levels

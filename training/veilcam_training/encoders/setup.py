@@ -1,0 +1,39 @@
+"""What every encoder is made for: a camera that looks at a scene and is read in some way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from veilcam_optics.geometry import Camera, Embedding, Scene
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Camera, scene, and how the sensor is read.
+
+    ``point_reading`` reads the sensor at the centre of each embedding pixel, as the paper's code
+    does when it shrinks a reading without antialiasing. A real camera averages over the pixel.
+    """
+
+    camera: Camera = field(default_factory=Camera)
+    scene: Scene = field(default_factory=Scene)
+    embedding: Embedding = field(default_factory=Embedding)
+    colour: bool = False
+    """False sums the colours to a gray reading, True keeps three."""
+    point_reading: bool = False
+
+    @property
+    def channels(self) -> int:
+        """1 gray, 3 in colour."""
+        return 3 if self.colour else 1
+
+    @property
+    def outputs(self) -> int:
+        """How many numbers one embedding has, all channels together."""
+        return self.channels * self.embedding.size
+
+    @property
+    def matrix_shape(self) -> tuple[int, ...]:
+        """Shape of the transfer: (scene pixels, embedding pixels), after (3,) in colour."""
+        shape = (self.scene.rows * self.scene.columns, self.embedding.size)
+        return (3, *shape) if self.colour else shape

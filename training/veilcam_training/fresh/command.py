@@ -1,0 +1,54 @@
+"""``veilcam-train fit-fresh``: one classifier for masks that nobody has used before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import typer
+from rich.console import Console
+
+from veilcam_optics.geometry import Camera
+from veilcam_training.bundle import write_bundle
+from veilcam_training.data import open_source
+from veilcam_training.errors import TrainingError
+from veilcam_training.fresh.job import as_fresh_bundle, run_fresh
+from veilcam_training.fresh.settings import TASKS, find_settings
+from veilcam_training.progress import FitProgress, make_progress
+
+
+def fit_fresh_command(
+    *,
+    data: Annotated[Path, typer.Option(help="Folder that holds the data set's files.")],
+    out: Annotated[Path, typer.Option(help="Bundle to write, *.veilcam.")],
+    task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = "mnist_24x32",
+    device: Annotated[str, typer.Option(help="The camera's name in its key schedule.")] = "camera",
+    epochs: Annotated[int | None, typer.Option(help="Instead of the task's.")] = None,
+    seed: Annotated[int, typer.Option(help="Of every random number.")] = 0,
+    masks: Annotated[
+        int | None, typer.Option(min=1, help="Masks to test on; one a capture by default.")
+    ] = None,
+    work: Annotated[
+        Path | None, typer.Option(help="Folder for checkpoints: resumes what is in it.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1)] = 1,
+) -> None:
+    """Fit one classifier to a stream of fresh masks; test it on unseen ones; write a bundle."""
+    torch.set_num_threads(threads)
+    if out.suffix != ".veilcam" or not out.parent.is_dir():
+        raise TrainingError(
+            f"--out {out} is not valid: use a name that ends in .veilcam, in a folder that is there"
+        )
+    changes = {"seed": seed} if epochs is None else {"seed": seed, "epochs": epochs}
+    settings, camera, console = find_settings(task, **changes), Camera(), Console()
+    source = open_source(settings.data, data)
+    with make_progress(console) as progress:
+        bar = FitProgress(progress, task, settings.epochs)
+        outcome = run_fresh(settings, source, camera, masks=masks, work=work, observers=[bar])
+    write_bundle(out, as_fresh_bundle(outcome, source, camera, device=device))
+    console.print(
+        f"test {100 * outcome.test.accuracy:.2f} % on {outcome.test.masks} unseen masks "
+        f"({100 * outcome.wrong_key.accuracy:.2f} % with the wrong key)\n"
+        f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)"
+    )

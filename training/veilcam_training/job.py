@@ -1,0 +1,181 @@
+"""One fit from its settings: data, camera and classifier are made, fitted and tested once."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+
+from veilcam_optics.geometry import Camera, Embedding
+from veilcam_training.bundle import Accuracy, Pair
+from veilcam_training.changes import make_change
+from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.data import Images, Source, Split, split
+from veilcam_training.encoders import Encoder, Mask, Setup, make_encoder
+from veilcam_training.errors import TrainingError
+from veilcam_training.evaluation import evaluate
+from veilcam_training.fitting import Fit, Observer, fit
+from veilcam_training.model import LenslessClassifier
+from veilcam_training.randomness import seeded, stream
+from veilcam_training.recipe import Recipe
+
+
+def parse_embedding(text: str) -> Embedding:
+    """Embedding from rows and columns, e.g. ``24x32``.
+
+    Raises:
+        TrainingError: not of that form, or zero.
+    """
+    match = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
+    if match is None:
+        raise TrainingError(f"embedding {text!r} is not valid: use ROWSxCOLUMNS, e.g. 24x32")
+    return Embedding(int(match[1]), int(match[2]))
+
+
+class Settings(BaseModel):
+    """All that the result of a fit depends on, besides the files of the data set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    data: str = "mnist"
+    encoder: str = "learned"
+    psf: Path | None = None
+    """File of the point spread function of the encoder ``fixed_measured``."""
+    embedding: str = "24x32"
+    reading: Literal["area", "point"] = "area"
+    """Averaged over each embedding pixel, or at its centre as in the paper's code."""
+    change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
+    """How images are shown to the camera, in training and in testing."""
+    classifier: str = "LR"
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    recipe: Recipe = Recipe()
+
+    def fingerprint(self, source: Source) -> str:
+        """SHA-256 of the settings and of the data: two fits are the same if these are."""
+        files = sorted(source.digests().items())
+        if self.psf is not None:
+            files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
+        text = f"{self.model_dump_json()} {files} torch {torch.__version__}"
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A fit and its one look at the test set."""
+
+    settings: Settings
+    fit: Fit
+    accuracy: Accuracy
+
+
+def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
+    """The model that ``settings`` describe, not fitted yet.
+
+    Raises:
+        TrainingError: an unknown encoder or classifier, or an embedding that is none.
+    """
+    embedding = parse_embedding(settings.embedding)
+    change = make_change(settings.change, source.scene, camera)
+    setup = Setup(
+        camera,
+        change.scene,
+        embedding,
+        colour=source.colour,
+        point_reading=settings.reading == "point",
+    )
+    encoder = make_encoder(
+        settings.encoder,
+        setup,
+        stream(settings.seed, "encoder"),
+        psf=settings.psf,
+        errors=settings.recipe.panel_errors,
+    )
+    task = Task(
+        channels=setup.channels,
+        rows=embedding.rows,
+        columns=embedding.columns,
+        classes=len(source.labels),
+        rectified=encoder.trainable,
+        per_pixel=settings.recipe.normalisation == "per_pixel",
+        gain=white_gain(encoder),
+    )
+    layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
+    with seeded(settings.seed, "classifier"):
+        return LenslessClassifier(
+            encoder,
+            layers,
+            settings.recipe.snr_db,
+            change=change,
+            mixed_precision=settings.recipe.precision == "mixed",
+        )
+
+
+def white_gain(encoder: Encoder) -> float:
+    """Factor that brings the reading of a white scene to a root mean square of 1, to 3 digits."""
+    encoder.eval()  # without the errors of a panel, which are drawn at random
+    with torch.no_grad():
+        white = encoder.transfer().sum(-2).square().mean().sqrt().item()
+    encoder.train()
+    return float(f"{1 / white:.3g}") if white > 0 else 1.0
+
+
+def run_job(
+    settings: Settings,
+    source: Source,
+    camera: Camera,
+    *,
+    training: Images | None = None,
+    device: torch.device | str = "cpu",
+    checkpoint: Path | None = None,
+    observers: Sequence[Observer] = (),
+) -> Outcome:
+    """Fit, select on the validation split, then look at the test set once.
+
+    Args:
+        settings: what to fit and how.
+        source: the data set.
+        camera: the device.
+        training: training images if they have been read before.
+        device: that computes.
+        checkpoint: see :func:`veilcam_training.fitting.fit`.
+        observers: told how far it has come.
+
+    Raises:
+        TrainingError: settings or data that cannot be used.
+    """
+    model = make_model(settings, source, camera).to(device)
+    parts = split(source.training() if training is None else training)
+    fitted = fit(
+        model,
+        Split(parts.training.to(device), parts.validation.to(device)),
+        settings.recipe,
+        settings.seed,
+        checkpoint=checkpoint,
+        fingerprint=settings.fingerprint(source),
+        observers=observers,
+    )
+    test = source.test().to(device)
+    result = evaluate(fitted.model, test, settings.seed, "test")
+    return Outcome(settings, fitted, Accuracy(result.accuracy, f"{source.name} test", len(test)))
+
+
+def as_pair(model: LenslessClassifier) -> Pair:
+    """Mask and classifier of a fitted model, for a bundle.
+
+    Raises:
+        TrainingError: the encoder has no mask that a panel could show.
+    """
+    encoder = model.encoder
+    if not isinstance(encoder, Mask):
+        raise TrainingError(
+            "this encoder has no mask that a panel can show: "
+            "use 'learned' or 'fixed_simulated', or leave out --out"
+        )
+    weights = {name: tensor.cpu() for name, tensor in model.classifier.state_dict().items()}
+    return Pair(encoder.levels(), model.layers, weights)

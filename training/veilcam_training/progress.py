@@ -1,0 +1,48 @@
+"""Progress bars for the terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from veilcam_training.fitting import Epoch
+
+
+def make_progress(console: Console) -> Progress:
+    """A progress display on ``console``; without a terminal it shows its end alone."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+class FitProgress:
+    """Shows one fit as one bar, with its validation accuracy."""
+
+    def __init__(self, progress: Progress, name: str, epochs: int) -> None:
+        self._progress, self._epochs = progress, epochs
+        self._task: TaskID = progress.add_task(name, total=None, note="")
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """Move the bar."""
+        self._progress.update(
+            self._task, total=self._epochs * steps, completed=epoch * steps + done
+        )
+
+    def epoch(self, epoch: Epoch) -> None:
+        """Show how well it does."""
+        note = f"epoch {epoch.number + 1}  validation {100 * epoch.validation_accuracy:.2f} %"
+        self._progress.update(self._task, note=note)

@@ -1,0 +1,111 @@
+"""Recipes by name: the paper's, and ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from veilcam_training.errors import TrainingError
+from veilcam_training.jitter import Jitter
+from veilcam_training.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a recipe may depend on; names as in the settings of a fit."""
+
+    data: str = "mnist"
+    encoder: str = "learned"
+    embedding: str = "24x32"
+    classifier: str = "LR"
+
+    @property
+    def learned(self) -> bool:
+        """True if the encoder learns."""
+        return self.encoder in ("learned", "digital")
+
+
+def find_recipe(name: str, situation: Situation) -> Recipe:
+    """Recipe ``name`` as it is in ``situation``.
+
+    Raises:
+        TrainingError: an unknown name.
+    """
+    if name not in RECIPES:
+        raise TrainingError(f"recipe {name!r} is unknown: use one of {', '.join(RECIPES)}")
+    return RECIPES[name](situation)
+
+
+def _default(situation: Situation) -> Recipe:
+    """Large batches and one cycle. A linear classifier stands, and needs, a higher rate."""
+    if situation.classifier == "LR":
+        return Recipe(epochs=15, batch=256, rate=4e-2, mask_rate=5e-2)
+    if situation.classifier in ("VGG11",) or situation.classifier.startswith("CNN"):
+        return Recipe(epochs=15, batch=128, rate=2e-3, mask_rate=5e-2, weight_decay=0.05)
+    return Recipe(epochs=15, batch=256, rate=3e-3, mask_rate=5e-2)
+
+
+def _long(situation: Situation) -> Recipe:
+    """As the default, for as many epochs as the paper."""
+    return _default(situation).model_copy(update={"epochs": 50})
+
+
+def _paper(situation: Situation) -> Recipe:
+    """The paper's table of settings: Adam at 1e-3 for mask and classifier, 50 epochs.
+
+    The rate is divided by 10 every ``steps_every`` epochs, but not for LR. CIFAR-10 has SGD at
+    0.01, images moved by up to the padding of the paper's crops, and mirrored.
+    """
+    learned = situation.learned
+    if situation.data == "cifar10":
+        return Recipe(
+            epochs=50,
+            batch=32,
+            optimiser="sgd",
+            rate=1e-2,
+            mask_rate=1e-2,
+            schedule="steps",
+            steps_every=20 if learned else 10,
+            normalisation="shared",
+            jitter=Jitter(shift=_cifar_padding(situation), mirror=True),
+        )
+    if situation.classifier == "LR":
+        batch, steps_every = 100 if learned else 64, None
+    elif situation.data.startswith(("celeba", "faces")):
+        batch, steps_every = 64, 20 if learned else 10
+    else:
+        batch, steps_every = 64 if learned else 32, 20
+    return Recipe(
+        epochs=50,
+        batch=batch,
+        rate=1e-3,
+        mask_rate=1e-3,
+        schedule="constant" if steps_every is None else "steps",
+        steps_every=steps_every or 20,
+        normalisation="shared",
+    )
+
+
+CIFAR_PADDING: Mapping[str, tuple[int, int, int, int]] = {
+    "lens": (4, 4, 2, 0),
+    "fixed": (1, 1, 1, 0),
+    "learned": (2, 1, 1, 0),
+}
+"""Embedding pixels of padding at 27x36, 13x17, 6x8 and 3x4 (the paper)."""
+
+
+def _cifar_padding(situation: Situation) -> float:
+    """Padding as a share of the image's sides."""
+    kind = "learned" if situation.learned else "fixed"
+    sizes = {"27x36": 27, "13x17": 13, "6x8": 6, "3x4": 3}
+    if situation.embedding not in sizes:
+        return 0.0
+    padding = CIFAR_PADDING.get(situation.encoder, CIFAR_PADDING[kind])
+    return padding[list(sizes).index(situation.embedding)] / sizes[situation.embedding]
+
+
+RECIPES: Mapping[str, Callable[[Situation], Recipe]] = {
+    "default": _default,
+    "long": _long,
+    "paper": _paper,
+}
