@@ -179,17 +179,20 @@ def warp(images: Tensor, matrices: Tensor, shape: tuple[int, int], *, reduce: in
         planes = avg_pool2d(planes, reduce)
     else:
         centre = torch.zeros(2)
+    half = torch.tensor(planes.shape[:-3:-1]) * (reduce / 2)
     y, x = (torch.arange(count) - (count - 1) / 2 for count in shape)
-    points = torch.stack(
-        [x.expand(shape), y[:, None].expand(shape), torch.ones(shape)], dim=-1
-    ).reshape(-1, 3)
-    mapped = points.to(images) @ matrices.to(images).mT
-    half = torch.tensor(planes.shape[:-3:-1]).to(images) * (reduce / 2)
-    # Beyond the horizon of a perspective space folds over: nothing is there.
-    depth = mapped[..., 2:]
-    places = (mapped[..., :2] / depth + centre.to(images)) / half
-    places = torch.where(depth > 1e-6, places, torch.full_like(places, 2e3))
-    drawn = grid_sample(planes, places.reshape(-1, *shape, 2), mode="bilinear", align_corners=False)
+    # Into the units of grid_sample. Rows and columns enter by a sum, so no place is multiplied out.
+    to_grid = torch.eye(3)
+    to_grid[:2] = torch.cat([torch.diag(1 / half), (centre / half)[:, None]], dim=1)
+    mapped = (to_grid @ matrices.float()).to(images)[..., None, None]
+    x, y = x.to(images), y.to(images)[:, None]
+    places = mapped[:, :2, 0] * x + (mapped[:, :2, 1] * y + mapped[:, :2, 2])
+    if bool((matrices[:, 2, :2] != 0).any()):
+        depth = mapped[:, 2:, 0] * x + (mapped[:, 2:, 1] * y + mapped[:, 2:, 2])
+        # Beyond the horizon of a perspective space folds over: nothing is there.
+        places = torch.where(depth > 1e-6, places / depth, 2e3)
+    places = places.permute(0, 2, 3, 1)
+    drawn = grid_sample(planes, places, mode="bilinear", align_corners=False)
     return drawn if images.ndim == 4 else drawn[:, 0]
 
 
