@@ -34,6 +34,16 @@ class Reach:
     columns: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Part of a scene: ``rows x columns`` of its pixels, the first of them at (top, left)."""
+
+    top: int
+    left: int
+    rows: int
+    columns: int
+
+
 @dataclass(frozen=True)
 class Variables:
     """Tensors that take the place of the camera's numbers, so that gradients reach them.
@@ -91,9 +101,9 @@ class _Group(nn.Module):
         other = weights[self.second, start + self.offset : start + self.offset + width]
         return one * other
 
-    def forward(self, weights: Tensor) -> Tensor:
-        """Products of paired weights, spread along x: (row pairs, offsets along x)."""
-        return self.products(weights) @ self.columns
+    def forward(self, weights: Tensor, x: slice) -> Tensor:
+        """Products of paired weights, spread along x: (row pairs, offsets ``x``)."""
+        return self.products(weights) @ self.columns[:, x]
 
 
 class _Reading(nn.Module):
@@ -130,9 +140,9 @@ class _Reading(nn.Module):
             start = end
         return total
 
-    def forward(self, weights: Tensor) -> Tensor:
-        """Transfer as (offsets along y, offsets along x)."""
-        transfer: Tensor = self.rows @ torch.cat([group(weights) for group in self._groups])
+    def forward(self, weights: Tensor, y: slice, x: slice) -> Tensor:
+        """Transfer as (offsets ``y``, offsets ``x``)."""
+        transfer: Tensor = self.rows[y] @ torch.cat([group(weights, x) for group in self._groups])
         return transfer
 
 
@@ -222,26 +232,41 @@ class TransferOperator(nn.Module):
                 groups, rows = [], []
         self.readings, self._readings = nn.ModuleList(readings), tuple(readings)
 
-    def forward(self, weights: Tensor) -> Tensor:
+    def forward(self, weights: Tensor, part: Part | None = None) -> Tensor:
         """The transfer matrix of a mask.
 
         Args:
             weights: amplitude transmittances, ``camera.mask_shape``. Differentiable.
+            part: of the scene that is asked for; None for all of it. Its cost is its own, so an
+                object that moves about in a large and black scene costs what the object does.
 
         Returns:
             (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour:
             irradiance of an embedding pixel relative to an all-white scene seen without a mask.
 
         Raises:
-            OpticsError: the mask has another shape, or holds NaN or infinity.
+            OpticsError: the mask has another shape, or holds NaN or infinity; a part that is not
+                wholly in the scene.
         """
         check_weights(weights, self.camera)
-        transfers: Tensor = torch.stack([reading(weights) for reading in self._readings])
         scene, embedding = self.scene, self.embedding
+        part = Part(0, 0, *scene.shape) if part is None else part
+        check_part(part, scene)
+        # Offsets are in the order of the scene's pixels, so those of a part lie side by side.
+        y, x = (
+            slice(first * pixels, (first + count) * pixels)
+            for first, count, pixels in (
+                (part.top, part.rows, embedding.rows),
+                (part.left, part.columns, embedding.columns),
+            )
+        )
+        values = [reading(weights, y, x) for reading in self._readings]
+        # One gray reading is taken as it is: stacking would copy the largest tensor of a step.
+        transfers: Tensor = torch.stack(values) if self.colour else values[0]
         transfers = transfers.reshape(
-            -1, scene.rows, embedding.rows, scene.columns, embedding.columns
+            -1, part.rows, embedding.rows, part.columns, embedding.columns
         ).permute(0, 1, 3, 2, 4)
-        transfers = transfers.reshape(-1, scene.rows * scene.columns, embedding.size)
+        transfers = transfers.reshape(-1, part.rows * part.columns, embedding.size)
         return transfers if self.colour else transfers[0]
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
@@ -284,6 +309,18 @@ class TransferOperator(nn.Module):
         expected = (3, *self.scene.shape) if self.colour else self.scene.shape
         if tuple(scenes.shape[1:]) != expected:
             raise invalid("scenes.shape", tuple(scenes.shape), "", f"(batch, *{expected})")
+
+
+def check_part(part: Part, scene: Scene) -> None:
+    """Raise :class:`OpticsError` unless ``part`` is wholly in ``scene``."""
+    below, beside = part.top + part.rows, part.left + part.columns
+    if (
+        min(part.top, part.left) < 0
+        or min(part.rows, part.columns) < 1
+        or (below > scene.rows or beside > scene.columns)
+    ):
+        valid = f"a part of the scene's {scene.rows} x {scene.columns} pixels"
+        raise invalid("part", part, "", valid)
 
 
 def make_axes(

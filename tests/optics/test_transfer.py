@@ -14,7 +14,7 @@ from veilcam_optics.factored import aperture_fields, fresnel_integral
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.kernels import box_kernel
 from veilcam_optics.masks import random_mask
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.transfer import Part, Reach, TransferOperator, Variables
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
 SCENE = Scene(rows=4, columns=3, height=0.03)
@@ -207,6 +207,22 @@ def test_colours_sum_to_gray_and_filters_part_them() -> None:
     red_rows_closed[torch.tensor(SMALL.row_amplitudes(0)) == 1] = 0
     dark = TransferOperator(SMALL, SCENE, EMBEDDING, colour=True, dtype=torch.float64)
     assert float(dark(red_rows_closed)[0].abs().max()) == 0
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_a_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
+    camera, scene = Camera(), Scene(7, 9)
+    operator = TransferOperator(
+        camera, scene, Embedding(4, 5), reach=Reach(3, 1), step=6e-6, colour=colour
+    )
+    weights = random_mask(camera, torch.Generator().manual_seed(0))
+    whole = operator(weights)
+    of_pixels = whole.reshape(-1, 7, 9, 20)[:, 1:5, 4:9].reshape(*whole.shape[:-2], 20, 20)
+    torch.testing.assert_close(operator(weights, Part(1, 4, 4, 5)), of_pixels)
+    assert torch.equal(operator(weights, Part(0, 0, 7, 9)), whole)
+    for bad in (Part(-1, 0, 2, 2), Part(0, 8, 2, 2), Part(6, 0, 2, 2), Part(0, 0, 0, 2)):
+        with pytest.raises(OpticsError, match="a part of the scene's 7 x 9 pixels"):
+            operator(weights, bad)
 
 
 def test_leakage_brings_light_through_foreign_rows() -> None:

@@ -12,6 +12,7 @@ from veilcam_optics.geometry import Camera, Scene
 from veilcam_optics.scenes import SceneTransform
 from veilcam_training.changes import (
     CHANGES,
+    PLACES,
     Perspective,
     Rescale,
     Rotate,
@@ -20,6 +21,7 @@ from veilcam_training.changes import (
     make_change,
     warp,
 )
+from veilcam_training.encoders import Setup, make_encoder
 from veilcam_training.errors import TrainingError
 from veilcam_training.randomness import stream
 
@@ -68,6 +70,39 @@ def test_shift_is_anywhere_wholly_on_the_sensor() -> None:
         assert float(firsts.float().mean()) == pytest.approx(room / 2, rel=0.05)
     top, left = ((scenes[0].amax(axis) > 0).int().argmax() for axis in (1, 0))
     torch.testing.assert_close(scenes[0, top : top + 28, left : left + 28], pictures[0])
+
+
+@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("count", [0, 1, 5, 40])
+def test_parts_are_the_scenes(name: str, count: int) -> None:
+    change, pictures = make_change(name, IMAGE, CAMERA), images(count)
+    drawn, parts = [], []
+    for scenes, part in change.in_parts(pictures, stream(0, "change")):
+        assert scenes.shape[1:] == (change.scene.shape if part is None else (28, 28))
+        drawn.append(scenes)
+        parts.append(part)
+    if name == "shift":
+        assert len(set(parts)) == max(1, min(count, PLACES))
+        torch.testing.assert_close(torch.cat(drawn), pictures)
+    else:
+        assert parts == [None]
+        assert torch.equal(drawn[0], change(pictures, stream(0, "change")))
+
+
+@pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
+def test_shifted_scenes_are_seen_alike_in_parts_and_whole(encoder: str) -> None:
+    """What training takes for speed equals the definition, which evaluation takes."""
+    change, pictures = Shift(IMAGE, CAMERA), images(20)
+    camera = make_encoder(encoder, Setup(CAMERA, change.scene), stream(0, "encoder")).eval()
+    whole = torch.zeros(20, *change.scene.shape)
+    embeddings, start = [], 0
+    for scenes, part in change.in_parts(pictures, stream(0, "change")):
+        assert part is not None
+        rows, columns = (slice(part.top, part.top + 28), slice(part.left, part.left + 28))
+        whole[start : start + len(scenes), rows, columns] = scenes
+        start += len(scenes)
+        embeddings.append(camera(scenes, part))
+    torch.testing.assert_close(torch.cat(embeddings), camera(whole), rtol=1e-4, atol=1e-8)
 
 
 def test_an_object_that_does_not_fit() -> None:

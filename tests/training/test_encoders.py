@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import torch
 
+from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor
 from veilcam_optics.grid import GridLight
 from veilcam_optics.masks import to_weights
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.transfer import Part, TransferOperator
 from veilcam_training.encoders import (
     ENCODERS,
     Encoder,
@@ -77,6 +78,21 @@ def test_contract(name: str, colour: bool, psf_file: Path) -> None:
     # A state that is saved and loaded is the same camera.
     other.load_state_dict(encoder.state_dict())
     torch.testing.assert_close(other(x), v, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("name", ENCODERS)
+def test_a_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:
+    encoder = make(name, psf_file, colour=colour)
+    whole = torch.zeros_like(scenes(colour))
+    whole[..., 2:6, 3:8] = scenes(colour)[..., 2:6, 3:8]
+    part = Part(2, 3, 4, 5)
+    inside = whole[..., 2:6, 3:8]
+    torch.testing.assert_close(encoder(inside, part), encoder(whole))
+    with pytest.raises(OpticsError, match="a part of the scene's 7 x 9 pixels"):
+        encoder.transfer(Part(4, 3, 4, 5))
+    with pytest.raises(OpticsError, match="a part of the scene's"):
+        encoder.transfer(Part(-1, 3, 4, 5))
 
 
 @pytest.mark.parametrize("name", ENCODERS)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import torch
@@ -16,12 +16,15 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, pad
 
 from veilcam_optics.geometry import Camera, Scene
+from veilcam_optics.transfer import Part
 from veilcam_training.errors import TrainingError
 
 HEIGHTS = (0.02, 0.20)
 """Least and largest height of an object that is rescaled [m] (the paper, section 5)."""
 ANGLE = 90.0
 """Largest angle of an object that is rotated, to either side [degrees] (the paper)."""
+PLACES = 16
+"""At how many places the objects of one step of training are, when they are shifted."""
 DISTORTION = 0.5
 """How far a corner moves inwards, as a share of half a side (the paper)."""
 
@@ -44,6 +47,22 @@ class Change(ABC):
             (batch, rows, columns) or (batch, 3, rows, columns) of the scene, black around the
             object.
         """
+
+    def in_parts(
+        self, images: Tensor, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Part | None]]:
+        """The scenes, some at a time, as parts of the scene beyond which it is black.
+
+        What training takes, where it is cheaper than the scenes as a whole.
+
+        Args:
+            images: as above.
+            generator: as above.
+
+        Yields:
+            Scenes of the next images, and which part of ``scene`` they are: None for all of it.
+        """
+        yield self(images, generator), None
 
 
 class Unchanged(Change):
@@ -75,8 +94,7 @@ class Shift(Change):
         """Return each image at a place of its own."""
         rows, columns = images.shape[-2:]
         count = len(images)
-        tops = torch.randint(self.scene.rows - rows + 1, (count,), generator=generator)
-        lefts = torch.randint(self.scene.columns - columns + 1, (count,), generator=generator)
+        tops, lefts = self._places(images, count, generator)
         y = tops[:, None, None] + torch.arange(rows)[:, None]
         x = lefts[:, None, None] + torch.arange(columns)
         places = (y * self.scene.columns + x).flatten(1).to(images.device)
@@ -85,6 +103,28 @@ class Shift(Change):
         scenes = images.new_zeros(count, channels, self.scene.rows * self.scene.columns)
         scenes.scatter_(2, places[:, None].expand_as(planes), planes)
         return scenes.reshape(*images.shape[:-2], *self.scene.shape)
+
+    def in_parts(
+        self, images: Tensor, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Part | None]]:
+        """``PLACES`` places, each with an equal share of the images.
+
+        A scene that moves is a mask that moves the other way: every place costs a camera one small
+        transfer, where the whole scene costs one of twenty times as many pixels.
+        """
+        groups = images.tensor_split(max(1, min(PLACES, len(images))))
+        tops, lefts = self._places(images, len(groups), generator)
+        for group, top, left in zip(groups, tops.tolist(), lefts.tolist(), strict=True):
+            yield group, Part(top, left, *images.shape[-2:])
+
+    def _places(
+        self, images: Tensor, count: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """First rows and columns of ``count`` places where such images lie wholly in the scene."""
+        rows, columns = images.shape[-2:]
+        tops = torch.randint(self.scene.rows - rows + 1, (count,), generator=generator)
+        lefts = torch.randint(self.scene.columns - columns + 1, (count,), generator=generator)
+        return tops, lefts
 
 
 class Rescale(Change):

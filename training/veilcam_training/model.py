@@ -60,5 +60,10 @@ class LenslessClassifier(nn.Module):
             noise: of the sensor, on the device of the images.
             draws: of how the images are shown, on the CPU; None for images that are scenes already.
         """
-        scenes = images if draws is None else self.change(images, draws)
-        return self.read(self.encoder(scenes), noise)
+        if draws is None:
+            return self.read(self.encoder(images), noise)
+        if not self.training:
+            return self.read(self.encoder(self.change(images, draws)), noise)
+        parts = self.change.in_parts(images, draws)
+        embeddings = [self.encoder(scenes, part) for scenes, part in parts]
+        return self.read(torch.cat(embeddings), noise)

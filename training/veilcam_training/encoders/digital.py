@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from veilcam_optics.transfer import Part
 from veilcam_training.encoders.encoder import Encoder
 from veilcam_training.encoders.setup import Setup
 
@@ -26,9 +27,9 @@ class Digital(Encoder):
         matrix = torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
         self.matrix = nn.Parameter(matrix)
 
-    def transfer(self) -> Tensor:
+    def transfer(self, part: Part | None = None) -> Tensor:
         """T, all parameters."""
-        return self.matrix
+        return self._of_part(self.matrix, part)
 
     def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
         """White noise at the delivered signal-to-noise ratio ``snr_db`` [dB] of each image."""

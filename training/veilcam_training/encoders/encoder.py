@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.noise import shot_noise
+from veilcam_optics.transfer import Part, check_part
 from veilcam_training.encoders.setup import Setup
 
 
@@ -29,22 +30,36 @@ class Encoder(nn.Module, ABC):
         self.setup = setup
 
     @abstractmethod
-    def transfer(self) -> Tensor:
-        """T, of shape ``setup.matrix_shape``."""
+    def transfer(self, part: Part | None = None) -> Tensor:
+        """T, of shape ``setup.matrix_shape``; for a part of the scene only the rows of its pixels.
 
-    def forward(self, scenes: Tensor) -> Tensor:
+        Raises:
+            OpticsError: a part that is not wholly in the scene.
+        """
+
+    def forward(self, scenes: Tensor, part: Part | None = None) -> Tensor:
         """Noiseless embeddings.
 
         Args:
             scenes: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
+            part: which part of the scene ``scenes`` are; the rest is black. None for all of it.
 
         Returns:
             (batch, ``setup.outputs``).
         """
-        transfer = self.transfer()
+        transfer = self.transfer(part)
         if not self.setup.colour:
             return scenes.flatten(1) @ transfer
         return torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
+
+    def _of_part(self, matrix: Tensor, part: Part | None) -> Tensor:
+        """Those rows of the whole T that belong to pixels of ``part``."""
+        if part is None:
+            return matrix
+        check_part(part, self.setup.scene)
+        pixels = matrix.reshape(*matrix.shape[:-2], *self.setup.scene.shape, -1)
+        pixels = pixels.narrow(-3, part.top, part.rows).narrow(-2, part.left, part.columns)
+        return pixels.flatten(-3, -2)
 
     def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
         """Noise of the sensor at the delivered signal-to-noise ratio ``snr_db`` [dB]."""
@@ -64,6 +79,6 @@ class FixedEncoder(Encoder):
         super().__init__(setup)
         self.register_buffer("matrix", matrix)
 
-    def transfer(self) -> Tensor:
+    def transfer(self, part: Part | None = None) -> Tensor:
         """T, a constant."""
-        return self.matrix
+        return self._of_part(self.matrix, part)

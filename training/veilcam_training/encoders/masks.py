@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
+from veilcam_optics.transfer import Part
 from veilcam_training.encoders.encoder import Encoder
 from veilcam_training.encoders.panel import PanelErrors, make_operators
 from veilcam_training.encoders.setup import Setup
@@ -28,14 +29,14 @@ class Mask(Encoder):
         # Held in a tuple: kernels are constants of the camera and belong in no state_dict.
         self._operators = make_operators(setup, errors, generator)
 
-    def _transfer(self, shown: Tensor) -> Tensor:
+    def _transfer(self, shown: Tensor, part: Part | None) -> Tensor:
         """T of the mask that an ideal panel would show."""
         place = 0
         if self.training and self.errors.any:
             shown = self.errors.shown(shown)
             if self.errors.moves:
                 place = int(torch.randint(1, len(self._operators), (1,)))
-        transfer: Tensor = self._operators[place](shown)
+        transfer: Tensor = self._operators[place](shown, part)
         return transfer
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
@@ -79,13 +80,13 @@ class LearnedMask(Mask):
         self.weights = nn.Parameter(self._drawn.clone())
         self.closed = 0.3 / (setup.camera.panel.levels - 1)
 
-    def transfer(self) -> Tensor:
+    def transfer(self, part: Part | None = None) -> Tensor:
         """T of the mask as the panel shows it, differentiable in the weights."""
         shown = quantise(self.weights, self.setup.camera.panel)
         if self.training:
             # Lifted without touching the gradient, which a plain clamp would cut.
             shown = shown + (self.closed - shown).clamp_min(0).detach()
-        return self._transfer(shown)
+        return self._transfer(shown, part)
 
     def project(self) -> None:
         """Bring the weights back into [closed, 1]."""
@@ -119,12 +120,13 @@ class FixedMask(Mask):
         self.register_buffer("shown", torch.from_numpy(levels))
         self.register_buffer("matrix", self._operators[0](to_weights(levels, panel)))
 
-    def transfer(self) -> Tensor:
+    def transfer(self, part: Part | None = None) -> Tensor:
         """T, a constant as long as the panel does not err."""
         if self.training and self.errors.any:
             panel = self.setup.camera.panel
-            return self._transfer(to_weights(self.levels(), panel).to(self.matrix.device))
-        return self.matrix
+            shown = to_weights(self.levels(), panel).to(self.matrix.device)
+            return self._transfer(shown, part)
+        return self._of_part(self.matrix, part)
 
     def levels(self) -> npt.NDArray[np.uint8]:
         """What the panel has to show, uint8, ``camera.mask_shape``."""
