@@ -39,6 +39,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from veilcam_client.models import EveryCaptures, Form
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.effects.operator import Response
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
 from veilcam_server.camera import MaskedCamera
@@ -112,17 +113,17 @@ class PlantedLight:
     def __init__(self, fingerprints: Fingerprints) -> None:
         self._fingerprints = fingerprints
 
-    def psf(self, weights: torch.Tensor) -> torch.Tensor:
+    def response(self, weights: torch.Tensor) -> Response:
         """Return the fingerprint; that of a half-turned mask is another one altogether."""
         top = CAMERA.panel.levels - 1
         levels = (weights * top).round().to(torch.uint8).numpy()
-        return torch.tensor(list(self._fingerprints.of(levels)), dtype=torch.float32)
+        return (torch.tensor(list(self._fingerprints.of(levels)), dtype=torch.float32),)
 
-    def embed(self, scenes: torch.Tensor, psf: torch.Tensor, embedding: Embedding) -> torch.Tensor:
-        """Return an embedding that holds the fingerprint, or the mean of several."""
-        reading = scenes.mean().expand(embedding.size).clone()
-        reading[: len(psf)] = psf
-        return reading.reshape(embedding.shape)
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        """Return an embedding that holds the fingerprint."""
+        readings = scenes.mean((1, 2))[:, None].repeat(1, EMBEDDING.size)
+        readings[:, : len(response[0])] = response[0]
+        return readings.reshape(-1, *EMBEDDING.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +226,6 @@ class Setting:
             PlantedLight(self.fingerprints),
             GreyScene(),
             camera=self.bundle.camera,
-            embedding=self.bundle.embedding,
             conditions=Conditions(settle, exposure=0.0, snr_db=float("inf")),
         )
         return MaskedCamera(

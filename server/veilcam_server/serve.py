@@ -16,13 +16,12 @@ import uvicorn
 
 from veilcam_client.models import BundleInfo
 from veilcam_client.models import Device as DeviceInfo
-from veilcam_optics.grid import GridLight
 from veilcam_server.app import create_app
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices.errors import DeviceError, DeviceMissingError
 from veilcam_server.devices.protocols import Device
 from veilcam_server.devices.scene import FileScene
-from veilcam_server.devices.simulated import Conditions, simulated_device
+from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
 from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import EpochError, RotationImpossibleError, StartError
 from veilcam_server.fence import Fence
@@ -48,12 +47,10 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
             "this version has no driver for the panel and sensor of a Raspberry Pi: use --simulate"
         )
     scene = FileScene(settings.scene_file, bundle.scene.shape)
-    light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
     return simulated_device(
-        light,
+        planned_light(bundle.camera, bundle.scene, bundle.embedding),
         scene,
         camera=bundle.camera,
-        embedding=bundle.embedding,
         # The crystal turns in less than the time that the fence grants it.
         conditions=Conditions(0.8 * settings.settle, settings.exposure, settings.snr_db),
     )

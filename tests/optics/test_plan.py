@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from veilcam_optics.cli import app
 from veilcam_optics.conditions import IDEAL, Conditions
 from veilcam_optics.effects import EFFECTS, Dials, LightOperator, Model
+from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.plan import Plan, plan
@@ -323,3 +324,10 @@ def test_plan_holds_no_mask() -> None:
     chosen: Plan = plan(CAMERA, SCENE, EMBEDDING, 1e-1)
     chosen.embed(torch.ones(1, 5, 4), mask(CAMERA))
     assert "tensor(" not in repr(chosen)
+
+
+@pytest.mark.parametrize("method", ["transfer", "factors", "grid"])
+def test_a_method_that_is_asked_for_is_the_one_that_is_chosen(method: Method) -> None:
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 0.05, method=method)
+    assert chosen.model.dials.method == method
+    assert chosen.reached

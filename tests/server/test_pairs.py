@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-import torch
 
-from veilcam_optics.grid import GridLight
 from veilcam_server.demo_data import KEYRING, load_digits
-from veilcam_server.devices.simulated import Conditions, simulated_device
+from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
 from veilcam_server.pairs import PairSource, load_pairs
 from veilcam_training.bundle import Bundle, read_bundle
 
@@ -34,10 +32,9 @@ def demo_bundle() -> Bundle:
 def accuracy(bundle: Bundle, source: PairSource) -> float:
     scene, digits = Held(), load_digits()
     device = simulated_device(
-        GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32),
+        planned_light(bundle.camera, bundle.scene, bundle.embedding),
         scene,
         camera=bundle.camera,
-        embedding=bundle.embedding,
         conditions=Conditions(settle=0.0, exposure=0.0),
         seed=0,
     )

@@ -10,12 +10,17 @@ import pytest
 import torch
 
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
-from veilcam_optics.grid import GridLight
 from veilcam_optics.masks import to_weights
 from veilcam_optics.transfer import TransferOperator
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.devices.scene import FileScene, write_scene
-from veilcam_server.devices.simulated import Conditions, SimulatedDisplay, SimulatedSensor
+from veilcam_server.devices.simulated import (
+    Conditions,
+    Light,
+    SimulatedDisplay,
+    SimulatedSensor,
+    planned_light,
+)
 
 CAMERA = Camera(panel=Panel(), window=Window(rows=9, columns=5))
 EMBEDDING = Embedding(4, 5)
@@ -47,8 +52,8 @@ class Still:
 
 
 @pytest.fixture(scope="module")
-def light() -> GridLight:
-    return GridLight(CAMERA, Scene(), oversampling=1, dtype=torch.float32)
+def light() -> Light:
+    return planned_light(CAMERA, Scene(), EMBEDDING)
 
 
 class Simulation:
@@ -56,7 +61,7 @@ class Simulation:
 
     def __init__(
         self,
-        light: GridLight,
+        light: Light,
         *,
         settle: float = 0.05,
         exposure: float = 0.01,
@@ -70,7 +75,6 @@ class Simulation:
             self.scene,
             light,
             camera=CAMERA,
-            embedding=EMBEDDING,
             conditions=Conditions(settle, exposure, snr_db),
             seed=seed,
             clock=self.clock,
@@ -78,14 +82,14 @@ class Simulation:
         )
 
     def seen(self, levels: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-        psf = self.light.psf(to_weights(levels, CAMERA.panel))
-        return self.light.embed(torch.from_numpy(self.scene.image), psf, EMBEDDING).numpy()
+        response = self.light.response(to_weights(levels, CAMERA.panel))
+        return self.light.collect(torch.from_numpy(self.scene.image)[None], response)[0].numpy()
 
     def capture(self, after: float = 1.0) -> npt.NDArray[np.float32]:
         return self.sensor.capture(self.clock.now + after, 5.0).embedding
 
 
-def test_the_sensor_sees_the_scene_through_the_mask(light: GridLight) -> None:
+def test_the_sensor_sees_the_scene_through_the_mask(light: Light) -> None:
     simulation = Simulation(light)
     simulation.display.show(NEW)
     np.testing.assert_allclose(simulation.capture(), simulation.seen(NEW), rtol=1e-5)
@@ -93,8 +97,7 @@ def test_the_sensor_sees_the_scene_through_the_mask(light: GridLight) -> None:
     np.testing.assert_allclose(simulation.capture(), simulation.seen(NEW), rtol=1e-5)
 
 
-def test_its_light_agrees_with_the_transfer_operator_of_training() -> None:
-    light = GridLight(CAMERA, Scene(), oversampling=2, dtype=torch.float32)
+def test_its_light_agrees_with_the_transfer_operator_of_training(light: Light) -> None:
     simulation = Simulation(light)
     simulation.display.show(NEW)
     operator = TransferOperator(CAMERA, Scene(), EMBEDDING)
@@ -104,14 +107,14 @@ def test_its_light_agrees_with_the_transfer_operator_of_training() -> None:
     assert 0 < difference < 0.05  # two routes to one light: near, but not the same
 
 
-def test_an_opaque_panel_lets_no_light_through(light: GridLight) -> None:
+def test_an_opaque_panel_lets_no_light_through(light: Light) -> None:
     simulation = Simulation(light, snr_db=40.0)
     simulation.display.show(NEW)
     simulation.display.blank()
     assert not simulation.capture().any()
 
 
-def test_an_exposure_while_the_crystal_turns_mixes_two_masks(light: GridLight) -> None:
+def test_an_exposure_while_the_crystal_turns_mixes_two_masks(light: Light) -> None:
     simulation = Simulation(light, settle=0.1, exposure=0.01)
     simulation.display.show(OLD)
     simulation.clock.sleep(1)
@@ -123,7 +126,7 @@ def test_an_exposure_while_the_crystal_turns_mixes_two_masks(light: GridLight) -
     np.testing.assert_allclose(settled, simulation.seen(NEW), rtol=1e-5)
 
 
-def test_a_mask_that_changes_within_the_exposure_mixes(light: GridLight) -> None:
+def test_a_mask_that_changes_within_the_exposure_mixes(light: Light) -> None:
     simulation = Simulation(light, settle=0.0, exposure=0.0)
     simulation.display.show(OLD)
     sleeps: list[float] = []
@@ -141,14 +144,14 @@ def test_a_mask_that_changes_within_the_exposure_mixes(light: GridLight) -> None
     assert not np.allclose(mixed, simulation.seen(NEW), rtol=1e-3)
 
 
-def test_the_sensor_waits_as_long_as_it_was_told(light: GridLight) -> None:
+def test_the_sensor_waits_as_long_as_it_was_told(light: Light) -> None:
     simulation = Simulation(light, exposure=0.02)
     exposure = simulation.sensor.capture(simulation.clock.now + 0.3, 5.0)
     assert exposure.started_at == pytest.approx(100.3)
     assert exposure.ended_at == pytest.approx(100.32)
 
 
-def test_noise_has_the_ratio_asked_for(light: GridLight) -> None:
+def test_noise_has_the_ratio_asked_for(light: Light) -> None:
     simulation = Simulation(light, snr_db=20.0)
     simulation.display.show(NEW)
     clean = simulation.seen(NEW)
@@ -157,7 +160,7 @@ def test_noise_has_the_ratio_asked_for(light: GridLight) -> None:
     assert ratio == pytest.approx(20.0, abs=0.5)
 
 
-def test_the_seed_fixes_the_noise(light: GridLight) -> None:
+def test_the_seed_fixes_the_noise(light: Light) -> None:
     def reading(seed: int | None) -> npt.NDArray[np.float32]:
         simulation = Simulation(light, snr_db=20.0, seed=seed)
         simulation.scene.image = np.full((28, 28), 0.5, np.float32)
@@ -169,7 +172,7 @@ def test_the_seed_fixes_the_noise(light: GridLight) -> None:
     assert not np.array_equal(reading(None), reading(None))
 
 
-def test_an_exposure_longer_than_the_timeout_is_a_timeout(light: GridLight) -> None:
+def test_an_exposure_longer_than_the_timeout_is_a_timeout(light: Light) -> None:
     simulation = Simulation(light, exposure=2.0)
     with pytest.raises(SensorTimeoutError):
         simulation.sensor.capture(simulation.clock.now, 1.0)
@@ -183,7 +186,7 @@ def test_an_exposure_longer_than_the_timeout_is_a_timeout(light: GridLight) -> N
         np.full((9, 5), 64, np.uint8),
     ],
 )
-def test_the_panel_refuses_what_it_cannot_show(light: GridLight, levels: np.ndarray) -> None:
+def test_the_panel_refuses_what_it_cannot_show(light: Light, levels: np.ndarray) -> None:
     with pytest.raises(DisplayError):
         Simulation(light).display.show(levels)
 

@@ -15,6 +15,9 @@ from veilcam_optics.geometry import CHANNELS
 from veilcam_optics.masks import check_weights
 from veilcam_optics.transfer import Reach, TransferOperator, Variables
 
+Response = tuple[Tensor, ...]
+"""What a mask makes of the light; see :meth:`LightOperator.response`."""
+
 
 class LightOperator(nn.Module):
     """What a :class:`Model` describes, ready to be used many times, also in training.
@@ -89,36 +92,75 @@ class LightOperator(nn.Module):
         Raises:
             OpticsError: scenes or mask have another shape, or the mask holds NaN.
         """
+        model = self.model
+        values = self.collect(scenes, self.response(weights))
+        return read(values, model.conditions, shot=model.dials.shot, generator=generator)
+
+    def response(self, weights: Tensor) -> Response:
+        """What a mask makes of the light, for :meth:`collect` to use with many scenes.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+
+        Returns:
+            As the method has it: the transfer matrix (scene pixels, embedding pixels); the point
+            spread functions (channels, rows, columns) of every sample of light; or the mask itself,
+            as shown.
+
+        Raises:
+            OpticsError: the mask has another shape or holds NaN.
+        """
+        if self.has_transfer:
+            return (self._transfer(weights),)
+        check_weights(weights, self.model.camera)
+        shown = self.model.shown(weights.to(self.dtype))
+        return tuple(light.psf(shown) for _, _, light in self._grids) or (shown,)
+
+    def collect(self, scenes: Tensor, response: Response) -> Tensor:
+        """The light on the sensor, without what the sensor makes of it.
+
+        Args:
+            scenes: (batch, rows, columns), in [0, 1].
+            response: from :meth:`response`.
+
+        Returns:
+            (batch, rows, columns) of the embedding.
+
+        Raises:
+            OpticsError: the scenes have another shape.
+        """
         if tuple(scenes.shape[1:]) != self.model.scene.shape:
             valid = f"(batch, *{self.model.scene.shape})"
             raise invalid("scenes.shape", tuple(scenes.shape), "", valid)
-        scenes = scenes.to(self.model.dials.dtype)
+        scenes = scenes.to(self.dtype)
         if self._fades:
             scenes = scenes * self.fade
-        values = self._scatter(self._light(scenes, weights), (1, 2))
-        model = self.model
-        return read(values, model.conditions, shot=model.dials.shot, generator=generator)
+        return self._scatter(self._light(scenes, response), (1, 2))
 
-    def _light(self, scenes: Tensor, weights: Tensor) -> Tensor:
+    def _light(self, scenes: Tensor, response: Response) -> Tensor:
         shape = (len(scenes), *self.model.embedding.shape)
         if self.has_transfer:
-            return (scenes.flatten(1) @ self._transfer(weights)).reshape(shape)
-        check_weights(weights, self.model.camera)
-        shown = self.model.shown(weights.to(scenes.dtype))
+            return (scenes.flatten(1) @ response[0]).reshape(shape)
         total = scenes.new_zeros(shape)
         for row, zones in zip(self._parts, self._zones, strict=False):
             for part, zone in zip(row, zones, strict=True):
                 values = zone.embed_by_factors(
-                    _cut(scenes, part, coloured=self.model.conditions.bayer), shown
+                    _cut(scenes, part, coloured=self.model.conditions.bayer), response[0]
                 )
                 total = total + self._gray(values)
-        for share, part, light in self._grids:
+        for (share, part, light), psf in zip(self._grids, response, strict=False):
             # Only one zone's pixels are lit, but they keep their places.
             lit = torch.zeros_like(scenes)
             lit[:, part.rows, part.columns] = scenes[:, part.rows, part.columns]
-            values = light.embed(lit, light.psf(shown), self.model.embedding)
-            total = total + share * (values * self.shares).sum(1)
+            total = total + share * self._blurred(light, lit, psf)
         return total
+
+    def _blurred(self, light: TurnedLight, scenes: Tensor, psf: Tensor) -> Tensor:
+        if self.model.conditions.bayer:
+            values = light.embed_colour(scenes, psf, self.model.embedding)
+            return (values * self.shares).sum(1)
+        # Every pixel has the same share of each colour: one convolution does for all of them.
+        return light.embed(scenes, psf, self.model.embedding)
 
     def _gray(self, values: Tensor) -> Tensor:
         return (values * self.shares).sum(1) if self.model.conditions.bayer else values

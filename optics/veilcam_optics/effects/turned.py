@@ -133,6 +133,10 @@ class TurnedLight:
         )
 
     def embed(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
+        """Gray embeddings of gray scenes, (batch, rows, columns)."""
+        return self._light.embed(scenes, psf, embedding)
+
+    def embed_colour(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
         """Embeddings of gray scenes through each channel, (batch, 3, rows, columns)."""
         repeated = scenes[:, None].expand(-1, len(CHANNELS), -1, -1)
         return self._light.embed_colour(repeated, psf, embedding)

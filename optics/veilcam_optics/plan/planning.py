@@ -11,6 +11,7 @@ from torch import Tensor
 
 from veilcam_optics.conditions import IDEAL, Conditions
 from veilcam_optics.effects import EFFECTS, Assessment, LightOperator, Model
+from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import invalid, require_count
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.plan.cost import Cost, cost
@@ -83,6 +84,7 @@ def plan(
     conditions: Conditions = IDEAL,
     *,
     batch: int = 64,
+    method: Method | None = None,
 ) -> Plan:
     """The cheapest way to compute embeddings to within a tolerance.
 
@@ -96,6 +98,8 @@ def plan(
         tolerance: relative L2 error at the embedding, over random masks; between 0 and 1.
         conditions: what camera and scene do beyond the ideal.
         batch: scenes embedded with one mask, what the time of a step is counted for.
+        method: the only one to choose from; by default all. A camera that is simulated to test a
+            transfer matrix, say, had better not be made of one.
 
     Raises:
         OpticsError: a tolerance outside (0, 1), no batch, or conditions that cannot be.
@@ -107,7 +111,7 @@ def plan(
     complete = judge.model
     errors = {effect.name: effect.error(judge) for effect in EFFECTS if effect.present(complete)}
     model, made = settle_free(complete, errors, tolerance)
-    choice, reached = search(judge, model, errors, made=made, batch=batch)
+    choice, reached = search(judge, model, errors, made=made, batch=batch, method=method)
     step, quadrature = judge.quadrature(choice.model)
     chosen = choice.model.with_dials(step=step)
     error = together([choice.error, quadrature])

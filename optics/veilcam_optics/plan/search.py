@@ -13,6 +13,7 @@ import torch
 from veilcam_optics.effects import EFFECTS, Effect, Model
 from veilcam_optics.effects.light import Depth, Diffraction, FilterLeakage, OffAxis, Spectrum
 from veilcam_optics.effects.mask import MaskRotation
+from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
 from veilcam_optics.plan.judge import Interferences, Judge
@@ -65,7 +66,13 @@ def settle_free(model: Model, errors: Mapping[str, float], tolerance: float) -> 
 
 
 def search(
-    judge: Judge, model: Model, errors: Mapping[str, float], *, made: float, batch: int
+    judge: Judge,
+    model: Model,
+    errors: Mapping[str, float],
+    *,
+    made: float,
+    batch: int,
+    method: Method | None = None,
 ) -> tuple[Candidate, bool]:
     """The cheapest candidate that reaches the tolerance and fits in memory, and whether one does.
 
@@ -75,35 +82,43 @@ def search(
         errors: of every effect that is there, if it were ignored.
         made: error of the free effects that were switched off.
         batch: scenes in a step.
+        method: the only one to choose from; None for all.
 
     Returns:
         The choice, and whether it reaches the tolerance; if none does, the most accurate.
     """
-    settings = [
-        (setting, together([made, error]))
-        for setting, error in (*_matrices(judge, model, errors), *_grids(judge, model, errors))
-    ]
+    kinds = []
+    if method != "grid":
+        kinds.append(_matrices(judge, model, errors))
+    if method in (None, "grid"):
+        kinds.append(_grids(judge, model, errors))
+    settings = [(setting, together([made, error])) for kind in kinds for setting, error in kind]
     reaching = [(m, e) for m, e in settings if e <= judge.tolerance]
-    found = _fitting(reaching, batch)
+    found = _fitting(reaching, batch, method)
     if found:
         return min(found, key=lambda c: (c.cost.rank, c.error)), True
     # Nothing reaches it: the cheapest of those that fit and are about as accurate as any.
-    found = _fitting(settings, batch)
+    found = _fitting(settings, batch, method)
     if found:
         least = min(candidate.error for candidate in found)
         found = [candidate for candidate in found if candidate.error <= _ABOUT * least]
         return min(found, key=lambda c: c.cost.rank), False
-    return min(_candidates(settings, batch), key=lambda c: c.cost.numbers), False
+    return min(_candidates(settings, batch, method), key=lambda c: c.cost.numbers), False
 
 
-def _fitting(settings: list[tuple[Model, float]], batch: int) -> list[Candidate]:
-    return [c for c in _candidates(settings, batch) if c.cost.numbers <= MAX_NUMBERS]
+def _fitting(
+    settings: list[tuple[Model, float]], batch: int, method: Method | None
+) -> list[Candidate]:
+    return [c for c in _candidates(settings, batch, method) if c.cost.numbers <= MAX_NUMBERS]
 
 
-def _candidates(settings: list[tuple[Model, float]], batch: int) -> Iterator[Candidate]:
+def _candidates(
+    settings: list[tuple[Model, float]], batch: int, method: Method | None
+) -> Iterator[Candidate]:
     for model, error in settings:
-        yield Candidate(model, error, cost(model, batch))
-        if model.dials.method == "transfer":
+        if method in (None, model.dials.method):
+            yield Candidate(model, error, cost(model, batch))
+        if model.dials.method == "transfer" and method != "transfer":
             factors = replace(model, dials=replace(model.dials, method="factors"))
             yield Candidate(factors, error, cost(factors, batch))
 

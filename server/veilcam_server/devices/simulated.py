@@ -1,8 +1,8 @@
 """A simulated panel and sensor, coupled by light alone.
 
 The panel's liquid crystal takes time to turn; the sensor collects what passes it meanwhile. The
-light takes the grid path of the optics (field, propagation, point spread function, convolution),
-which is not the transfer operator that training uses.
+light is a plan's, and takes the grid path of the optics (field, propagation, point spread function,
+convolution), which is not the transfer operator that training uses.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from veilcam_optics.geometry import Camera, Embedding
+from veilcam_optics.effects.operator import Response
+from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.masks import to_weights
 from veilcam_optics.noise import shot_noise
+from veilcam_optics.plan import plan
 from veilcam_server.devices.errors import DisplayError, SensorTimeoutError
 from veilcam_server.devices.protocols import Device, Exposure, Levels, Shown
 from veilcam_server.devices.scene import SceneSource
@@ -34,13 +36,23 @@ _INSTANTS = 5
 
 
 class Light(Protocol):
-    """What the optics do; :class:`veilcam_optics.grid.GridLight` is one."""
+    """What the optics do; :class:`veilcam_optics.effects.LightOperator` is one."""
 
-    def psf(self, weights: torch.Tensor) -> torch.Tensor:
-        """Return the point spread functions of a mask, one per channel."""
+    def response(self, weights: torch.Tensor) -> Response:
+        """Return what a mask makes of the light."""
 
-    def embed(self, scenes: torch.Tensor, psf: torch.Tensor, embedding: Embedding) -> torch.Tensor:
-        """Return the binned light of a scene."""
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        """Return the binned light of scenes, (batch, rows, columns)."""
+
+
+TOLERANCE = 0.025
+"""Relative error of the simulated light: it has to be right, not the same as the decoder's."""
+
+
+def planned_light(camera: Camera, scene: Scene, embedding: Embedding) -> Light:
+    """Return the light of a camera in front of an ordinary scene, as a plan chooses it."""
+    chosen = plan(camera, scene, embedding, TOLERANCE, batch=1, method="grid")
+    return chosen.operator
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,21 +129,20 @@ class SimulatedSensor:
         light: Light,
         *,
         camera: Camera,
-        embedding: Embedding,
         conditions: Conditions,
         seed: int | None = None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._display, self._scene, self._light = display, scene, light
-        self._camera, self._embedding, self._conditions = camera, embedding, conditions
+        self._camera, self._conditions = camera, conditions
         self._clock, self._sleep = clock, sleep
         self._generator = torch.Generator()
         if seed is None:
             self._generator.seed()
         else:
             self._generator.manual_seed(seed)
-        self._cache = _PsfCache(light, camera)
+        self._settled = _Responses(light, camera)
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """Wait, expose, convolve, bin."""
@@ -142,48 +153,46 @@ class SimulatedSensor:
         scene = torch.from_numpy(self._scene.read())
         self._sleep(self._conditions.exposure)
         ended_at = self._clock()
-        psf = self._collected(started_at, ended_at)
-        irradiance = self._light.embed(scene, psf, self._embedding)
-        noisy = shot_noise(irradiance[None], self._conditions.snr_db, self._generator)[0]
+        with torch.no_grad():
+            irradiance = self._collected(scene[None], started_at, ended_at)
+        noisy = shot_noise(irradiance, self._conditions.snr_db, self._generator)[0]
         embedding: npt.NDArray[np.float32] = noisy.numpy().astype(np.float32)
         return Exposure(embedding, started_at, ended_at)
 
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _collected(self, started_at: float, ended_at: float) -> torch.Tensor:
-        """Mean point spread function over the exposure."""
+    def _collected(self, scene: torch.Tensor, started_at: float, ended_at: float) -> torch.Tensor:
+        """Light on the sensor, mean over the exposure."""
         old, new, turned = self._display.transmittance(started_at)
         if turned == 1.0:
-            return self._cache.settled(new)
-        total = None
+            return self._light.collect(scene, self._settled.response(new))
+        seen = []
         for instant in np.linspace(started_at, ended_at, _INSTANTS):
             old, new, turned = self._display.transmittance(float(instant))
             mixed = torch.lerp(
                 to_weights(old, self._camera.panel), to_weights(new, self._camera.panel), turned
             )
-            psf = self._light.psf(mixed)
-            total = psf if total is None else total + psf
-        assert total is not None  # noqa: S101 - there is at least one instant
-        return total / _INSTANTS
+            seen.append(self._light.collect(scene, self._light.response(mixed)))
+        return torch.stack(seen).mean(0)
 
 
 @dataclass
-class _PsfCache:
-    """Point spread functions of the masks shown last, by a digest of their levels."""
+class _Responses:
+    """Of the masks shown last, by a digest of their levels."""
 
     light: Light
     camera: Camera
-    psfs: OrderedDict[bytes, torch.Tensor] = field(default_factory=OrderedDict, repr=False)
+    kept: OrderedDict[bytes, Response] = field(default_factory=OrderedDict, repr=False)
 
-    def settled(self, levels: Levels) -> torch.Tensor:
+    def response(self, levels: Levels) -> Response:
         key = hashlib.sha256(levels.tobytes()).digest()
-        if key not in self.psfs:
-            self.psfs[key] = self.light.psf(to_weights(levels, self.camera.panel))
-        self.psfs.move_to_end(key)
-        while len(self.psfs) > _CACHED_MASKS:
-            self.psfs.popitem(last=False)
-        return self.psfs[key]
+        if key not in self.kept:
+            self.kept[key] = self.light.response(to_weights(levels, self.camera.panel))
+        self.kept.move_to_end(key)
+        while len(self.kept) > _CACHED_MASKS:
+            self.kept.popitem(last=False)
+        return self.kept[key]
 
 
 def simulated_device(
@@ -191,7 +200,6 @@ def simulated_device(
     scene: SceneSource,
     *,
     camera: Camera,
-    embedding: Embedding,
     conditions: Conditions,
     seed: int | None = None,
 ) -> Device:
@@ -207,7 +215,6 @@ def simulated_device(
         scene,
         light,
         camera=camera,
-        embedding=embedding,
         conditions=conditions,
         seed=seed,
     )
