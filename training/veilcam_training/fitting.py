@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from veilcam_training.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.data import Split
 from veilcam_training.evaluation import evaluate
 from veilcam_training.model import LenslessClassifier
 from veilcam_training.randomness import seeded, stream
+from veilcam_training.ranks import ALONE, Ranks
 from veilcam_training.recipe import Recipe
 from veilcam_training.steps import Inputs, make_optimiser, train_step
 
@@ -66,12 +67,13 @@ def fit(
     checkpoint: Path | None = None,
     fingerprint: str = "",
     observers: Sequence[Observer] = (),
+    ranks: Ranks = ALONE,
 ) -> Fit:
     """Fit ``model`` in place.
 
     The validation part selects the epoch; there is no test set here to look at. With the same
-    model, data, recipe and seed the result is the same, also when the fit was broken off and taken
-    up again from its checkpoint.
+    model, data, recipe, seed and number of ranks the result is the same, also when the fit was
+    broken off and taken up again from its checkpoint.
 
     Args:
         model: freshly made, on the device that is to be used.
@@ -81,19 +83,28 @@ def fit(
         checkpoint: written after every epoch, and read first if it is there.
         fingerprint: of all that the result depends on; guards the checkpoint.
         observers: told about every step and epoch.
+        ranks: processes that fit it together, each with this same call; the first one alone
+            validates and writes, and each has noise and dropout of its own.
 
     Raises:
-        TrainingError: a checkpoint of another fit, or a loss that is no number.
+        TrainingError: a checkpoint of another fit, a loss that is no number, or a batch that the
+            ranks cannot share evenly.
     """
     state = _State(model, recipe)
-    if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
-        state.load(saved)
+    if checkpoint is not None:
+        saved = ranks.from_first(lambda: load_checkpoint(checkpoint, fingerprint))
+        if saved is not None:
+            state.load(saved)
     inputs = Inputs(model, split.training, recipe.jitter)
+    network = ranks.wrap(inputs)
     while not state.is_over:
         started = time.monotonic()
-        with seeded(seed, "epoch", state.next_epoch):
-            loss, accuracy = _run_epoch(state, inputs, split.training.labels, seed, observers)
-        result = evaluate(model, split.validation, seed, "validation")
+        with seeded(seed, "epoch", state.next_epoch, *ranks.purpose):
+            inputs.draws = stream(seed, "change", state.next_epoch, *ranks.purpose)
+            loss, accuracy = _run_epoch(
+                state, network, split.training.labels, seed, ranks=ranks, observers=observers
+            )
+        result = ranks.from_first(lambda: evaluate(model, split.validation, seed, "validation"))
         epoch = Epoch(
             state.next_epoch,
             loss,
@@ -103,7 +114,7 @@ def fit(
             time.monotonic() - started,
         )
         state.finish(epoch)
-        if checkpoint is not None:
+        if checkpoint is not None and ranks.is_first:
             save_checkpoint(checkpoint, fingerprint, state.dump())
         for observer in observers:
             observer.epoch(epoch)
@@ -159,25 +170,31 @@ class _State:
 
 
 def _run_epoch(
-    state: _State, inputs: Inputs, labels: Tensor, seed: int, observers: Sequence[Observer]
+    state: _State,
+    network: nn.Module,
+    labels: Tensor,
+    seed: int,
+    *,
+    ranks: Ranks,
+    observers: Sequence[Observer],
 ) -> tuple[float, float]:
     """One pass over the training images; mean loss and accuracy."""
     recipe, number, count = state.recipe, state.next_epoch, len(labels)
-    inputs.draws = stream(seed, "change", number)
-    noise = stream(seed, "noise", number, device=labels.device)
+    noise = stream(seed, "noise", number, *ranks.purpose, device=labels.device)
     order = torch.randperm(count, generator=stream(seed, "order", number)).to(labels.device)
     batch = min(recipe.batch, count)
     steps = count // batch  # what does not fill a batch waits for another epoch's order
-    total, right = 0.0, 0
+    total, right = 0.0, 0.0
     state.model.train()
     for step in range(steps):
         factor = recipe.rate_factor((number + step / steps) / recipe.epochs)
         for group in state.optimiser.param_groups:
             group["lr"] = group["peak"] * factor
+        chosen = ranks.share(order[step * batch : (step + 1) * batch])
         loss, hits = train_step(
             state.model,
-            inputs,
-            order[step * batch : (step + 1) * batch],
+            network,
+            chosen,
             state.optimiser,
             noise,
             label_smoothing=recipe.label_smoothing,
@@ -185,4 +202,5 @@ def _run_epoch(
         total, right = total + loss, right + hits
         for observer in observers:
             observer.step(number, step + 1, steps)
-    return total / steps, right / (steps * batch)
+    total, right = ranks.total(total, right)
+    return total / (steps * ranks.size), right / (steps * batch)

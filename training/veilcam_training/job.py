@@ -23,6 +23,7 @@ from veilcam_training.evaluation import evaluate
 from veilcam_training.fitting import Fit, Observer, fit
 from veilcam_training.model import LenslessClassifier
 from veilcam_training.randomness import seeded, stream
+from veilcam_training.ranks import ALONE, Ranks
 from veilcam_training.recipe import Recipe
 
 
@@ -134,6 +135,7 @@ def run_job(
     device: torch.device | str = "cpu",
     checkpoint: Path | None = None,
     observers: Sequence[Observer] = (),
+    ranks: Ranks = ALONE,
 ) -> Outcome:
     """Fit, select on the validation split, then look at the test set once.
 
@@ -145,11 +147,14 @@ def run_job(
         device: that computes.
         checkpoint: see :func:`veilcam_training.fitting.fit`.
         observers: told how far it has come.
+        ranks: processes that fit it together, each with this same call.
 
     Raises:
         TrainingError: settings or data that cannot be used.
     """
     model = make_model(settings, source, camera).to(device)
+    # Another number of ranks draws other noise.
+    fingerprint = settings.fingerprint(source) + (f" {ranks.size} ranks" if ranks.size > 1 else "")
     parts = split(source.training() if training is None else training)
     fitted = fit(
         model,
@@ -157,11 +162,12 @@ def run_job(
         settings.recipe,
         settings.seed,
         checkpoint=checkpoint,
-        fingerprint=settings.fingerprint(source),
+        fingerprint=fingerprint,
         observers=observers,
+        ranks=ranks,
     )
     test = source.test().to(device)
-    result = evaluate(fitted.model, test, settings.seed, "test")
+    result = ranks.from_first(lambda: evaluate(fitted.model, test, settings.seed, "test"))
     return Outcome(settings, fitted, Accuracy(result.accuracy, f"{source.name} test", len(test)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from veilcam_training.changes import Unchanged
@@ -19,8 +19,8 @@ from veilcam_training.recipe import Recipe
 NO_JITTER = Jitter()
 
 
-class Inputs:
-    """Training images as a step takes them.
+class Inputs(nn.Module):
+    """Training images as a step takes them: a module from indices to logits and labels.
 
     Where images are shown as they are to a camera that does not change, every noiseless reading is
     computed once.
@@ -29,25 +29,23 @@ class Inputs:
     def __init__(
         self, model: LenslessClassifier, images: Images, changes: Jitter = NO_JITTER
     ) -> None:
+        super().__init__()
         self._model, self._images, self._jitter = model, images, changes
         self.draws = torch.Generator()
         """Of how the images are shown, on the CPU; a fit gives each epoch its own."""
         constant = isinstance(model.change, Unchanged) and not changes.any
         self._readings = _encode(model, images) if model.encoder.constant and constant else None
 
-    def logits(self, chosen: Tensor, noise: torch.Generator) -> Tensor:
-        """Logits for the images at ``chosen``, behind fresh noise."""
+    def forward(self, chosen: Tensor, noise: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Logits for the images at ``chosen``, behind fresh noise, and what they show."""
+        labels = self._images.labels[chosen]
         if self._readings is not None:
-            return self._model.read(self._readings[chosen], noise)
+            return self._model.read(self._readings[chosen], noise), labels
         images = self._images.scenes(chosen)
         if self._jitter.any:
             images = jitter(images, self._jitter, self.draws)
         logits: Tensor = self._model(images, noise, self.draws)
-        return logits
-
-    def labels(self, chosen: Tensor) -> Tensor:
-        """What the images at ``chosen`` show."""
-        return self._images.labels[chosen]
+        return logits, labels
 
 
 @torch.no_grad()
@@ -76,7 +74,7 @@ def make_optimiser(model: LenslessClassifier, recipe: Recipe) -> torch.optim.Opt
 
 def train_step(
     model: LenslessClassifier,
-    inputs: Inputs,
+    network: nn.Module,
     chosen: Tensor,
     optimiser: torch.optim.Optimizer,
     noise: torch.Generator,
@@ -85,11 +83,19 @@ def train_step(
 ) -> tuple[float, int]:
     """One step on the images at ``chosen``; their mean loss and how many were right before it.
 
+    Args:
+        model: what is fitted.
+        network: its :class:`Inputs`, as one process or several train them.
+        chosen: indices of images, int64 (count,).
+        optimiser: of the model.
+        noise: of the sensor.
+        label_smoothing: share of the wanted probability that all classes have in common.
+
     Raises:
         TrainingError: the loss is no number; the model is as it was before.
     """
-    logits, wanted = inputs.logits(chosen, noise), inputs.labels(chosen)
-    loss = cross_entropy(logits, wanted, label_smoothing=label_smoothing)
+    logits, labels = network(chosen, noise)
+    loss = cross_entropy(logits, labels, label_smoothing=label_smoothing)
     value = loss.item()
     if not math.isfinite(value):
         raise TrainingError(f"the loss became {value}: use lower learning rates")
@@ -97,4 +103,4 @@ def train_step(
     loss.backward()  # type: ignore[no-untyped-call]
     optimiser.step()
     model.encoder.project()
-    return value, int((logits.detach().argmax(1) == wanted).sum())
+    return value, int((logits.detach().argmax(1) == labels).sum())
