@@ -147,9 +147,16 @@ def _residual_mlp(task: Task, width: int, dropout: float) -> Layers:
     )
 
 
-def _convolution(inputs: int, outputs: int, kernel: int = 3) -> PlainLayers:
+def _convolution(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> PlainLayers:
     return (
-        Conv2d(inputs=inputs, outputs=outputs, kernel=kernel, padding=kernel // 2, bias=False),
+        Conv2d(
+            inputs=inputs,
+            outputs=outputs,
+            kernel=kernel,
+            stride=stride,
+            padding=kernel // 2,
+            bias=False,
+        ),
         BatchNorm(features=outputs, dimensions=2),
         ReLU(),
     )
@@ -161,8 +168,10 @@ def _convolutional(task: Task, width: int, dropout: float) -> Layers:
     The last layers see every place by itself: behind a mask, where light falls matters.
     """
     layers: list[LayerRecord] = [*_sensor(task), Reshape(shape=task.shape)]
-    layers += _convolution(task.channels, width, kernel=5)
-    rows, columns, channels = task.rows, task.columns, width
+    # A large embedding is halved at once: most of the time goes into the largest planes.
+    stride = 2 if min(task.rows, task.columns) >= 2 * LEAST_POOLED_SIDE else 1
+    layers += _convolution(task.channels, width, kernel=5, stride=stride)
+    rows, columns, channels = -(-task.rows // stride), -(-task.columns // stride), width
     while True:
         block = (*_convolution(channels, channels), *_convolution(channels, channels)[:2])
         layers += [Residual(layers=block), ReLU()]
