@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from statistics import mean
 
@@ -11,12 +13,13 @@ from pydantic import JsonValue
 
 from veilcam_optics.geometry import Camera
 from veilcam_training.bundle import Accuracy, Bundle
-from veilcam_training.data import Source
+from veilcam_training.data import Images, Source
 from veilcam_training.errors import TrainingError
 from veilcam_training.fitting import Observer
 from veilcam_training.job import Outcome, Settings, as_pair, make_model, run_job
 from veilcam_training.provenance import provenance
 from veilcam_training.randomness import derive
+from veilcam_training.workers import HERE, Workers
 
 
 def fit_keyring(
@@ -27,7 +30,9 @@ def fit_keyring(
     *,
     device: torch.device | str = "cpu",
     work: Path | None = None,
+    workers: Workers = HERE,
     observe: Callable[[int], Sequence[Observer]] = lambda _: (),
+    fitted: Callable[[int, Outcome], None] = lambda *_: None,
 ) -> Bundle:
     """Fit ``pairs`` pairs and put them into one bundle.
 
@@ -38,7 +43,10 @@ def fit_keyring(
         camera: the device.
         device: that computes.
         work: folder for one checkpoint per pair, so that a broken-off run is taken up again.
-        observe: gives the observers of pair ``i``.
+        workers: fit the pairs; what comes out is the same, given as many threads.
+        observe: gives the observers of pair ``i``, which go with it to its worker: none that cannot
+            be pickled, if that is another process.
+        fitted: told of each pair as it is done.
 
     Raises:
         TrainingError: settings or data that cannot be used.
@@ -46,22 +54,55 @@ def fit_keyring(
     if pairs < 1:
         raise TrainingError(f"pairs = {pairs} is not valid: use at least 1")
     as_pair(make_model(settings, source, camera))  # fails here rather than after hours
-    training = source.training()
-    outcomes: list[Outcome] = []
-    for index in range(pairs):
-        seed = settings.seed if index == 0 else derive(settings.seed, "pair", index)
-        outcomes.append(
-            run_job(
-                settings.model_copy(update={"seed": seed}),
-                source,
-                camera,
-                training=training,
-                device=device,
-                checkpoint=None if work is None else work / f"pair-{index}.checkpoint",
-                observers=observe(index),
-            )
+    seeds = [settings.seed, *(derive(settings.seed, "pair", i) for i in range(1, pairs))]
+    tasks = [
+        _Task(
+            settings.model_copy(update={"seed": seed}),
+            None if work is None else work / f"pair-{index}.checkpoint",
+            observe(index),
         )
-    return as_bundle(outcomes, source, camera)
+        for index, seed in enumerate(seeds)
+    ]
+    outcomes: dict[int, Outcome] = {}
+    for index, outcome in workers.run(_Fitter(source, camera, device), tasks):
+        outcomes[index] = outcome
+        fitted(index, outcome)
+    return as_bundle([outcomes[index] for index in range(pairs)], source, camera)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One pair."""
+
+    settings: Settings
+    checkpoint: Path | None
+    observers: Sequence[Observer]
+
+
+@dataclass(frozen=True)
+class _Fitter:
+    """Fits pairs; every worker has its own and reads the training set once."""
+
+    source: Source
+    camera: Camera
+    device: torch.device | str
+
+    @cached_property
+    def training(self) -> Images:
+        return self.source.training()
+
+    def __call__(self, task: _Task) -> Outcome:
+        outcome = run_job(
+            task.settings,
+            self.source,
+            self.camera,
+            training=self.training,
+            device=self.device,
+            checkpoint=task.checkpoint,
+            observers=task.observers,
+        )
+        outcome.fit.model.cpu()  # who collects may have no GPU
+        return outcome
 
 
 def as_bundle(outcomes: Sequence[Outcome], source: Source, camera: Camera) -> Bundle:

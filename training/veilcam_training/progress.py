@@ -34,10 +34,11 @@ class FitProgress:
 
     def __init__(self, progress: Progress, name: str, epochs: int) -> None:
         self._progress, self._epochs = progress, epochs
-        self._task: TaskID = progress.add_task(name, total=None, note="")
+        self._task: TaskID = progress.add_task(name, start=False, total=None, note="")
 
     def step(self, epoch: int, done: int, steps: int) -> None:
-        """Move the bar."""
+        """Move the bar; its clock starts with the first step."""
+        self._progress.start_task(self._task)
         self._progress.update(
             self._task, total=self._epochs * steps, completed=epoch * steps + done
         )

@@ -48,6 +48,12 @@ class Workers(Protocol):
         """
 
 
+def _at_least_one(name: str, value: int) -> int:
+    if value < 1:
+        raise TrainingError(f"{name} = {value} is not valid: use at least 1")
+    return value
+
+
 class LocalWorkers:
     """Processes of this machine.
 
@@ -101,6 +107,10 @@ class LocalWorkers:
         finally:
             for process in (*idle, *(entry[0] for entry in busy.values())):
                 process.end()
+
+
+HERE = LocalWorkers()
+"""This process alone."""
 
 
 class RayWorkers:
@@ -186,6 +196,27 @@ def _check_reachable(address: str) -> None:
         ) from None
 
 
+def make_workers(
+    processes: int | None, ray: str | None, *, threads: int | None = None, gpus: int = 0
+) -> Workers:
+    """Workers as a command line asks for them.
+
+    Args:
+        processes: of this machine; None for this one alone.
+        ray: address of a cluster instead.
+        threads: of torch in each worker; None for one.
+        gpus: that a task needs.
+
+    Raises:
+        TrainingError: both are asked for, or what they cannot be.
+    """
+    if ray is None:
+        return LocalWorkers(1 if processes is None else processes, threads=threads or 1)
+    if processes is not None:
+        raise TrainingError("--workers and --ray are both given: use one of them")
+    return RayWorkers(ray, threads=threads or 1, gpus=gpus)
+
+
 class _Answer(Generic[ResultT]):
     """What came out of a task: a result, or the exception that it raised."""
 
@@ -265,12 +296,6 @@ def _lost(index: int, count: int, reason: str) -> TrainingError:
         f"task {index + 1} of {count} lost its worker {ATTEMPTS} times ({reason}): "
         "if memory ran out, use fewer workers"
     )
-
-
-def _at_least_one(name: str, value: int) -> int:
-    if value < 1:
-        raise TrainingError(f"{name} = {value} is not valid: use at least 1")
-    return value
 
 
 def _import_ray() -> ModuleType:
