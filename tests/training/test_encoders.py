@@ -134,6 +134,22 @@ def test_masks_transfer_what_the_panel_shows(name: str) -> None:
     torch.testing.assert_close(encoder.transfer(), shown)
 
 
+def test_a_mask_that_starts_from_a_pinhole_forms_an_image() -> None:
+    setup = Setup(Camera(), Scene(), Embedding())
+    scene = torch.zeros(2, 28, 28)
+    scene[0, :4, :4], scene[1, -4:, -4:] = 1, 1
+    encoder = make_encoder("learned", setup, stream(0, "encoder"), pinhole=True)
+    assert isinstance(encoder, LearnedMask)
+    assert encoder.levels().max() == CAMERA.panel.levels - 1
+    assert float(encoder.weights.detach().min()) >= encoder.closed
+    first, second = encoder(scene).detach().reshape(2, 24, 32)
+    # The other way up and round, as any pinhole shows it.
+    assert divmod(int(first.argmax()), 32) > divmod(int(second.argmax()), 32)
+    assert float((first * second).sum() / (first.norm() * second.norm())) < 0.5
+    with pytest.raises(TrainingError, match="learns no mask: leave out mask_start"):
+        make_encoder("fixed_simulated", setup, stream(0, "encoder"), pinhole=True)
+
+
 def test_no_weight_dies() -> None:
     """Weights driven far out of range come back to it, and every one still has a gradient."""
     encoder = fresh("learned", None)

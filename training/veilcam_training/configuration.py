@@ -47,7 +47,11 @@ def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
         # Names first: which recipe a name stands for depends on them.
         settings = Settings.model_validate(content)
         situation = Situation(
-            settings.data, settings.encoder, settings.embedding, settings.classifier
+            settings.data,
+            settings.encoder,
+            settings.embedding,
+            settings.classifier,
+            settings.change,
         )
         base = find_recipe(str(recipe.pop("base", "default")), situation)
         merged = _merge(base.model_dump(), recipe)

@@ -26,6 +26,8 @@ class Recipe(BaseModel):
     """Learning rate of the classifier, at its highest."""
     mask_rate: Rate = 3e-2
     """Learning rate of the encoder, at its highest: mask weights have a range of 1."""
+    mask_start: Literal["random", "pinhole"] = "random"
+    """What a learned mask starts from: random weights, or one open pixel before a dim ground."""
     weight_decay: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Decoupled weight decay of the classifier (AdamW); the encoder has none."""
     schedule: Literal["one_cycle", "steps", "constant"] = "one_cycle"

@@ -18,6 +18,7 @@ class Situation:
     encoder: str = "learned"
     embedding: str = "24x32"
     classifier: str = "LR"
+    change: str = "none"
 
     @property
     def learned(self) -> bool:

@@ -48,6 +48,7 @@ def make_encoder(
     *,
     psf: Path | None = None,
     errors: PanelErrors = NO_ERRORS,
+    pinhole: bool = False,
 ) -> Encoder:
     """Encoder ``name``.
 
@@ -57,9 +58,10 @@ def make_encoder(
         generator: of whatever it draws at random.
         psf: file of the PSF of ``fixed_measured``; the others have none.
         errors: of the panel, in training; those without a panel have none.
+        pinhole: True starts ``learned`` from a pinhole; no other has a start.
 
     Raises:
-        TrainingError: an unknown name, or a PSF or errors that are missing or not wanted.
+        TrainingError: an unknown name, or a PSF, errors or a start that are missing or not wanted.
     """
     if name not in ENCODERS:
         raise TrainingError(f"encoder {name!r} is unknown: use one of {', '.join(ENCODERS)}")
@@ -67,7 +69,12 @@ def make_encoder(
         raise TrainingError(f"encoder {name!r} takes no PSF: leave out --psf")
     if errors.any and name not in WITH_PANEL:
         raise TrainingError(f"encoder {name!r} has no panel: leave out its errors")
-    return ENCODERS[name](setup, generator, psf, errors)
+    encoder = ENCODERS[name](setup, generator, psf, errors)
+    if pinhole:
+        if not isinstance(encoder, LearnedMask):
+            raise TrainingError(f"encoder {name!r} learns no mask: leave out mask_start")
+        encoder.start_from_pinhole()
+    return encoder
 
 
 def _measured(setup: Setup, psf: Path | None) -> Encoder:

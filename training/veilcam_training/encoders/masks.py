@@ -17,6 +17,8 @@ from veilcam_training.encoders.panel import PanelErrors, make_operators
 from veilcam_training.encoders.setup import Setup
 
 NO_ERRORS = PanelErrors()
+GROUND = 0.05
+"""Largest amplitude around a pinhole: closed sub-pixels would have next to no gradient."""
 
 
 class Mask(Encoder):
@@ -79,6 +81,19 @@ class LearnedMask(Mask):
         super().__init__(setup, generator, errors)
         self.weights = nn.Parameter(self._drawn.clone())
         self.closed = 0.3 / (setup.camera.panel.levels - 1)
+
+    def start_from_pinhole(self) -> None:
+        """Open one pixel, a sub-pixel of each colour, at the middle; dim all others to ``GROUND``.
+
+        This mask forms an image from the first step on, where a random one lays hundreds over each
+        other: training finds its way faster where an object may be anywhere.
+        """
+        rows, columns = self.setup.camera.mask_shape
+        top = max(0, rows // 2 - 1)
+        with torch.no_grad():
+            self.weights.mul_(GROUND)
+            self.weights[top : top + 3, (columns - 1) // 2] = 1
+        self.project()
 
     def transfer(self, part: Part | None = None) -> Tensor:
         """T of the mask as the panel shows it, differentiable in the weights."""
