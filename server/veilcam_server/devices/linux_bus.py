@@ -1,0 +1,138 @@
+"""The panel's bus and lines on Linux: thin adapters to spidev and gpiod, from the extra ``pi``."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any, Self
+
+import structlog
+
+from veilcam_server.devices.errors import DeviceMissingError, DisplayError
+from veilcam_server.devices.st7735r import MOST_PER_SECOND
+
+log = structlog.get_logger()
+
+
+def _extra(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise DeviceMissingError(
+            f"the package {name} is not installed: run pip install 'veilcam[server,pi]'"
+        ) from None
+
+
+class LinuxSpi:
+    """A ``Spi`` on spidev."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+
+    @classmethod
+    def open(cls, path: str, speed: int, *, allow_fast: bool = False) -> Self:
+        """Open a bus.
+
+        Args:
+            path: of the device node, e.g. ``/dev/spidev0.0``.
+            speed: clock of the bus [Hz]; the kernel rounds it down to what the chip can do.
+            allow_fast: whether the clock may be faster than the panel's data sheet allows.
+
+        Raises:
+            DeviceMissingError: no such node, no right to open it, or spidev is not installed.
+            DisplayError: the clock is faster than the panel allows.
+        """
+        if speed > MOST_PER_SECOND:
+            if not allow_fast:
+                raise DisplayError(
+                    f"a bus clock of {speed} Hz is too fast for the panel: "
+                    f"use at most {MOST_PER_SECOND} Hz, or allow a fast bus"
+                )
+            log.warning("fast panel bus", speed=speed, most=MOST_PER_SECOND)
+        device = _extra("spidev").SpiDev()
+        try:
+            device.open_path(path)
+            device.mode = 0
+            device.max_speed_hz = speed
+        except OSError as error:
+            device.close()
+            raise DeviceMissingError(
+                f"{path} cannot be opened ({error.strerror}): switch SPI on with raspi-config, "
+                "and be in the group spi"
+            ) from None
+        return cls(device)
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Send all bytes; spidev splits them at its buffer's size."""
+        self._device.writebytes2(buffer)
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._device.close()
+
+
+class LinuxLines:
+    """``Lines`` on libgpiod 2: one request for both."""
+
+    def __init__(self, request: Any, *, data: int, reset: int) -> None:
+        self._request, self._data, self._reset = request, data, reset
+        value = _extra("gpiod").line.Value
+        self._low, self._high = value.INACTIVE, value.ACTIVE
+
+    @classmethod
+    def open(cls, chip: str, *, data: int, reset: int) -> Self:
+        """Ask for both lines as outputs: commands, and not in reset.
+
+        Args:
+            chip: label, ``pinctrl-rp1`` on a Raspberry Pi 5 and ``pinctrl-bcm2711`` on a 4. The
+                number of a chip changes from kernel to kernel.
+            data: line of D/C.
+            reset: line of RST.
+
+        Raises:
+            DeviceMissingError: no such chip, no right to use it, a line is taken, or gpiod is not
+                installed.
+        """
+        gpiod = _extra("gpiod")
+        path = _chip_path(chip)
+        output = gpiod.LineSettings(
+            direction=gpiod.line.Direction.OUTPUT, output_value=gpiod.line.Value.ACTIVE
+        )
+        try:
+            request = gpiod.request_lines(path, consumer="veilcamd", config={(data, reset): output})
+        except (OSError, ValueError) as error:
+            raise DeviceMissingError(
+                f"lines {data} and {reset} of {chip} cannot be used ({error}): see with gpioinfo "
+                "who has them, and be in the group gpio"
+            ) from None
+        return cls(request, data=data, reset=reset)
+
+    def data(self, value: bool, /) -> None:
+        """Drive D/C."""
+        self._request.set_value(self._data, self._high if value else self._low)
+
+    def reset(self, value: bool, /) -> None:
+        """Drive RST, which resets when low."""
+        self._request.set_value(self._reset, self._low if value else self._high)
+
+    def close(self) -> None:
+        """Let go of the lines."""
+        self._request.release()
+
+
+def _chip_path(label: str) -> str:
+    """Path of the chip with that label."""
+    gpiod = _extra("gpiod")
+    labels = []
+    for path in sorted(str(path) for path in Path("/dev").glob("gpiochip*")):
+        try:
+            with gpiod.Chip(path) as chip:
+                found = chip.get_info().label
+        except OSError:
+            continue
+        if found == label:
+            return path
+        labels.append(found)
+    raise DeviceMissingError(
+        f"there is no GPIO chip {label!r}: use one of {', '.join(labels) or 'those of gpiodetect'}"
+    )

@@ -1,0 +1,269 @@
+"""The ST7735R panel: masks as bytes on a 4-line serial bus (Sitronix data sheet, V0.2).
+
+One project column is one gate line of the panel, and three project rows, R, G and B, are one of its
+pixels. A mask change writes the pixels of the window and nothing else; all others were made opaque
+when the panel was initialised and stay so.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_optics.geometry import Camera
+from veilcam_server.devices.errors import DisplayError
+from veilcam_server.devices.protocols import Levels, Shown
+
+PIXEL_COLUMNS, PIXEL_ROWS, COLOURS = 128, 160, 3
+FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS
+"""Bytes of all visible pixels in 6-6-6."""
+MOST_PER_SECOND = 15_151_515
+"""Fastest clock of the bus that the data sheet allows, 66 ns a bit [Hz]."""
+
+_BITS = 2
+"""Of every byte, the two lowest carry nothing in 6-6-6."""
+_OPAQUE = bytes(4096)
+
+
+class Spi(Protocol):
+    """The bus to the panel, mode 0, most significant bit first."""
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Send all bytes and return once the last is out.
+
+        Raises:
+            OSError: they were not sent, or not all.
+        """
+
+    def close(self) -> None:
+        """Let go of the bus."""
+
+
+class Lines(Protocol):
+    """The two lines beside the bus. Both raise ``OSError`` when the line cannot be driven."""
+
+    def data(self, value: bool, /) -> None:
+        """Drive D/C: true for parameters and pixels, false for a command."""
+
+    def reset(self, value: bool, /) -> None:
+        """Drive RST: true holds the panel in reset (the line is low)."""
+
+    def close(self) -> None:
+        """Let go of the lines."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tab:
+    """How a maker joined glass and controller; the colour of the protective film's tab tells.
+
+    Attributes:
+        name: of the tab.
+        column: address of the first visible pixel column.
+        row: address of the first visible pixel row.
+        memory: columns and rows of the controller that its GM pins choose to use.
+        filters: colours of the sub-pixels of one pixel, in the order of the source lines. A panel
+            with the order BGR is mounted turned by 180 degrees, so that R, G and B follow each
+            other down the mask on both.
+    """
+
+    name: str
+    column: int
+    row: int
+    memory: tuple[int, int]
+    filters: Literal["RGB", "BGR"]
+
+
+TABS: Final = MappingProxyType(
+    {
+        tab.name: tab
+        for tab in (
+            Tab("red", 0, 0, (128, 160), "BGR"),
+            Tab("black", 0, 0, (128, 160), "RGB"),
+            Tab("green", 2, 1, (132, 162), "BGR"),
+        )
+    }
+)
+"""Tabs by name. A wrong one shifts or swaps the mask, which is then another key."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Command:
+    code: int
+    parameters: bytes = b""
+    wait: float = 0.0
+    """What the panel needs before the next command [s]."""
+
+
+_SETUP = (
+    _Command(0x01, wait=0.150),  # SWRESET
+    _Command(0x11, wait=0.500),  # SLPOUT
+    _Command(0xB1, bytes.fromhex("012C2D")),  # FRMCTR1 to 3: 81 frames a second
+    _Command(0xB2, bytes.fromhex("012C2D")),
+    _Command(0xB3, bytes.fromhex("012C2D012C2D")),
+    _Command(0xB4, bytes.fromhex("07")),  # INVCTR: line inversion
+    _Command(0xC0, bytes.fromhex("A20284")),  # PWCTR1 to 5
+    _Command(0xC1, bytes.fromhex("C5")),
+    _Command(0xC2, bytes.fromhex("0A00")),
+    _Command(0xC3, bytes.fromhex("8A2A")),
+    _Command(0xC4, bytes.fromhex("8AEE")),
+    _Command(0xC5, bytes.fromhex("0E")),  # VMCTR1
+    _Command(0x20),  # INVOFF
+)
+_GAMMA = (
+    _Command(0xE0, bytes.fromhex("021C07123732292D29252B3900010310")),
+    _Command(0xE1, bytes.fromhex("031D07062E2C292D2E2E373F00000210")),
+)
+_MADCTL, _COLMOD, _CASET, _RASET, _RAMWR = 0x36, 0x3A, 0x2A, 0x2B, 0x2C
+_TURNED_BGR = 0x80 | 0x40 | 0x08
+"""MADCTL of MY, MX and BGR."""
+_666 = b"\x06"
+
+
+class ST7735R:
+    """A panel on a bus. Constructing one initialises it and makes it opaque.
+
+    Args:
+        spi: the bus; closed with this.
+        lines: D/C and RST; closed with this.
+        camera: whose window is the mask.
+        tab: where the glass sits in the controller's memory.
+        sleep: waits so many seconds.
+        clock: monotonic time [s].
+
+    Raises:
+        DisplayError: the camera's panel is another one, or the bus failed.
+    """
+
+    name = "ST7735R"
+
+    def __init__(
+        self,
+        spi: Spi,
+        lines: Lines,
+        *,
+        camera: Camera,
+        tab: Tab,
+        sleep: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        panel, window = camera.panel, camera.window
+        if (panel.rows, panel.columns) != (PIXEL_COLUMNS * COLOURS, PIXEL_ROWS) or (
+            panel.levels != 64 or panel.filter_cycle not in ((), (0, 1, 2))
+        ):
+            raise DisplayError(
+                "the bundle is for another panel than an ST7735R: use one for 384 x 160 sub-pixels "
+                "of 64 levels, with the colours R, G, B"
+            )
+        self._spi, self._lines, self._tab = spi, lines, tab
+        self._sleep, self._clock = sleep, clock
+        self._shape, self._levels = camera.mask_shape, panel.levels
+        first = window.first_row // COLOURS
+        last = (window.first_row + window.rows - 1) // COLOURS
+        self._columns = (first, last)
+        self._rows = (window.first_column, window.first_column + window.columns - 1)
+        # The only copy of a mask in this object, and only while it is being written. Sub-pixels
+        # that share a pixel with the window's edge, but lie outside it, stay 0: opaque.
+        self._pixels = np.zeros((window.columns, (last - first + 1) * COLOURS), np.uint8)
+        lead = window.first_row - first * COLOURS
+        self._window: npt.NDArray[np.uint8] = self._pixels[:, lead : lead + window.rows]
+        self._ready = False
+        with self._bus():
+            self._initialise()
+
+    def show(self, levels: Levels) -> Shown:
+        """Write a mask to the window."""
+        if levels.shape != self._shape or levels.dtype != np.uint8:
+            raise DisplayError(f"the panel takes uint8 levels of shape {self._shape}")
+        if int(levels.max()) >= self._levels:
+            raise DisplayError(f"the panel takes levels 0 to {self._levels - 1}")
+        with self._bus():
+            self._require_ready()
+            np.left_shift(levels.T, _BITS, out=self._window)
+            self._address(self._columns, self._rows)
+            self._send(_Command(_RAMWR))
+            self._spi.write(self._pixels.data.cast("B"))
+            return Shown(self._clock())
+
+    def blank(self) -> None:
+        """Make all visible pixels opaque, not the window alone."""
+        with self._bus():
+            self._require_ready()
+            self._blank()
+
+    def close(self) -> None:
+        """Let go of the bus; the panel goes on showing what it shows."""
+        self._pixels.fill(0)
+        try:
+            self._spi.close()
+        finally:
+            self._lines.close()
+
+    @contextmanager
+    def _bus(self) -> Iterator[None]:
+        """Whatever goes wrong on the bus is one error, after which the panel is set up anew."""
+        try:
+            yield
+        except OSError as error:
+            self._ready = False
+            raise DisplayError(
+                f"the panel's bus failed ({error.strerror or type(error).__name__}): "
+                "check its wiring and power"
+            ) from None
+        except BaseException:
+            self._ready = False
+            raise
+        finally:
+            self._pixels.fill(0)
+
+    def _require_ready(self) -> None:
+        # After a failed write the panel may have been without power and hence be transparent.
+        if not self._ready:
+            self._initialise()
+
+    def _initialise(self) -> None:
+        self._lines.reset(True)
+        self._sleep(1e-4)
+        self._lines.reset(False)
+        self._sleep(0.120)
+        for command in _SETUP:
+            self._send(command)
+        self._send(_Command(_MADCTL, bytes([_TURNED_BGR if self._tab.filters == "BGR" else 0])))
+        self._send(_Command(_COLMOD, _666))
+        for command in _GAMMA:
+            self._send(command)
+        self._send(_Command(0x13, wait=0.010))  # NORON
+        # The memory holds chance after power-up: opaque comes before the display is on.
+        self._blank()
+        self._send(_Command(0x29, wait=0.100))  # DISPON
+        self._ready = True
+
+    def _blank(self) -> None:
+        self._address((0, PIXEL_COLUMNS - 1), (0, PIXEL_ROWS - 1))
+        self._send(_Command(_RAMWR))
+        for begin in range(0, FULL_FRAME, len(_OPAQUE)):
+            self._spi.write(_OPAQUE[: FULL_FRAME - begin])
+
+    def _address(self, columns: tuple[int, int], rows: tuple[int, int]) -> None:
+        """Choose the pixels that are written next; both ends belong to them."""
+        for code, (first, last), offset in (
+            (_CASET, columns, self._tab.column),
+            (_RASET, rows, self._tab.row),
+        ):
+            ends = (first + offset).to_bytes(2, "big") + (last + offset).to_bytes(2, "big")
+            self._send(_Command(code, ends))
+
+    def _send(self, command: _Command) -> None:
+        self._lines.data(False)
+        self._spi.write(bytes([command.code]))
+        self._lines.data(True)
+        if command.parameters:
+            self._spi.write(command.parameters)
+        if command.wait:
+            self._sleep(command.wait)

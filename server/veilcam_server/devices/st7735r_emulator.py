@@ -1,0 +1,295 @@
+"""An ST7735R to the byte, below the bus: what a driver sends is what the crystal shows.
+
+Written from the data sheet (Sitronix ST7735R, V0.2), not from the driver: it takes any order of
+commands and any split of the bytes.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_server.devices.st7735r import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, Tab
+
+_Bytes = npt.NDArray[np.uint8]
+Shown = npt.NDArray[np.float32]
+"""What the crystal shows, 0 (opaque) to 63 (open), shape (384, 160): sub-pixels as mounted."""
+_TOP = 63
+_MEMORY = (162, 132)
+"""Rows and columns of pixels that the controller has."""
+_KEPT = 8
+"""Changes that are remembered, so that an exposure over several of them can be evaluated."""
+
+_NOP, _SWRESET, _SLPIN, _SLPOUT = 0x00, 0x01, 0x10, 0x11
+_INVOFF, _INVON, _DISPOFF, _DISPON = 0x20, 0x21, 0x28, 0x29
+_CASET, _RASET, _RAMWR, _MADCTL, _COLMOD = 0x2A, 0x2B, 0x2C, 0x36, 0x3A
+_MY, _MX, _MV, _BGR = 0x80, 0x40, 0x20, 0x08
+_BITS_PER_PIXEL = {0x03: 12, 0x05: 16, 0x06: 18}
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """What is wrong with a panel."""
+
+    dead: bool = False
+    """No power: it ignores everything and is transparent."""
+    lost: int = 0
+    """Every so many-th write to the bus is lost; 0 for none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Crystal:
+    """How a change in the memory becomes one of the light."""
+
+    scan: float = 0.0123
+    """Time between two refreshes of a gate line [s]; 0 for at once."""
+    phase: float = 0.0
+    """When a refresh of the first line began, monotonic [s]."""
+    settle: float = 0.0
+    """What a sub-pixel takes from its refresh until it has turned, linearly [s]."""
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """From ``before`` to ``after``, for what changed ``at``."""
+
+    at: float
+    before: Shown = field(repr=False)
+    after: _Bytes = field(repr=False)
+
+
+class PanelEmulator:
+    """A panel: an ``Spi`` and a ``Lines`` in one, and a crystal that can be looked at.
+
+    Args:
+        tab: how glass and controller are joined.
+        crystal: how fast it follows.
+        faults: what is wrong with it.
+        reset_time: for which commands are ignored after a reset, 120 ms on the real one [s].
+        clock: monotonic time [s].
+        seed: of what the memory holds after power-up.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        *,
+        crystal: Crystal = Crystal(),
+        faults: Faults = Faults(),
+        reset_time: float = 0.120,
+        clock: Callable[[], float] = time.monotonic,
+        seed: int = 0,
+    ) -> None:
+        self.tab, self.crystal, self.faults = tab, crystal, faults
+        self._reset_time, self._clock = reset_time, clock
+        random = np.random.default_rng(seed)
+        self._memory = random.integers(0, _TOP + 1, (*_MEMORY, COLOURS), np.uint8)
+        self.bytes_received = 0
+        self._writes = 0
+        self._is_data = False
+        self._in_reset = False
+        self._busy_until = -math.inf
+        self._madctl = 0
+        self._reset()
+        self._turns: deque[_Turn] = deque(maxlen=_KEPT)
+        after = self.framebuffer()
+        self._turns.append(_Turn(-math.inf, after.astype(np.float32), after))
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Receive bytes under the present level of D/C."""
+        received = np.frombuffer(buffer, np.uint8)
+        self.bytes_received += received.size
+        self._writes += 1
+        lost = self.faults.lost and self._writes % self.faults.lost == 0
+        if self.faults.dead or self._in_reset or lost or self._clock() < self._busy_until:
+            return
+        if self._is_data:
+            self._take_data(received)
+        else:
+            for code in received.tolist():
+                self._take_command(code)
+        self._changed()
+
+    def data(self, value: bool, /) -> None:
+        """D/C."""
+        self._is_data = value
+
+    def reset(self, value: bool, /) -> None:
+        """RST: the registers fall back, the memory stays."""
+        self._in_reset = value
+        if not self.faults.dead:
+            self._madctl = 0
+            self._reset()
+            self._busy_until = self._clock() + self._reset_time
+            self._changed()
+
+    def close(self) -> None:
+        """Whoever drove it lets go; it goes on showing what it shows."""
+
+    @property
+    def transparent(self) -> bool:
+        """Whether it is without power, asleep or off: a normally white panel is then open."""
+        return self.faults.dead or self._asleep or not self._on
+
+    def framebuffer(self) -> _Bytes:
+        """What the memory and the state of the panel ask for, 0 to 63, shape (384, 160)."""
+        shape = (PIXEL_COLUMNS * COLOURS, PIXEL_ROWS)
+        if self.transparent:
+            return np.full(shape, _TOP, np.uint8)
+        turned = self.tab.filters == "BGR"
+        columns, rows = self.tab.memory
+        # A tab names the first address as its makers' drivers see it: turned, from the far corner.
+        left = columns - PIXEL_COLUMNS - self.tab.column if turned else self.tab.column
+        top = rows - PIXEL_ROWS - self.tab.row if turned else self.tab.row
+        pixels = self._memory[top : top + PIXEL_ROWS, left : left + PIXEL_COLUMNS]
+        if self._madctl & _BGR:
+            pixels = pixels[:, :, ::-1]
+        lines = pixels.reshape(PIXEL_ROWS, -1)
+        if turned:
+            lines = lines[::-1, ::-1]
+        levels = np.ascontiguousarray(lines.T)
+        return _TOP - levels if self._inverted else levels
+
+    def visible(self, at: float) -> Shown:
+        """What the crystal shows at a time that is not before the last few changes [s]."""
+        turn = next(
+            (turn for turn in reversed(tuple(self._turns)) if turn.at <= at), self._turns[0]
+        )
+        return self._between(turn, at)
+
+    def settled(self, start: float, end: float) -> bool:
+        """Whether nothing turns from ``start`` to ``end`` [s]."""
+        last = self._turns[-1]
+        return last.at + self.crystal.scan + self.crystal.settle <= start <= end
+
+    def _changed(self) -> None:
+        """Turn the crystal from what it shows now to what it is asked to show."""
+        asked, last, now = self.framebuffer(), self._turns[-1], self._clock()
+        if not np.array_equal(asked, last.after):
+            self._turns.append(_Turn(now, self._between(last, now), asked))
+
+    def _between(self, turn: _Turn, at: float) -> Shown:
+        scan, settle = self.crystal.scan, self.crystal.settle
+        if math.isinf(turn.at):
+            return turn.before
+        refreshed = np.full(PIXEL_ROWS, turn.at)
+        if scan > 0:
+            # Gate line g is refreshed at phase + (n + g / lines) scan, for all whole n.
+            lines = np.arange(PIXEL_ROWS)
+            if self.tab.filters == "BGR":
+                lines = lines[::-1]
+            first = self.crystal.phase + scan * lines / PIXEL_ROWS
+            refreshed = first + np.ceil((turn.at - first) / scan) * scan
+        since = at - refreshed
+        turned = np.clip(since / settle, 0, 1) if settle > 0 else (since >= 0).astype(float)
+        change = turn.after - turn.before
+        return turn.before + change * turned.astype(np.float32)
+
+    def _reset(self) -> None:
+        self._asleep, self._on, self._inverted = True, False, False
+        self._bits = 18
+        columns, rows = self.tab.memory
+        self._window = {_CASET: [0, columns - 1], _RASET: [0, rows - 1]}
+        self._command, self._pending = _NOP, b""
+        self._parameters = 0
+        self._pointer = 0
+
+    def _take_command(self, code: int) -> None:
+        # What was received of a pixel or parameter is dropped, complete parameters are kept.
+        self._command, self._pending, self._parameters = code, b"", 0
+        if code == _SWRESET:
+            self._reset()
+            self._busy_until = self._clock() + self._reset_time
+        elif code in (_SLPIN, _SLPOUT):
+            self._asleep = code == _SLPIN
+        elif code in (_DISPOFF, _DISPON):
+            self._on = code == _DISPON
+        elif code in (_INVOFF, _INVON):
+            self._inverted = code == _INVON
+        elif code == _RAMWR:
+            self._pointer = 0
+
+    def _take_data(self, received: _Bytes) -> None:
+        if self._command in self._window:
+            self._take_ends(received.tobytes())
+        elif self._command == _RAMWR:
+            self._take_pixels(received)
+        elif self._parameters == 0 and received.size:
+            self._parameters = 1
+            value = int(received[0])
+            if self._command == _MADCTL:
+                self._madctl = value
+            elif self._command == _COLMOD:
+                self._bits = _BITS_PER_PIXEL.get(value & 0x07, self._bits)
+
+    def _take_ends(self, received: bytes) -> None:
+        received = self._pending + received
+        whole = len(received) // 2 * 2
+        for begin in range(0, whole, 2):
+            if self._parameters < 2:
+                end = int.from_bytes(received[begin : begin + 2], "big")
+                self._window[self._command][self._parameters] = end
+                self._parameters += 1
+        self._pending = received[whole:]
+
+    def _take_pixels(self, received: _Bytes) -> None:
+        joined = np.concatenate([np.frombuffer(self._pending, np.uint8), received])
+        # Twelve-bit pixels come in pairs of three bytes; the first of a pair is whole after two.
+        unit = {12: 3, 16: 2, 18: 3}[self._bits]
+        whole = joined.size // unit * unit
+        pixels = _decode(joined[:whole], self._bits)
+        rest = joined[whole:]
+        self._store(pixels)
+        if self._bits == 12 and rest.size == 2:
+            padded = np.append(rest, np.uint8(0))
+            self._store(_decode(padded, 12)[:1])
+            # Its second half waits for the third byte, and is stored then, in its own place.
+            self._pointer -= 1
+        self._pending = rest.tobytes()
+
+    def _store(self, pixels: _Bytes) -> None:
+        (left, right), (top, bottom) = self._window[_CASET], self._window[_RASET]
+        if left > right or top > bottom:
+            return
+        width, height = right - left + 1, bottom - top + 1
+        place = (self._pointer + np.arange(len(pixels))) % (width * height)
+        self._pointer = int((self._pointer + len(pixels)) % (width * height))
+        x, y = left + place % width, top + place // width
+        if self._madctl & _MV:
+            x, y = y, x
+        columns, rows = self.tab.memory
+        if self._madctl & _MX:
+            x = columns - 1 - x
+        if self._madctl & _MY:
+            y = rows - 1 - y
+        inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+        self._memory[y[inside], x[inside]] = pixels[inside]
+
+
+def _decode(received: _Bytes, bits: int) -> _Bytes:
+    """Pixels of 6-6-6, shape (count, 3), from whole bytes in 4-4-4, 5-6-5 or 6-6-6."""
+    if bits == 18:
+        return _as_bytes(received >> 2).reshape(-1, COLOURS)
+    if bits == 16:
+        high, low = received[0::2], received[1::2]
+        red, blue = _as_bytes(high >> 3), _as_bytes(low & 0x1F)
+        green = _as_bytes(((high & 0x07) << 3) | (low >> 5))
+        # The table from 5 to 6 bits may be loaded (RGBSET); this is the one that keeps both ends.
+        return np.stack([_widen(red, 5), green, _widen(blue, 5)], axis=1)
+    nibbles = np.stack([_as_bytes(received >> 4), _as_bytes(received & 0x0F)], axis=1)
+    return _widen(nibbles.reshape(-1, COLOURS), 4)
+
+
+def _widen(values: _Bytes, bits: int) -> _Bytes:
+    """From ``bits`` to six, the highest bits repeated below the lowest."""
+    return _as_bytes((values << (6 - bits)) | (values >> (2 * bits - 6)))
+
+
+def _as_bytes(values: npt.NDArray[np.integer]) -> _Bytes:
+    return values.astype(np.uint8, copy=False)

@@ -1,0 +1,182 @@
+"""The adapters to spidev and gpiod, on modules that only note what they are asked."""
+
+from __future__ import annotations
+
+import sys
+from enum import Enum
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from veilcam_server.devices import DeviceMissingError, DisplayError, linux_bus
+from veilcam_server.devices.linux_bus import LinuxLines, LinuxSpi
+from veilcam_server.devices.st7735r import MOST_PER_SECOND
+
+
+class Value(Enum):
+    INACTIVE = 0
+    ACTIVE = 1
+
+
+class SpiDev:
+    """The part of spidev's class that is used."""
+
+    fault: OSError | None = None
+    last: SpiDev
+
+    def __init__(self) -> None:
+        self.path, self.mode, self.max_speed_hz = "", 3, 0
+        self.sent: list[bytes] = []
+        self.closed = False
+        SpiDev.last = self
+
+    def open_path(self, path: str) -> None:
+        if self.fault is not None:
+            raise self.fault
+        self.path = path
+
+    def writebytes2(self, buffer: memoryview | bytes) -> None:
+        self.sent.append(bytes(buffer))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Gpiod:
+    """The part of gpiod's module that is used."""
+
+    line = SimpleNamespace(Value=Value, Direction=SimpleNamespace(OUTPUT="output"))
+
+    def __init__(self) -> None:
+        self.fault: Exception | None = None
+        self.asked: dict[str, Any] = {}
+        self.values: list[tuple[int, Value]] = []
+        self.released = False
+
+    def LineSettings(self, **settings: object) -> dict[str, object]:  # noqa: N802
+        return settings
+
+    def request_lines(self, path: str, **asked: object) -> Gpiod:
+        if self.fault is not None:
+            raise self.fault
+        self.asked = {"path": path, **asked}
+        return self
+
+    def set_value(self, line: int, value: Value) -> None:
+        self.values.append((line, value))
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.fixture
+def spidev(monkeypatch: pytest.MonkeyPatch) -> type[SpiDev]:
+    module = ModuleType("spidev")
+    module.SpiDev = SpiDev  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "spidev", module)
+    monkeypatch.setattr(SpiDev, "fault", None)
+    return SpiDev
+
+
+@pytest.fixture
+def gpiod(monkeypatch: pytest.MonkeyPatch) -> Gpiod:
+    fake = Gpiod()
+    monkeypatch.setitem(sys.modules, "gpiod", fake)
+    monkeypatch.setattr(linux_bus, "_chip_path", lambda label: f"/dev/{label}")
+    return fake
+
+
+def test_the_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
+    spi = LinuxSpi.open("/dev/spidev0.0", 15_000_000)
+    device = spidev.last
+    assert (device.path, device.mode, device.max_speed_hz) == ("/dev/spidev0.0", 0, 15_000_000)
+    spi.write(memoryview(b"abc"))
+    assert device.sent == [b"abc"]
+    spi.close()
+    assert device.closed
+
+
+def test_a_clock_that_is_too_fast_is_refused_or_warned_of(spidev: type[SpiDev]) -> None:
+    with pytest.raises(DisplayError, match="too fast"):
+        LinuxSpi.open("/dev/spidev0.0", MOST_PER_SECOND + 1)
+    with capture_logs() as logs:
+        LinuxSpi.open("/dev/spidev0.0", MOST_PER_SECOND)
+        assert not logs
+        LinuxSpi.open("/dev/spidev0.0", 32_000_000, allow_fast=True)
+    assert [(entry["log_level"], entry["speed"]) for entry in logs] == [("warning", 32_000_000)]
+    assert spidev.last.max_speed_hz == 32_000_000
+
+
+def test_a_bus_that_is_not_there_says_what_to_do(
+    spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SpiDev, "fault", FileNotFoundError(2, "No such file or directory"))
+    with pytest.raises(DeviceMissingError, match=r"No such file.*raspi-config"):
+        LinuxSpi.open("/dev/spidev9.0", 1_000_000)
+    assert spidev.last.closed
+
+
+def test_lines_are_asked_for_together_and_reset_is_low(gpiod: Gpiod) -> None:
+    lines = LinuxLines.open("pinctrl-rp1", data=25, reset=24)
+    assert gpiod.asked["path"] == "/dev/pinctrl-rp1"
+    assert gpiod.asked["config"] == {
+        (25, 24): {"direction": "output", "output_value": Value.ACTIVE}
+    }
+    lines.data(True)
+    lines.data(False)
+    lines.reset(True)
+    lines.reset(False)
+    assert gpiod.values == [
+        (25, Value.ACTIVE),
+        (25, Value.INACTIVE),
+        (24, Value.INACTIVE),
+        (24, Value.ACTIVE),
+    ]
+    lines.close()
+    assert gpiod.released
+
+
+def test_lines_that_are_taken_say_what_to_do(gpiod: Gpiod) -> None:
+    gpiod.fault = OSError(16, "Device or resource busy")
+    with pytest.raises(DeviceMissingError, match=r"busy.*gpioinfo"):
+        LinuxLines.open("pinctrl-rp1", data=25, reset=24)
+
+
+def test_a_chip_is_found_by_its_label(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    labels = {"gpiochip0": "gpio-brcmstb", "gpiochip4": "pinctrl-rp1", "gpiochip9": None}
+
+    class Chip:
+        def __init__(self, path: str) -> None:
+            label = labels[path.rsplit("/", 1)[-1]]
+            if label is None:
+                raise PermissionError(13, "Permission denied")
+            self.label = label
+
+        def __enter__(self) -> Chip:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            """Nothing is open."""
+
+        def get_info(self) -> Chip:
+            return self
+
+    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=Chip))
+    monkeypatch.setattr(Path, "glob", lambda folder, _: [folder / name for name in labels])
+    assert linux_bus._chip_path("pinctrl-rp1") == "/dev/gpiochip4"
+    with pytest.raises(DeviceMissingError, match="use one of gpio-brcmstb, pinctrl-rp1"):
+        linux_bus._chip_path("pinctrl-bcm2711")
+
+
+def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "spidev", None)
+    monkeypatch.setitem(sys.modules, "gpiod", None)
+    with pytest.raises(DeviceMissingError, match=r"spidev is not installed.*veilcam\[server,pi\]"):
+        LinuxSpi.open("/dev/spidev0.0", 1_000_000)
+    with pytest.raises(DeviceMissingError, match=r"gpiod is not installed.*veilcam\[server,pi\]"):
+        LinuxLines.open("pinctrl-rp1", data=25, reset=24)

@@ -1,0 +1,278 @@
+"""The panel's driver: which bytes it sends when, and what is on the glass afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from veilcam_optics.geometry import Camera, Panel, Window
+from veilcam_server.devices import DisplayError
+from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS, Tab
+from veilcam_server.devices.st7735r_emulator import Crystal, Faults, PanelEmulator
+
+from .clock import Clock
+
+CAMERA = Camera()
+RNG = np.random.default_rng(8)
+
+
+def draw(camera: Camera = CAMERA) -> npt.NDArray[np.uint8]:
+    return RNG.integers(0, 64, camera.mask_shape, np.uint8)
+
+
+def on_glass(levels: npt.NDArray[np.uint8], window: Window) -> npt.NDArray[np.uint8]:
+    """What the whole panel should show."""
+    frame = np.zeros((384, 160), np.uint8)
+    rows = slice(window.first_row, window.first_row + window.rows)
+    frame[rows, window.first_column : window.first_column + window.columns] = levels
+    return frame
+
+
+class Wire:
+    """Notes all that goes over bus and lines; raises ``fault`` at the ``failing``-th write."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.sent: list[tuple[bool, bytes]] = []
+        self.resets: list[bool] = []
+        self.fault: BaseException | None = None
+        self.failing = 0
+        self.writes = self.closed = 0
+        self.is_data = False
+        self.buffers: list[memoryview] = []
+        self.took = 0.0
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        self.writes += 1
+        if isinstance(buffer, memoryview):
+            self.buffers.append(buffer)
+        if self.fault is not None and self.writes == self.failing:
+            raise self.fault
+        self.sent.append((self.is_data, bytes(buffer)))
+        self.clock.sleep(self.took)
+
+    def data(self, value: bool, /) -> None:
+        self.is_data = value
+
+    def reset(self, value: bool, /) -> None:
+        self.resets.append(value)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def wire(clock: Clock) -> Wire:
+    return Wire(clock)
+
+
+def driver(wire: Wire, tab: Tab = TABS["green"], camera: Camera = CAMERA) -> ST7735R:
+    panel = ST7735R(wire, wire, camera=camera, tab=tab, sleep=wire.clock.sleep, clock=wire.clock)
+    wire.sent.clear()
+    return panel
+
+
+def emulated(
+    clock: Clock, tab: Tab, camera: Camera = CAMERA, glass: Tab | None = None
+) -> tuple[ST7735R, PanelEmulator]:
+    emulator = PanelEmulator(glass or tab, crystal=Crystal(scan=0.0), clock=clock)
+    panel = ST7735R(emulator, emulator, camera=camera, tab=tab, sleep=clock.sleep, clock=clock)
+    return panel, emulator
+
+
+@pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
+def test_a_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> None:
+    panel, emulator = emulated(clock, tab)
+    for _ in range(1000):
+        levels = draw()
+        panel.show(levels)
+        assert np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
+    panel.blank()
+    assert not emulator.framebuffer().any()
+
+
+@pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
+@pytest.mark.parametrize(
+    "window",
+    [Window(1, 1, 0, 0), Window(1, 1, 383, 159), Window(4, 3, 2, 157), Window(384, 160, 0, 0)],
+)
+def test_any_window_lands_where_it_should(tab: Tab, window: Window, clock: Clock) -> None:
+    camera = Camera(window=window)
+    panel, emulator = emulated(clock, tab, camera)
+    levels = draw(camera)
+    panel.show(levels)
+    assert np.array_equal(emulator.framebuffer(), on_glass(levels, window))
+
+
+@pytest.mark.parametrize(
+    ("tab", "columns", "rows"),
+    [
+        ("red", b"\x00\x38\x00\x48", b"\x00\x45\x00\x5a"),
+        ("black", b"\x00\x38\x00\x48", b"\x00\x45\x00\x5a"),
+        ("green", b"\x00\x3a\x00\x4a", b"\x00\x46\x00\x5b"),
+    ],
+)
+def test_a_mask_change_sends_the_window_and_nothing_else(
+    tab: str, columns: bytes, rows: bytes, wire: Wire
+) -> None:
+    levels = draw()
+    driver(wire, TABS[tab]).show(levels)
+    # By hand: sub-pixel rows 168 to 218 are pixels 56 to 72, columns 69 to 90 are gate lines.
+    pixels = b"".join(
+        bytes(int(levels[3 * pixel + colour, line]) << 2 for colour in range(3))
+        for line in range(22)
+        for pixel in range(17)
+    )
+    assert wire.sent == [
+        (False, b"\x2a"),
+        (True, columns),
+        (False, b"\x2b"),
+        (True, rows),
+        (False, b"\x2c"),
+        (True, pixels),
+    ]
+    assert sum(len(sent) for _, sent in wire.sent) <= 4500 < FULL_FRAME == 61_440
+
+
+def test_it_waits_where_the_data_sheet_says_so(wire: Wire) -> None:
+    began = wire.clock.now
+    sent: dict[bytes, float] = {}
+    write = wire.write
+
+    def timed(buffer: memoryview | bytes) -> None:
+        if not wire.is_data:
+            sent[bytes(buffer)] = wire.clock.now - began
+        write(buffer)
+
+    wire.write = timed  # type: ignore[method-assign]
+    ST7735R(wire, wire, camera=CAMERA, tab=TABS["red"], sleep=wire.clock.sleep, clock=wire.clock)
+    assert wire.resets == [True, False]
+    assert sent[b"\x01"] >= 0.120  # SWRESET after RST
+    assert sent[b"\x11"] - sent[b"\x01"] >= 0.120  # SLPOUT after SWRESET
+    assert sent[b"\xb1"] - sent[b"\x11"] >= 0.120
+    assert wire.clock.now - began - sent[b"\x29"] > 0.0999
+    # Opaque is in the memory before the display is on.
+    assert list(sent).index(b"\x2c") < list(sent).index(b"\x29")
+    assert (True, b"\x06") in wire.sent
+
+
+@pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
+def test_the_panel_is_never_lit_with_chance(tab: Tab, clock: Clock) -> None:
+    class Watched(PanelEmulator):
+        def write(self, buffer: memoryview | bytes) -> None:
+            super().write(buffer)
+            assert self.transparent or not self.framebuffer().any()
+
+    emulator = Watched(tab, clock=clock)
+    assert emulator.transparent
+    ST7735R(emulator, emulator, camera=CAMERA, tab=tab, sleep=clock.sleep, clock=clock)
+    assert not emulator.transparent
+
+
+def test_the_time_of_completion_is_after_the_last_byte(wire: Wire) -> None:
+    panel = driver(wire)
+    wire.took = 0.5
+    began = wire.clock.now
+    assert panel.show(draw()).completed_at == began + 6 * 0.5
+
+
+def test_a_wrong_tab_shows_another_mask(clock: Clock) -> None:
+    panel, emulator = emulated(clock, TABS["red"], glass=TABS["green"])
+    levels = draw()
+    panel.show(levels)
+    assert not np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
+
+
+@pytest.mark.parametrize(
+    "levels",
+    [
+        np.zeros((22, 51), np.uint8),
+        np.zeros((51, 22), np.int64),
+        np.full((51, 22), 64, np.uint8),
+    ],
+)
+def test_what_it_cannot_show_is_refused_before_the_bus(
+    levels: npt.NDArray[np.uint8], wire: Wire
+) -> None:
+    panel = driver(wire)
+    with pytest.raises(DisplayError):
+        panel.show(levels)
+    assert not wire.sent
+
+
+@pytest.mark.parametrize(
+    "panel",
+    [Panel(rows=240), Panel(columns=161), Panel(levels=32), Panel(filter_cycle=(2, 1, 0))],
+)
+def test_another_panel_is_refused(panel: Panel, wire: Wire) -> None:
+    with pytest.raises(DisplayError, match="another panel"):
+        driver(wire, camera=Camera(panel=panel, window=Window(3, 3, 0, 0)))
+
+
+def _show(panel: ST7735R) -> None:
+    panel.show(draw())
+
+
+@pytest.mark.parametrize("act", [_show, ST7735R.blank])
+def test_a_failing_bus_is_a_display_error_and_sets_the_panel_up_anew(
+    act: Callable[[ST7735R], None], wire: Wire
+) -> None:
+    panel = driver(wire)
+    wire.fault, wire.failing = OSError(5, "Input/output error"), wire.writes + 4
+    with pytest.raises(DisplayError, match=r"Input/output error.*check") as caught:
+        act(panel)
+    assert caught.value.__cause__ is None
+    wire.sent.clear()
+    act(panel)
+    assert wire.sent[0] == (False, b"\x01")
+    wire.sent.clear()
+    act(panel)
+    assert wire.sent[0] == (False, b"\x2a")
+
+
+def test_a_bus_that_fails_at_the_start_is_an_error(wire: Wire) -> None:
+    wire.fault, wire.failing = TimeoutError(), 1
+    with pytest.raises(DisplayError, match="TimeoutError"):
+        driver(wire)
+
+
+def test_no_pattern_stays_behind(wire: Wire) -> None:
+    panel = driver(wire)
+    panel.show(draw())
+    (buffer,) = wire.buffers
+    assert len(buffer) == 51 * 22
+    assert not any(buffer)
+    wire.fault, wire.failing = OSError(5, "Input/output error"), wire.writes + 6
+    with pytest.raises(DisplayError):
+        panel.show(draw())
+    assert not any(wire.buffers[-1])
+    panel.close()
+    assert wire.closed == 2
+
+
+def test_masks_are_not_in_any_repr(clock: Clock) -> None:
+    panel, emulator = emulated(clock, TABS["green"])
+    panel.show(np.full(CAMERA.mask_shape, 37, np.uint8))
+    assert not any("37" in repr(turn) or "array" in repr(turn) for turn in emulator._turns)
+
+
+def test_lost_writes_leave_another_picture(clock: Clock) -> None:
+    emulator = PanelEmulator(TABS["green"], clock=clock)
+    panel = ST7735R(
+        emulator, emulator, camera=CAMERA, tab=TABS["green"], sleep=clock.sleep, clock=clock
+    )
+    emulator.faults = Faults(lost=6)
+    wrong = 0
+    for _ in range(12):
+        levels = draw()
+        panel.show(levels)
+        wrong += not np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
+    assert wrong == 12
