@@ -20,6 +20,7 @@ from veilcam_training.changes import CHANGES
 from veilcam_training.configuration import load_settings
 from veilcam_training.data import SOURCES, open_source
 from veilcam_training.data.download import REMOTES, download
+from veilcam_training.device import choose_device
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
 from veilcam_training.fitting import Observer
@@ -28,6 +29,7 @@ from veilcam_training.job import Outcome, Settings, as_pair, make_model, run_job
 from veilcam_training.keyring import as_bundle, fit_keyring
 from veilcam_training.progress import FitProgress, make_progress
 from veilcam_training.recipes import RECIPES
+from veilcam_training.tables.command import table_command
 
 app = typer.Typer(
     help="Train lensless cameras: mask and classifier together.",
@@ -179,6 +181,7 @@ def keyring_command(
     console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
+app.command("table")(table_command)
 app.command("fit-fresh")(fit_fresh_command)
 
 
@@ -228,13 +231,7 @@ def _prepare(device: str, threads: int | None) -> torch.device:
     """Set the number of threads and choose the device."""
     if threads is not None:
         torch.set_num_threads(threads)
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device not in ("cpu", "cuda"):
-        raise TrainingError(f"--device {device} is not valid: use cpu, cuda or auto")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise TrainingError("--device cuda is not valid: torch sees no CUDA device; use cpu")
-    return torch.device(device)
+    return choose_device(device)
 
 
 def _logs(folder: Path | None) -> Sequence[Observer]:

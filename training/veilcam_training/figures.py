@@ -15,14 +15,40 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from veilcam_training.errors import TrainingError
 
 
+@dataclass(frozen=True)
+class Origin:
+    """What measured a figure, from which source, when and where."""
+
+    command: str
+    commit: str
+    date: str
+    """Of the day, as 2026-01-31 (UTC)."""
+    machine: str
+
+    @classmethod
+    def here(cls, command: Sequence[str] | None = None) -> Origin:
+        """Now, on this machine, by ``command``: this process's own by default."""
+        return cls(
+            command=shlex.join(command if command is not None else own_command()),
+            commit=commit(),
+            date=datetime.now(UTC).date().isoformat(),
+            machine=machine(),
+        )
+
+
 def record_figures(
-    path: Path, values: Mapping[str, float], command: Sequence[str] | None = None
+    path: Path,
+    values: Mapping[str, float],
+    command: Sequence[str] | None = None,
+    *,
+    origin: Origin | None = None,
 ) -> None:
     """Write figures into the record at ``path``; other figures in it stay as they are.
 
@@ -30,6 +56,7 @@ def record_figures(
         path: JSON file, made if it is not there.
         values: by name.
         command: that measured them; this process's own by default.
+        origin: of figures that were measured before, in the place of a command.
 
     Raises:
         TrainingError: a figure that is no finite number, or a file that is no such record.
@@ -37,12 +64,7 @@ def record_figures(
     for name, value in values.items():
         if not math.isfinite(value):
             raise TrainingError(f"figure {name} = {value} is not valid: use a finite number")
-    entry = {
-        "command": shlex.join(command if command is not None else own_command()),
-        "commit": commit(),
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": machine(),
-    }
+    entry = asdict(Origin.here(command) if origin is None else origin)
     path.parent.mkdir(parents=True, exist_ok=True)
     # Two benchmarks may end at the same time: one at a time reads, changes and writes.
     with _locked(path.parent):

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
 
 from veilcam_optics.geometry import Camera, Embedding
 from veilcam_training.bundle import Accuracy, Pair
@@ -19,7 +20,7 @@ from veilcam_training.classifiers import Task, make_layers
 from veilcam_training.data import Images, Source, Split, split
 from veilcam_training.encoders import Encoder, Mask, Setup, make_encoder
 from veilcam_training.errors import TrainingError
-from veilcam_training.evaluation import evaluate
+from veilcam_training.evaluation import confusion, evaluate
 from veilcam_training.fitting import Fit, Observer, fit
 from veilcam_training.model import LenslessClassifier
 from veilcam_training.randomness import seeded, stream
@@ -73,6 +74,8 @@ class Outcome:
     settings: Settings
     fit: Fit
     accuracy: Accuracy
+    confusion: Tensor
+    """Of the test set, see :func:`veilcam_training.evaluation.confusion`."""
 
 
 def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
@@ -168,7 +171,12 @@ def run_job(
     )
     test = source.test().to(device)
     result = ranks.from_first(lambda: evaluate(fitted.model, test, settings.seed, "test"))
-    return Outcome(settings, fitted, Accuracy(result.accuracy, f"{source.name} test", len(test)))
+    return Outcome(
+        settings,
+        fitted,
+        Accuracy(result.accuracy, f"{source.name} test", len(test)),
+        confusion(test.labels.cpu(), result.predictions, len(source.labels)),
+    )
 
 
 def as_pair(model: LenslessClassifier) -> Pair:

@@ -1,0 +1,25 @@
+"""Test accuracies of finished cells in the record of figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import mean
+
+from veilcam_training.figures import record_figures
+from veilcam_training.tables.result import CellResult
+
+
+def record_cells(path: Path, results: Sequence[CellResult]) -> None:
+    """Write test accuracies [percent] into the record at ``path``.
+
+    Several seeds of one cell give their mean. Each figure has the command, commit, date and machine
+    of the cell, of the last one if there are several.
+    """
+    by_name: dict[str, list[CellResult]] = {}
+    for result in results:
+        by_name.setdefault(result.cell.place.figure, []).append(result)
+    for name, group in by_name.items():
+        percent = 100 * mean(result.test_accuracy for result in group)
+        last = max(group, key=lambda result: result.origin.date)
+        record_figures(path, {name: round(percent, 2)}, origin=last.origin)
