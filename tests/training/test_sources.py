@@ -20,23 +20,11 @@ from veilcam_training.job import Settings, run_job
 from veilcam_training.keyring import as_bundle
 from veilcam_training.recipe import Recipe
 
-
-def faces_file(folder: Path, **changes: Any) -> Path:
-    random = np.random.default_rng(0)
-    content: dict[str, Any] = {
-        "images": random.integers(0, 256, (120, 64, 52), dtype=np.uint8),
-        "identity": np.repeat(np.arange(40), 3),
-        "female": random.integers(0, 2, 120),
-        "smiling": random.integers(0, 2, 120).astype(bool),
-        "glasses": random.integers(0, 2, 120),
-    }
-    content.update(changes)
-    np.savez(folder / "faces.npz", **{k: v for k, v in content.items() if v is not None})
-    return folder
+Writer = Callable[..., Path]
 
 
 @pytest.mark.parametrize("task", ["gender", "smiling", "glasses"])
-def test_faces(tmp_path: Path, task: str) -> None:
+def test_faces(faces_file: Writer, tmp_path: Path, task: str) -> None:
     source = open_source(f"faces-{task}", faces_file(tmp_path))
     training, test = source.training(), source.test()
     assert len(training) == 102
@@ -67,7 +55,9 @@ def test_faces(tmp_path: Path, task: str) -> None:
         ({"female": np.full(120, 2)}, "other than 0 and 1"),
     ],
 )
-def test_bad_faces(tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
+def test_bad_faces(
+    faces_file: Writer, tmp_path: Path, changes: dict[str, Any], reason: str
+) -> None:
     source = open_source("faces-gender", faces_file(tmp_path, **changes))
     with pytest.raises(TrainingError, match=reason):
         source.training()
@@ -83,18 +73,8 @@ def test_missing_and_broken_faces(tmp_path: Path) -> None:
         source.training()
 
 
-def cifar_files(folder: Path, count: int = 4) -> Path:
-    folder.mkdir(exist_ok=True)
-    random = np.random.default_rng(0)
-    for name in (*(f"data_batch_{n}" for n in range(1, 6)), "test_batch"):
-        records = random.integers(0, 256, (count, 3073), dtype=np.uint8)
-        records[:, 0] %= 10
-        (folder / f"{name}.bin").write_bytes(records.tobytes())
-    return folder
-
-
 @pytest.mark.parametrize("inside", ["", "cifar-10-batches-bin"])
-def test_cifar10(tmp_path: Path, inside: str) -> None:
+def test_cifar10(cifar_files: Writer, tmp_path: Path, inside: str) -> None:
     files = cifar_files(tmp_path / inside)
     source = open_source("cifar10", tmp_path)
     training, test = source.training(), source.test()
@@ -109,7 +89,7 @@ def test_cifar10(tmp_path: Path, inside: str) -> None:
     assert len(source.digests()) == 6
 
 
-def test_bad_cifar10(tmp_path: Path) -> None:
+def test_bad_cifar10(cifar_files: Writer, tmp_path: Path) -> None:
     cifar_files(tmp_path)
     path = tmp_path / "data_batch_3.bin"
     data = path.read_bytes()
@@ -128,26 +108,7 @@ def test_bad_cifar10(tmp_path: Path) -> None:
         open_source("cifar10", tmp_path).digests()
 
 
-NAMES = "5_o_Clock_Shadow Male Smiling Young"
-
-
-def celeba_files(folder: Path, count: int = 40) -> Path:
-    random = np.random.default_rng(0)
-    images = folder / "img_align_celeba"
-    images.mkdir()
-    lines = [str(count), NAMES]
-    for number in range(1, count + 1):
-        name = f"{number:06d}.jpg"
-        male, smiling = number % 4 == 0, number % 2 == 0
-        shade = 200 if male else 60
-        pixels = random.integers(shade - 20, shade + 20, (218, 178, 3), dtype=np.uint8)
-        Image.fromarray(pixels).save(images / name, quality=90)
-        lines.append(f"{name} -1 {1 if male else -1:2d} {1 if smiling else -1:2d}  1")
-    (folder / "list_attr_celeba.txt").write_text("\n".join(lines) + "\n")
-    return folder
-
-
-def test_celeba(tmp_path: Path) -> None:
+def test_celeba(celeba_files: Writer, tmp_path: Path) -> None:
     source = open_source("celeba-gender", celeba_files(tmp_path))
     training, test = source.training(), source.test()
     assert training.pixels.shape == (34, 64, 52)
@@ -166,12 +127,12 @@ def test_celeba(tmp_path: Path) -> None:
     assert source.digests() != before
 
 
-def test_celeba_takes_the_first(tmp_path: Path) -> None:
+def test_celeba_takes_the_first(celeba_files: Writer, tmp_path: Path) -> None:
     source = CelebaSource("celeba-smiling", celeba_files(tmp_path), first=20)
     assert len(source.training()) + len(source.test()) == 20
 
 
-def test_bad_celeba(tmp_path: Path) -> None:
+def test_bad_celeba(celeba_files: Writer, tmp_path: Path) -> None:
     source = open_source("celeba-gender", celeba_files(tmp_path))
     photograph = tmp_path / "img_align_celeba" / "000005.jpg"
     data = photograph.read_bytes()
@@ -201,13 +162,15 @@ def test_bad_celeba(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "files"),
     [
-        ("cifar10", cifar_files),
-        ("celeba-smiling", celeba_files),
-        ("faces-glasses", faces_file),
+        ("cifar10", "cifar_files"),
+        ("celeba-smiling", "celeba_files"),
+        ("faces-glasses", "faces_file"),
     ],
 )
-def test_from_files_to_a_bundle(name: str, files: Callable[[Path], Path], tmp_path: Path) -> None:
-    source = open_source(name, files(tmp_path))
+def test_from_files_to_a_bundle(
+    name: str, files: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    source = open_source(name, request.getfixturevalue(files)(tmp_path))
     recipe = Recipe(epochs=1, batch=8)
     settings = Settings(data=name, embedding="3x4", classifier="FC8", recipe=recipe)
     outcome = run_job(settings, source, Camera())

@@ -1,46 +1,22 @@
-"""The pictures of a report: curves, cost, PSFs, embeddings, confusion matrices."""
+"""The pictures of a report: cost, curves, PSFs, embeddings, confusion matrices."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
-from veilcam_training.encoders import ENCODERS
+from veilcam_training.tables.cost import draw_cost
 from veilcam_training.tables.pictures import Pixels, load_pictures
-from veilcam_training.tables.place import Row
 from veilcam_training.tables.result import PICTURES, cell_folder
+from veilcam_training.tables.style import COLOURS, NAMES, bare, encoder_title, panels_of, tidy
 from veilcam_training.tables.summary import Entry, Summary
-
-COLOURS: Mapping[str, str] = dict(
-    zip(
-        ENCODERS,
-        ("#9a9a9a", "#c77d2b", "#4aa3a2", "#8a6fc4", "#1f6fb5", "#d1495b", "#222222"),
-        strict=True,
-    )
-)
-MARKERS: Mapping[str, str] = dict(zip(ENCODERS, "ovDPs*X", strict=True))
-NAMES: Mapping[str, str] = {
-    "lens": "lens",
-    "coded_aperture": "coded aperture",
-    "diffuser": "diffuser",
-    "fixed_measured": "fixed mask, measured",
-    "fixed_simulated": "fixed mask, simulated",
-    "learned": "learned mask",
-    "digital": "digital (ceiling)",
-}
-GRID = "#e4e4e4"
-
-
-def encoder_title(row: Row) -> str:
-    """What an encoder is called in a report."""
-    return NAMES[row.encoder] + (", point reading" if row.reading == "point" else "")
 
 
 def draw_charts(folder: Path, summary: Summary, work: Path) -> list[tuple[str, str]]:
@@ -99,79 +75,12 @@ def draw_charts(folder: Path, summary: Summary, work: Path) -> list[tuple[str, s
     return drawn
 
 
-def draw_cost(summary: Summary) -> Figure:
-    """Accuracy, size of the embedding, time of training and time of inference on one chart."""
-    figure = Figure(figsize=(9, 5.6), layout="constrained")
-    axes = figure.add_subplot()
-    entries = summary.finished()
-    inference = [1e6 * entry.results[0].inference_seconds for entry in entries]
-    low, high = math.log(min(inference)) - 1e-3, math.log(max(inference)) + 1e-3
-    points = None
-    for entry, micros in zip(entries, inference, strict=True):
-        rows, _, columns = entry.place.column.embedding.partition("x")
-        points = axes.scatter(
-            max(entry.results[0].seconds, 0.1),
-            entry.test or 0,
-            s=18 + 9 * math.sqrt(int(rows) * int(columns)),
-            c=[math.log(micros)],
-            cmap="viridis_r",
-            vmin=low,
-            vmax=high,
-            marker=MARKERS[entry.place.row.encoder],
-            edgecolors="#d1495b" if entry.place.row.reading == "point" else "#333333",
-            linewidths=1.4 if entry.place.row.reading == "point" else 0.6,
-            zorder=3,
-        )
-    axes.set(xscale="log", xlabel="training, all epochs [s]", ylabel="test accuracy [%]")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    _tidy(axes)
-    if points is not None:
-        bar = figure.colorbar(points, ax=axes, label="reading to label [µs]", pad=0.02)
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{math.exp(value):.0f}"))
-    shown = dict.fromkeys(entry.place.row.encoder for entry in entries)
-    handles = [
-        Line2D([], [], marker=MARKERS[name], color="#777777", linestyle="", label=NAMES[name])
-        for name in shown
-    ]
-    if any(entry.place.row.reading == "point" for entry in entries):
-        handles.append(
-            Line2D(
-                [],
-                [],
-                marker="o",
-                markerfacecolor="white",
-                markeredgecolor="#d1495b",
-                linestyle="",
-                label="red edge: point reading",
-            )
-        )
-    sizes = sorted(
-        {entry.place.column.embedding for entry in entries},
-        key=lambda text: -math.prod(map(int, text.split("x"))),
-    )
-    for size in sizes:
-        area = 18 + 9 * math.sqrt(math.prod(map(int, size.split("x"))))
-        handles.append(
-            Line2D(
-                [],
-                [],
-                marker="o",
-                color="#bbbbbb",
-                markersize=math.sqrt(area),
-                linestyle="",
-                label=size,
-            )
-        )
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=8.5)
-    return figure
-
-
 def draw_curves(summary: Summary) -> Figure:
     """A panel for each classifier and column, a line for each encoder."""
     entries = summary.finished()
     classifiers = list(dict.fromkeys(entry.place.row.classifier for entry in entries))
     columns = [c for c in summary.columns if any(entry.place.column == c for entry in entries)]
-    figure, panels = _panels(len(classifiers), len(columns), (3.3, 2.7))
+    figure, panels = panels_of(len(classifiers), len(columns), (3.3, 2.7))
     for axes_row, classifier in zip(panels, classifiers, strict=True):
         for axes, column in zip(axes_row, columns, strict=True):
             some = [
@@ -185,7 +94,7 @@ def draw_curves(summary: Summary) -> Figure:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             if not some:
                 axes.set_axis_off()
-            _tidy(axes)
+            tidy(axes)
         axes_row[0].set_ylabel("validation accuracy [%]")
     for axes in panels[-1]:
         axes.set_xlabel("epoch")
@@ -241,10 +150,10 @@ def draw_embeddings(summary: Summary, work: Path) -> Figure | None:
     rows = [row for row in summary.rows if row.classifier == classifier]
     rows = [row for row in rows if any(entry.place.row == row for entry in entries)]
     columns = [c for c in summary.columns if any(entry.place.column == c for entry in entries)]
-    figure, panels = _panels(len(rows), 1 + len(columns), (1.7, 1.5))
+    figure, panels = panels_of(len(rows), 1 + len(columns), (1.7, 1.5))
     for axes_row, row in zip(panels, rows, strict=True):
         for axes in axes_row:
-            _bare(axes)
+            bare(axes)
         axes_row[0].set_ylabel(
             encoder_title(row).replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=9
         )
@@ -268,10 +177,10 @@ def draw_confusion(summary: Summary, classifier: str) -> Figure:
     entries = [e for e in summary.finished() if e.place.row.classifier == classifier]
     rows = [row for row in summary.rows if any(entry.place.row == row for entry in entries)]
     columns = [c for c in summary.columns if any(entry.place.column == c for entry in entries)]
-    figure, panels = _panels(len(rows), len(columns), (1.8, 1.8))
+    figure, panels = panels_of(len(rows), len(columns), (1.8, 1.8))
     for axes_row, row in zip(panels, rows, strict=True):
         for axes, column in zip(axes_row, columns, strict=True):
-            _bare(axes)
+            bare(axes)
             entry = summary.find(row, column)
             if entry is None:
                 axes.set_axis_off()
@@ -296,31 +205,12 @@ def _pictures(entry: Entry, work: Path) -> Path:
 
 def _gallery(pictures: Sequence[tuple[str, Pixels]], *, across: int) -> Figure:
     down = math.ceil(len(pictures) / across)
-    figure, panels = _panels(down, min(across, len(pictures)), (2.5, 2.25))
+    figure, panels = panels_of(down, min(across, len(pictures)), (2.5, 2.25))
     flat = [axes for row in panels for axes in row]
     for axes in flat[len(pictures) :]:
         axes.set_axis_off()
     for axes, (title, picture) in zip(flat, pictures, strict=False):
-        _bare(axes)
+        bare(axes)
         axes.imshow(np.sqrt(picture), cmap="magma", vmin=0, vmax=1)
         axes.set_title(title, fontsize=8.5)
     return figure
-
-
-def _panels(down: int, across: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:
-    figure = Figure(figsize=(max(size[0] * across, 4), size[1] * down + 0.5), layout="constrained")
-    panels = figure.subplots(down, across, squeeze=False)
-    return figure, [list(row) for row in panels]
-
-
-def _bare(axes: Axes) -> None:
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-
-
-def _tidy(axes: Axes) -> None:
-    axes.grid(color=GRID, linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)

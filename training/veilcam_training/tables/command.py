@@ -26,7 +26,7 @@ from veilcam_training.tables.place import Place
 from veilcam_training.tables.result import CellResult, load_results
 from veilcam_training.tables.run import CellRunner, run_cells
 from veilcam_training.tables.table import Part
-from veilcam_training.workers import LocalWorkers, Workers
+from veilcam_training.workers import make_workers
 
 console = Console()
 
@@ -61,7 +61,12 @@ def table_command(
     budget: Annotated[
         str | None, typer.Option(help="Begin no cell after this time, e.g. 90s, 10m, 2h.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Cells at a time, one thread each.")] = 1,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Cells at a time, one thread each; 1 by default.")
+    ] = None,
+    ray: Annotated[
+        str | None, typer.Option(help="HOST:PORT of a Ray cluster, or local to start one.")
+    ] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda, or auto: cuda if there is one.")] = "auto",
     figures: Annotated[
         Path | None, typer.Option(help="Record of figures to write test accuracies into.")
@@ -77,16 +82,18 @@ def table_command(
     part = Part(*map(_names, (encoders, classifiers, embeddings, readings, datasets, changes)))
     places = table.places(part, psf=psf is not None)
     cells = [
-        Cell(_settings(place, seed + repeat, psf, recipe, epochs))
+        Cell(_settings(each, seed + repeat, psf, recipe, epochs))
         for repeat in range(seeds)
-        for place in places
+        for each in places
     ]
+    place = choose_device(device)
     torch.set_num_threads(1)  # as in every worker: a number does not depend on how many there are
+    run_by = make_workers(workers, ray, gpus=int(place.type == "cuda"))
     with make_progress(console) as progress:
         bar = TableProgress(progress, table.name, len(cells))
-        runner = CellRunner(data, work, choose_device(device), until)
-        run_by: Workers = LocalWorkers(workers)
-        if workers == 1:  # in this process, where it can be watched
+        # Absolute paths: a worker may stand elsewhere.
+        runner = CellRunner(data.resolve(), work.resolve(), place, until)
+        if ray is None and workers in (None, 1):  # in this process, where it can be watched
             runner.observe = bar.observe
         for result, now in run_cells(cells, runner, run_by):
             bar.finish(result, now=now)

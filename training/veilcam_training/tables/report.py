@@ -8,9 +8,10 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from veilcam_training.tables.charts import draw_charts, encoder_title
+from veilcam_training.tables.charts import draw_charts
 from veilcam_training.tables.paper import load_paper
 from veilcam_training.tables.result import CellResult
+from veilcam_training.tables.style import encoder_title
 from veilcam_training.tables.summary import Entry, Summary
 from veilcam_training.tables.table import Table
 
