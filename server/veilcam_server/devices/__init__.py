@@ -10,6 +10,7 @@ from veilcam_server.devices.errors import (
     DeviceMissingError,
     DisplayError,
     SensorError,
+    SensorLostError,
     SensorTimeoutError,
 )
 from veilcam_server.devices.protocols import Device, Display, Exposure, Sensor, Shown
@@ -23,6 +24,7 @@ __all__ = [
     "Exposure",
     "Sensor",
     "SensorError",
+    "SensorLostError",
     "SensorTimeoutError",
     "Shown",
 ]

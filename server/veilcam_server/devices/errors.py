@@ -21,3 +21,7 @@ class SensorError(DeviceError):
 
 class SensorTimeoutError(SensorError):
     """The sensor gave no reading in time."""
+
+
+class SensorLostError(SensorError):
+    """The sensor failed again and again: only a restart of the daemon may help."""

@@ -35,6 +35,8 @@ class Exposure:
     """Binned on the device, shape of the embedding; the raw frame is gone."""
     started_at: float
     ended_at: float
+    integration: float = 0.0
+    """How long each row collected light [s]: it may change from one reading to the next."""
 
 
 class Display(Protocol):

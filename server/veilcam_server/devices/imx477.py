@@ -1,0 +1,306 @@
+"""The IMX477 through picamera2: one reading for one exposure that is known to the microsecond.
+
+Row r integrates from ``S - E + r L`` to ``S + r L``: S the start of readout that the camera reports
+(``SensorTimestamp``), E the exposure, L the time of a line. Everything here concerns the raw plane:
+whatever picamera2 makes of it goes through gamma and sharpening.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_server.devices.binning import Binning
+from veilcam_server.devices.errors import (
+    DeviceError,
+    SensorError,
+    SensorLostError,
+    SensorTimeoutError,
+)
+from veilcam_server.devices.picamera import Picamera
+from veilcam_server.devices.protocols import Exposure, Reading
+from veilcam_server.devices.sensor_mode import HALF, RawFormat, SensorMode
+
+GAIN = 1.0
+_NANO, _MICRO = 1_000_000_000, 1_000_000
+_SATURATED = 1e-3
+"""Share of saturated pixels from which on a reading is no longer linear in the light."""
+_DIM, _MIDDLE = 0.2, 0.5
+"""A brightest value below the one asks for an exposure that brings it to the other."""
+_CLOSING = 5.0
+"""Longest time for a camera to let go [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureRange:
+    """Exposure to begin with, and how many times shorter or longer it may become.
+
+    Raises:
+        ValueError: a number that cannot be.
+    """
+
+    start: float = 0.01
+    """[s]"""
+    factor: float = 1.0
+    """1 for an exposure that is fixed."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.start) and self.start >= 0):
+            raise ValueError(f"exposure = {self.start} s is not valid: use a number >= 0")
+        if not (math.isfinite(self.factor) and self.factor >= 1):
+            raise ValueError(f"factor = {self.factor} is not valid: use a number >= 1")
+
+    def bounded(self, exposure: float) -> float:
+        """The nearest exposure in range [s]."""
+        return min(max(exposure, self.start / self.factor), self.start * self.factor)
+
+
+class IMX477:
+    """A camera whose raw frames are binned and dropped. Constructing one opens it.
+
+    Args:
+        open_camera: opens the camera; called again when it has failed.
+        shape: of the embedding.
+        mode: pinned; another one is refused.
+        exposures: fixed or bounded; the gain is always 1.
+        full_scale: reading of saturated pixels at the exposure to begin with.
+        failures: in a row, after which the camera counts as lost.
+        clock: monotonic time [s].
+
+    Raises:
+        SensorError: the camera gives another mode or format.
+        DeviceMissingError: it is not there.
+    """
+
+    name = "IMX477"
+
+    def __init__(
+        self,
+        open_camera: Callable[[], Picamera],
+        *,
+        shape: tuple[int, int],
+        mode: SensorMode = HALF,
+        exposures: ExposureRange = ExposureRange(),
+        full_scale: float = 1.0,
+        failures: int = 3,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._open_camera, self._mode, self._exposures = open_camera, mode, exposures
+        self._full_scale, self._most_failures, self._clock = full_scale, failures, clock
+        self._binning = Binning((mode.rows, mode.columns), shape)
+        self._asked = exposures.start
+        self._failures = 0
+        self._last_stamp = -1
+        self._camera: Picamera | None = None
+        self._format: RawFormat
+        self._start()
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        """Wait for a frame that was exposed wholly after ``not_before``, and bin it.
+
+        The exposure may change from one reading to the next if it may at all; the reading does not,
+        as it is given for the exposure to begin with.
+        """
+        deadline = max(not_before, self._clock()) + timeout
+        try:
+            return self._capture(self._camera or self._start(), not_before, deadline)
+        except _Failure as failure:
+            self._recover()
+            raise failure.error from None
+        except SensorError:
+            raise
+        except DeviceError as error:
+            self._recover()
+            raise SensorError(str(error)) from None
+        except Exception as error:  # picamera2 raises whatever it likes
+            self._recover()
+            raise SensorError(
+                f"the camera failed ({type(error).__name__}) and was closed: try again"
+            ) from None
+
+    def close(self) -> None:
+        """Stop the camera."""
+        self._let_go()
+
+    def _capture(self, camera: Picamera, not_before: float, deadline: float) -> Exposure:
+        # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
+        fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0
+        unfit = ""
+        while True:
+            try:
+                wait = deadline - self._clock()
+                if unfit and wait <= 0:
+                    raise TimeoutError
+                # A wait of 0 would not wait at all, and give no frame either.
+                with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
+                    frame = _Frame.of(request.get_metadata())
+                    if frame.stamp <= self._last_stamp:
+                        raise _Failure(SensorError("the camera gave the same frame again"))
+                    self._last_stamp = frame.stamp
+                    unfit = self._unfit(frame, fence)
+                    if unfit:
+                        continue
+                    raw = self._format.pixels(request, self._mode)
+            except TimeoutError:
+                reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
+                raise _Failure(
+                    SensorTimeoutError(f"the camera was closed, as {reason} in time: try again")
+                ) from None
+            # From here on the camera has its buffer back, and `raw` is the only copy.
+            try:
+                values = self._binning(raw)
+                saturated = float((raw >= self._format.white).mean())
+            finally:
+                raw.fill(0)
+            self._failures = 0
+            share = (values - self._format.black) / (self._format.white - self._format.black)
+            if saturated > _SATURATED:
+                unfit = self._shorten(camera)
+                continue
+            exposure = self._exposure(frame, share)
+            self._follow(camera, float(share.max()))
+            return exposure
+
+    def _exposure(self, frame: _Frame, share: npt.NDArray[np.float64]) -> Exposure:
+        integration = frame.exposure / _NANO
+        scale = self._exposures.start / integration if integration > 0 else 1.0
+        embedding: Reading = (self._full_scale * scale * share).astype(np.float32)
+        return Exposure(
+            embedding,
+            started_at=(frame.stamp - frame.exposure) / _NANO,
+            ended_at=frame.stamp / _NANO + self._mode.readout,
+            integration=integration,
+        )
+
+    def _unfit(self, frame: _Frame, fence: int) -> str:
+        """Why a frame cannot be used; nothing if it can."""
+        if frame.stamp - frame.exposure < fence:
+            return "exposed before the mask had settled"
+        # One line, and what is lost when an exposure is told in whole microseconds.
+        tolerance = self._mode.line_time * _NANO + 1000
+        if abs(frame.exposure - self._asked * _NANO) > tolerance:
+            return "the exposure asked for was not applied"
+        if not math.isclose(frame.gain, GAIN, rel_tol=1e-3):
+            return f"the gain was {frame.gain:.3f}, not {GAIN}"
+        return ""
+
+    def _shorten(self, camera: Picamera) -> str:
+        shorter = self._exposures.bounded(self._asked / 4)
+        if shorter >= self._asked:
+            raise SensorError(
+                f"the sensor is saturated at {self._asked * 1000:g} ms: "
+                "use less light or a shorter exposure"
+            )
+        self._ask(camera, shorter)
+        return "the sensor was saturated"
+
+    def _follow(self, camera: Picamera, brightest: float) -> None:
+        """After a dim reading, expose the next one longer."""
+        if 0 < brightest < _DIM:
+            longer = self._exposures.bounded(self._asked * _MIDDLE / brightest)
+            if longer > self._asked:
+                self._ask(camera, longer)
+
+    def _ask(self, camera: Picamera, exposure: float) -> None:
+        self._asked = exposure
+        camera.set_controls(self._controls())
+
+    def _controls(self) -> dict[str, Any]:
+        exposure = round(self._asked * _MICRO)
+        frame = max(round(self._mode.frame_duration * _MICRO), exposure + 1000)
+        return {
+            "AeEnable": False,
+            "AwbEnable": False,
+            "NoiseReductionMode": 0,
+            "AnalogueGain": GAIN,
+            "ExposureTime": exposure,
+            "FrameDurationLimits": (frame, frame),
+        }
+
+    def _start(self) -> Picamera:
+        """Open, pin the mode, read back what was given, and start."""
+        camera = self._open_camera()
+        self._camera, self._last_stamp = camera, -1
+        try:
+            sensor = {"output_size": self._mode.size, "bit_depth": self._mode.bit_depth}
+            camera.configure(
+                camera.create_video_configuration(
+                    # picamera2 insists on a processed stream; nobody looks at it.
+                    main={"size": (64, 64)},
+                    raw={"format": f"SRGGB{self._mode.bit_depth}", "size": self._mode.size},
+                    sensor=sensor,
+                    controls=self._controls(),
+                    buffer_count=4,
+                    queue=False,
+                )
+            )
+            given = camera.camera_configuration()
+            self._format = RawFormat.of(given["raw"], self._mode)
+            if {key: given["sensor"][key] for key in sensor} != sensor:
+                raise SensorError(
+                    f"the camera did not take the mode {self._mode.columns} x {self._mode.rows}, "
+                    f"{self._mode.bit_depth} bit: use a Raspberry Pi HQ camera"
+                )
+            camera.start()
+        except BaseException:
+            self._let_go()
+            raise
+        return camera
+
+    def _recover(self) -> None:
+        """After a failure: cancel, stop and close. The next capture opens the camera again."""
+        self._failures += 1
+        let_go = self._let_go()
+        if not let_go or self._failures >= self._most_failures:
+            raise SensorLostError(
+                f"the camera failed {self._failures} times in a row: check its cable and restart"
+            ) from None
+
+    def _let_go(self) -> bool:
+        """Close the camera; false if that did not end in time."""
+        camera, self._camera = self._camera, None
+        if camera is None:
+            return True
+
+        def close() -> None:
+            for step in (camera.cancel_all_and_flush, camera.stop, camera.close):
+                with suppress(Exception):
+                    step()
+
+        # If picamera2's own thread has died, its stop() waits for ever.
+        closing = threading.Thread(target=close, daemon=True)
+        closing.start()
+        closing.join(_CLOSING)
+        return not closing.is_alive()
+
+
+class _Failure(Exception):  # noqa: N818 - carries an error
+    """The camera is not to be trusted any more until it was opened again."""
+
+    def __init__(self, error: SensorError) -> None:
+        self.error = error
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """Times in nanoseconds."""
+
+    stamp: int
+    exposure: int
+    gain: float
+
+    @classmethod
+    def of(cls, metadata: dict[str, Any]) -> _Frame:
+        return cls(
+            int(metadata["SensorTimestamp"]),
+            round(float(metadata["ExposureTime"]) * 1000),
+            float(metadata["AnalogueGain"]) * float(metadata.get("DigitalGain", 1.0)),
+        )

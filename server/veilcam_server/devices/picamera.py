@@ -1,0 +1,93 @@
+"""What is used of picamera2: its shape, and how to open the real one, from the extra ``pi``."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_server.devices.errors import DeviceMissingError
+
+
+class Request(Protocol):
+    """A frame that was taken, for as long as it is held."""
+
+    def make_array(self, name: str) -> npt.NDArray[np.uint8]:
+        """Return a copy of a stream's buffer; of ``raw``, bytes of shape (rows, stride)."""
+
+    def get_metadata(self) -> dict[str, Any]:
+        """Return what the camera tells of it."""
+
+
+class Picamera(Protocol):
+    """The part of ``picamera2.Picamera2`` that is used; it raises whatever it likes."""
+
+    def create_video_configuration(
+        self,
+        *,
+        main: dict[str, Any],
+        raw: dict[str, Any],
+        sensor: dict[str, Any],
+        controls: dict[str, Any],
+        buffer_count: int,
+        queue: bool,
+    ) -> dict[str, Any]:
+        """Return a configuration for :meth:`configure`."""
+
+    def configure(self, camera_config: dict[str, Any]) -> object:
+        """Ask for a configuration; what is given may differ."""
+
+    def camera_configuration(self) -> Mapping[str, Any]:
+        """Return what was given."""
+
+    def set_controls(self, controls: dict[str, Any]) -> None:
+        """Change controls, some frames from now."""
+
+    def start(self) -> object:
+        """Begin to take frames."""
+
+    def captured_request(self, *, wait: float, flush: int) -> AbstractContextManager[Request]:
+        """Wait for a frame whose exposure began at ``flush`` [ns, monotonic] or later.
+
+        Raises:
+            TimeoutError: there was none for ``wait`` seconds.
+        """
+
+    def cancel_all_and_flush(self) -> None:
+        """Drop requests that were not answered."""
+
+    def stop(self) -> object:
+        """Take no more frames."""
+
+    def close(self) -> object:
+        """Let go of the camera."""
+
+
+def open_picamera2(number: int = 0) -> Picamera:
+    """Open a camera of a Raspberry Pi.
+
+    Raises:
+        DeviceMissingError: it is not there, somebody else has it, or picamera2 is not installed.
+    """
+    try:
+        picamera2 = importlib.import_module("picamera2")
+    except ImportError:
+        raise DeviceMissingError(
+            "the package picamera2 is not installed: run pip install 'veilcam[server,pi]'"
+        ) from None
+    try:
+        camera: Picamera = picamera2.Picamera2(number)
+    except (RuntimeError, IndexError) as error:
+        if "did not complete" in str(error):
+            raise DeviceMissingError(
+                f"camera {number} cannot be opened: end whatever else uses it, and be in the group "
+                "video"
+            ) from None
+        raise DeviceMissingError(
+            f"there is no camera {number}: check its cable, and see rpicam-hello --list-cameras"
+        ) from None
+    return camera

@@ -1,0 +1,58 @@
+"""Area binning of raw frames: exact, whatever the sizes."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_optics.sampling import area_average
+from veilcam_server.devices.binning import Binning
+
+RNG = np.random.default_rng(2)
+
+
+@pytest.mark.parametrize(
+    ("raw", "embedding"),
+    [
+        ((4, 6), (2, 3)),
+        ((5, 7), (2, 3)),
+        ((7, 5), (7, 5)),
+        ((9, 11), (1, 1)),
+        ((152, 203), (24, 32)),
+        ((152, 203), (13, 17)),
+    ],
+)
+def test_it_is_the_area_average(raw: tuple[int, int], embedding: tuple[int, int]) -> None:
+    frame = RNG.integers(0, 65536, raw, np.uint16)
+    expected = area_average(torch.from_numpy(frame.astype(float)), *embedding).numpy()
+    np.testing.assert_allclose(Binning(raw, embedding)(frame), expected, rtol=1e-12)
+
+
+def test_a_pixel_on_an_edge_counts_to_both_boxes_by_its_area() -> None:
+    frame = np.array([[1, 2, 10, 4, 5]], np.uint16)
+    expected = [Fraction(1 + 2 + 5) / Fraction(5, 2), Fraction(5 + 4 + 5) / Fraction(5, 2)]
+    assert Binning((1, 5), (1, 2))(frame)[0] == pytest.approx([float(value) for value in expected])
+
+
+def test_the_brightest_frame_of_the_real_sensor_does_not_overflow() -> None:
+    frame = np.full((1520, 2028), 65535, np.uint16)
+    for embedding in ((1, 1), (3, 4), (24, 32)):
+        np.testing.assert_allclose(Binning(frame.shape, embedding)(frame), 65535, rtol=1e-12)
+
+
+def test_frames_with_padded_lines_are_read_as_they_lie() -> None:
+    padded = RNG.integers(0, 4096, (6, 16), np.uint16)
+    binning = Binning((6, 10), (2, 3))
+    assert np.array_equal(binning(padded[:, :10]), binning(padded[:, :10].copy()))
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match="use 1 to 4"):
+        Binning((4, 9), (5, 3))
+    with pytest.raises(ValueError, match="use 1 to 9"):
+        Binning((4, 9), (4, 0))
+    with pytest.raises(ValueError, match=r"use \(4, 9\)"):
+        Binning((4, 9), (2, 3))(np.zeros((9, 4), np.uint16))

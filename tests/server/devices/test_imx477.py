@@ -1,0 +1,344 @@
+"""The camera's driver on a fake picamera2: what a reading is, its proof in time, and failures."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_optics.sampling import area_average
+from veilcam_server.devices import (
+    DeviceMissingError,
+    Exposure,
+    SensorError,
+    SensorLostError,
+    SensorTimeoutError,
+)
+from veilcam_server.devices.binning import Raw
+from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.picamera import open_picamera2
+from veilcam_server.devices.sensor_mode import HALF, SensorMode
+
+from .clock import Clock
+
+MODE = SensorMode(30, 41, line_time=1e-4, frame_duration=0.025)
+SHAPE = (4, 5)
+FIXED = ExposureRange(0.01)
+
+
+class Bench:
+    """A driver on a camera whose light is the number of electrons that a level gathers."""
+
+    def __init__(
+        self,
+        *,
+        mode: SensorMode = MODE,
+        exposures: ExposureRange = FIXED,
+        full_scale: float = 1.0,
+        faults: CameraFaults | None = None,
+        failures: int = 3,
+    ) -> None:
+        self.clock, self.mode = Clock(), mode
+        self.faults = faults or CameraFaults()
+        self.cameras: list[FakePicamera2] = []
+        self.lit: list[tuple[float, float]] = []
+        self.level: Callable[[float], float] = lambda _: 100_000.0
+        self.sensor = IMX477(
+            self.open,
+            shape=SHAPE,
+            mode=mode,
+            exposures=exposures,
+            full_scale=full_scale,
+            failures=failures,
+            clock=self.clock,
+        )
+
+    def open(self) -> FakePicamera2:
+        camera = FakePicamera2(
+            self.light,
+            mode=self.mode,
+            faults=self.faults,
+            clock=self.clock,
+            sleep=self.clock.sleep,
+        )
+        self.cameras.append(camera)
+        return camera
+
+    def light(self, begin: float, end: float) -> Raw:
+        self.lit.append((begin, end))
+        level = self.level(end) * (end - begin) + 256
+        return np.full((self.mode.rows, self.mode.columns), min(round(level), 4095), np.uint16)
+
+    def capture(self, after: float = 0.0, timeout: float = 5.0) -> Exposure:
+        return self.sensor.capture(self.clock.now + after, timeout)
+
+
+def test_a_reading_is_the_light_without_the_black_level() -> None:
+    bench = Bench(full_scale=2.0)
+    embedding = bench.capture().embedding
+    assert embedding.shape == SHAPE
+    assert embedding.dtype == np.float32
+    np.testing.assert_allclose(embedding, 2.0 * 1000 / (4095 - 256), rtol=1e-6)
+
+
+def test_pixels_are_averaged_where_they_are() -> None:
+    bench = Bench()
+    frame = np.random.default_rng(4).integers(0, 4000, (30, 41), np.uint16)
+    bench.cameras[0]._light = lambda *_: frame
+    mean = area_average(torch.from_numpy(frame.astype(float)), *SHAPE).numpy()
+    np.testing.assert_allclose(bench.capture().embedding, (mean - 256) / (4095 - 256), rtol=1e-6)
+
+
+def test_an_exposure_tells_when_its_rows_collected_light() -> None:
+    bench = Bench()
+    asked = bench.clock.now + 0.5
+    exposure = bench.sensor.capture(asked, 5.0)
+    begin, end = bench.lit[0]
+    assert exposure.started_at == pytest.approx(begin, abs=1e-9)
+    assert exposure.ended_at == pytest.approx(end + 29e-4, abs=1e-9)
+    assert exposure.integration == pytest.approx(0.01)
+    assert asked <= exposure.started_at < asked + 0.025
+    assert exposure.ended_at <= bench.clock.now
+
+
+@pytest.mark.parametrize("asked", [100.1 + step * 0.00317 for step in range(20)])
+def test_no_frame_begins_before_the_fence(asked: float) -> None:
+    assert Bench().sensor.capture(asked, 5.0).started_at >= asked
+
+
+def test_the_mode_is_pinned_and_all_that_adapts_is_off() -> None:
+    bench = Bench(exposures=ExposureRange(0.05))
+    asked = bench.cameras[0]._configuration
+    assert asked["raw"]["size"] == asked["sensor"]["output_size"] == (41, 30)
+    assert asked["sensor"]["bit_depth"] == 12
+    assert not asked["queue"]
+    controls = asked["controls"]
+    assert not controls["AeEnable"]
+    assert not controls["AwbEnable"]
+    assert controls["NoiseReductionMode"] == 0
+    assert controls["AnalogueGain"] == 1.0
+    assert controls["ExposureTime"] == 50_000
+    assert controls["FrameDurationLimits"][0] > 50_000  # or it would be cut to the frame
+    assert HALF.size == (2028, 1520)
+
+
+@pytest.mark.parametrize("layout", ["SRGGB12", "SBGGR12", "SRGGB16"])
+def test_both_layouts_of_raw_pixels_are_read(layout: str) -> None:
+    embedding = Bench(faults=CameraFaults(format=layout)).capture().embedding
+    np.testing.assert_allclose(embedding, 1000 / (4095 - 256), rtol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["RGGB_PISP_COMP1", "SRGGB12_CSI2P", "SRGGB10", "XBGR8888"])
+def test_compressed_and_packed_frames_are_refused(layout: str) -> None:
+    faults = CameraFaults(format=layout)
+    with pytest.raises(SensorError, match=f"{layout}.*uncompressed"):
+        Bench(faults=faults)
+
+
+def test_another_mode_is_refused_and_the_camera_let_go() -> None:
+    clock, cameras = Clock(), []
+
+    def open_camera() -> FakePicamera2:
+        cameras.append(
+            FakePicamera2(
+                lambda *_: np.zeros((30, 41), np.uint16),
+                mode=replace(MODE, bit_depth=10),
+                clock=clock,
+            )
+        )
+        return cameras[0]
+
+    with pytest.raises(SensorError, match="did not take the mode 41 x 30, 12 bit"):
+        IMX477(open_camera, shape=SHAPE, mode=MODE, clock=clock)
+    assert cameras[0].closed
+
+
+def test_old_frames_and_those_of_another_exposure_or_gain_are_passed_over() -> None:
+    bench = Bench()
+    before = bench.capture()
+    bench.faults.stuck = True
+    with pytest.raises(SensorError, match="the same frame again"):
+        bench.capture()
+    bench.faults.stuck = False
+    bench.clock.sleep(1.0)
+    after = bench.capture()
+    assert after.started_at > before.ended_at + 1.0
+    assert len(bench.cameras) == 2
+    assert bench.cameras[0].closed
+
+
+def test_an_exposure_that_never_applies_ends_in_a_timeout_that_says_so() -> None:
+    bench = Bench(exposures=ExposureRange(0.01, factor=8))
+    bench.level = lambda _: 10_000.0
+    bench.faults.deaf = True
+    bench.capture()  # asks for a longer one
+    with pytest.raises(SensorTimeoutError, match="exposure asked for was not applied"):
+        bench.capture(timeout=0.3)
+
+
+def test_a_wrong_gain_is_never_used() -> None:
+    bench = Bench(faults=CameraFaults(gain=1.5))
+    with pytest.raises(SensorTimeoutError, match=r"gain was 1\.500, not 1"):
+        bench.capture(timeout=0.3)
+
+
+def test_a_dim_scene_is_exposed_longer_within_bounds_and_reads_the_same() -> None:
+    bench = Bench(exposures=ExposureRange(0.002, factor=4))
+    bench.level = lambda _: 100_000.0
+    first = bench.capture()
+    second = bench.capture()
+    third = bench.capture()
+    assert first.integration == pytest.approx(0.002)
+    assert second.integration == pytest.approx(0.008)
+    assert third.integration == pytest.approx(0.008)
+    np.testing.assert_allclose(first.embedding, second.embedding, rtol=1e-2)
+
+
+def test_a_fixed_exposure_stays() -> None:
+    bench = Bench(exposures=ExposureRange(0.002))
+    bench.level = lambda _: 1_000.0
+    assert {bench.capture().integration for _ in range(4)} == {0.002}
+
+
+def test_a_saturated_frame_is_taken_again_with_less_light() -> None:
+    bench = Bench(exposures=ExposureRange(0.01, factor=16))
+    bench.level = lambda _: 1_000_000.0
+    exposure = bench.capture()
+    assert exposure.integration == pytest.approx(0.0025)
+    np.testing.assert_allclose(exposure.embedding, 10_000 / (4095 - 256), rtol=1e-2)
+
+
+def test_light_that_is_too_bright_for_any_exposure_is_an_error() -> None:
+    bench = Bench(exposures=ExposureRange(0.01, factor=4))
+    bench.level = lambda _: 1e9
+    with pytest.raises(SensorError, match=r"saturated at 2\.5 ms"):
+        bench.capture()
+    bench.level = lambda _: 100_000.0
+    assert bench.capture().embedding.max() < 1
+    assert len(bench.cameras) == 1  # light is no fault of the camera's
+
+
+def test_a_camera_that_hangs_is_closed_and_opened_again() -> None:
+    bench = Bench()
+    bench.faults.hangs = 1
+    began = bench.clock.now
+    with pytest.raises(SensorTimeoutError, match=r"it gave no frame in time"):
+        bench.capture(timeout=2.0)
+    assert bench.clock.now - began == pytest.approx(2.0)
+    assert bench.cameras[0].closed
+    assert not bench.cameras[0].started
+    bench.capture()
+    assert len(bench.cameras) == 2
+
+
+def test_after_failures_in_a_row_the_camera_is_lost() -> None:
+    bench = Bench(failures=3)
+    for hangs, expected in ((2, SensorTimeoutError), (0, None), (3, SensorTimeoutError)):
+        bench.faults.hangs = hangs
+        for _ in range(min(hangs, 2)):
+            with pytest.raises(SensorTimeoutError):
+                bench.capture(timeout=0.1)
+        if expected is None:
+            bench.capture()  # forgets those before
+    with pytest.raises(SensorLostError, match="3 times in a row"):
+        bench.capture(timeout=0.1)
+
+
+def test_a_camera_that_does_not_come_back_is_an_error_and_then_lost() -> None:
+    bench = Bench(failures=3)
+    bench.faults.hangs = 1
+    with pytest.raises(SensorTimeoutError):
+        bench.capture(timeout=0.1)
+    bench.faults.opening = DeviceMissingError("there is no camera 0")
+    with pytest.raises(SensorError, match="no camera 0"):
+        bench.capture()
+    with pytest.raises(SensorLostError):
+        bench.capture()
+
+
+def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
+    bench = Bench()
+
+    def fail(*_: object) -> Raw:
+        raise ValueError("pixels 4095 4095 4095")
+
+    bench.cameras[0]._light = fail
+    with pytest.raises(SensorError) as caught:
+        bench.capture()
+    assert "4095" not in str(caught.value)
+    assert caught.value.__suppress_context__
+
+
+def test_a_camera_that_cannot_even_be_closed_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("veilcam_server.devices.imx477._CLOSING", 0.01)
+    bench, let_go = Bench(), threading.Event()
+    bench.cameras[0].stop = let_go.wait  # type: ignore[method-assign, assignment]
+    bench.faults.hangs = 1
+    with pytest.raises(SensorLostError):
+        bench.capture(timeout=0.1)
+    let_go.set()
+
+
+def test_nothing_of_a_raw_frame_stays_in_memory() -> None:
+    bench, arrays = Bench(), []
+    camera = bench.cameras[0]
+    take = camera._take
+
+    def watched(*arguments: object) -> object:
+        request = take(*arguments)  # type: ignore[arg-type]
+        make = request.make_array
+
+        def make_array(name: str) -> np.ndarray:
+            arrays.append(make(name))
+            return arrays[-1]
+
+        request.make_array = make_array  # type: ignore[method-assign]
+        return request
+
+    camera._take = watched  # type: ignore[method-assign, assignment]
+    bench.capture()
+    (array,) = arrays
+    assert not array.view(np.uint16)[:, : MODE.columns].any()
+
+
+def test_it_is_closed_when_told() -> None:
+    bench = Bench()
+    bench.sensor.close()
+    bench.sensor.close()
+    assert bench.cameras[0].closed
+
+
+@pytest.mark.parametrize("values", [(-1.0, 1.0), (math.nan, 1.0), (0.01, 0.5), (0.01, math.inf)])
+def test_impossible_exposures_are_refused(values: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="is not valid"):
+        ExposureRange(*values)
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (RuntimeError("Camera __init__ sequence did not complete."), "whatever else uses it"),
+        (RuntimeError("No camera number 0 found - use ..."), "no camera 0.*cable"),
+        (IndexError("list index out of range"), "no camera 0.*cable"),
+    ],
+)
+def test_a_camera_that_cannot_be_opened_says_what_to_do(
+    error: Exception, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise error
+
+    monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=fail))
+    with pytest.raises(DeviceMissingError, match=message):
+        open_picamera2()
+    monkeypatch.setitem(sys.modules, "picamera2", None)
+    with pytest.raises(DeviceMissingError, match=r"veilcam\[server,pi\]"):
+        open_picamera2()
