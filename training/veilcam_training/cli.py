@@ -28,8 +28,10 @@ from veilcam_training.fresh.command import fit_fresh_command
 from veilcam_training.job import Outcome, Settings, as_pair, make_model, run_job
 from veilcam_training.keyring import as_bundle, fit_keyring
 from veilcam_training.progress import FitProgress, make_progress
+from veilcam_training.ranks import join_ranks
 from veilcam_training.recipes import RECIPES
 from veilcam_training.tables.command import table_command
+from veilcam_training.workers import make_workers
 
 app = typer.Typer(
     help="Train lensless cameras: mask and classifier together.",
@@ -70,6 +72,13 @@ Work = Annotated[
 Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
 Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
+WorkerCount = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes, each of one thread; 1 by default."),
+]
+RayAddress = Annotated[
+    str | None, typer.Option("--ray", help="HOST:PORT of a Ray cluster, or local to start one.")
+]
 
 
 @app.command("fit")
@@ -112,21 +121,26 @@ def fit_command(
     if out is not None:
         _check_out(out)
         as_pair(make_model(settings, source, camera))  # an encoder without a mask fails here
-    with make_progress(console) as progress:
-        name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-        bar = FitProgress(progress, name, settings.recipe.epochs)
-        outcome = run_job(
-            settings,
-            source,
-            camera,
-            device=place,
-            checkpoint=None if work is None else work / "fit.checkpoint",
-            observers=[bar, *_logs(tensorboard)],
-        )
-    _show(outcome)
-    if out is not None:
-        write_bundle(out, as_bundle([outcome], source, camera))
-        console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+    with join_ranks(place) as (ranks, place):
+        terminal = console if ranks.is_first else Console(quiet=True)
+        with make_progress(terminal) as progress:
+            name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
+            bar = FitProgress(progress, name, settings.recipe.epochs)
+            outcome = run_job(
+                settings,
+                source,
+                camera,
+                device=place,
+                checkpoint=None if work is None else work / "fit.checkpoint",
+                observers=[bar, *_logs(tensorboard)] if ranks.is_first else (),
+                ranks=ranks,
+            )
+        if not ranks.is_first:
+            return
+        _show(outcome)
+        if out is not None:
+            write_bundle(out, as_bundle([outcome], source, camera))
+            console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
 @app.command("keyring")
@@ -147,6 +161,8 @@ def keyring_command(
     work: Work = None,
     device: Device = "auto",
     threads: Threads = None,
+    processes: WorkerCount = None,
+    address: RayAddress = None,
 ) -> None:
     """Fit several pairs of mask and classifier, each from its own seed, into one bundle."""
     settings = _settings(
@@ -160,17 +176,24 @@ def keyring_command(
     )
     place = _prepare(device, threads)
     _check_out(out)
+    workers = make_workers(processes, address, threads=threads, gpus=int(place.type == "cuda"))
+    here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
+        done = progress.add_task("pairs", total=pairs, note="")
         bundle = fit_keyring(
             settings,
             pairs,
-            open_source(settings.data, data),
+            open_source(settings.data, data.resolve()),
             Camera(),
             device=place,
-            work=work,
-            observe=lambda index: [
-                FitProgress(progress, f"pair {index + 1} of {pairs}", settings.recipe.epochs)
-            ],
+            work=None if work is None else work.resolve(),  # a worker may stand elsewhere
+            workers=workers,
+            observe=lambda index: (
+                [FitProgress(progress, f"pair {index + 1} of {pairs}", settings.recipe.epochs)]
+                if here
+                else []
+            ),
+            fitted=lambda *_: progress.advance(done),
         )
     write_bundle(out, bundle)
     if bundle.accuracy is not None:

@@ -10,6 +10,7 @@ from importlib.metadata import version
 
 import torch
 from pydantic import JsonValue
+from torch import distributed
 
 from veilcam_training.figures import commit, own_command
 
@@ -24,6 +25,7 @@ def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, Jso
             "torch": torch.__version__,
             "python": platform.python_version(),
         },
+        "processes": distributed.get_world_size() if distributed.is_initialized() else 1,
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(own_command()),

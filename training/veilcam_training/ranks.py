@@ -61,7 +61,7 @@ class Ranks:
             return module
         _replace_batch_norms(module)
         # Buffers are the same everywhere already, and a camera's matrix is large.
-        return DistributedDataParallel(module, broadcast_buffers=False)
+        return DistributedDataParallel(module, forward_sync_buffers=False)
 
     def total(self, *values: float) -> list[float]:
         """Sum of every value over the ranks."""
