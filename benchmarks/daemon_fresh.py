@@ -40,6 +40,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from veilcam_client.models import EveryCaptures, Form
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.effects.operator import Response
+from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
 from veilcam_server.camera import MaskedCamera
@@ -47,7 +48,6 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, Display, Shown
 from veilcam_server.devices.protocols import Levels, Reading
 from veilcam_server.devices.simulated import Conditions, simulated_device
-from veilcam_server.epoch_names import EpochNames
 from veilcam_server.epochs import EpochStore
 from veilcam_server.fence import Fence
 from veilcam_server.fresh import FreshSource

@@ -27,12 +27,18 @@ from veilcam_optics.masks import quantise, random_mask, to_weights
 from veilcam_optics.noise import shot_noise
 from veilcam_optics.release import ReleaseForm, Whitening, release
 from veilcam_optics.transfer import Reach, TransferOperator
-from veilcam_training.bundle import build_classifier, build_untrained, read_bundle, write_bundle
+from veilcam_training.bundle import (
+    build_classifier,
+    build_untrained,
+    classifier_inputs,
+    read_bundle,
+    write_bundle,
+)
 from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.figures import record_figures
 from veilcam_training.fitting import Epoch
 from veilcam_training.fresh import as_fresh_bundle, find_settings, fit_fresh, run_fresh
-from veilcam_training.fresh.camera import CHANNELS, FreshCamera, features, scene_statistics
+from veilcam_training.fresh.camera import CHANNELS, FreshCamera, scene_statistics
 from veilcam_training.fresh.classifier import make_fresh_layers, multiplications
 from veilcam_training.fresh.clustering import adjusted_rand_index, k_means, subspace_clusters
 from veilcam_training.fresh.keyless import KeylessCamera
@@ -120,7 +126,7 @@ def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
         decoder = fresh.decoding.prepare(weights[0])
         readings = list(fresh.decoding.operator.embed(images.scenes(slice(0, rounds)), weights[0]))
         classify = _milliseconds(
-            lambda reading: classifier(features(decoder, reading[None])), readings
+            lambda reading: classifier(classifier_inputs(decoder, reading[None])), readings
         )
     macs = multiplications(layers, inputs)
     print(
@@ -265,7 +271,7 @@ def dials(
             with torch.no_grad():
                 milliseconds = _milliseconds(decoding.prepare, weights[:15])
                 logits = [
-                    classifier(features(decoding.prepare(mask), part).float())
+                    classifier(classifier_inputs(decoding.prepare(mask), part).float())
                     for mask, part in zip(weights, readings, strict=True)
                 ]
             accuracy = float((torch.cat(logits).argmax(1) == shown.labels).double().mean())

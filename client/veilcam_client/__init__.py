@@ -9,6 +9,7 @@ with Camera("http://127.0.0.1:8787") as camera:
 from importlib.metadata import version
 
 from veilcam_client.camera import DEFAULT_URL, AsyncCamera, Camera
+from veilcam_client.decoding import SceneDecoder
 from veilcam_client.errors import (
     ApiError,
     BusyError,
@@ -70,6 +71,7 @@ __all__ = [
     "RotationChanged",
     "RotationOff",
     "RotationPolicy",
+    "SceneDecoder",
     "ServerError",
     "StateChanged",
     "Status",

@@ -26,7 +26,7 @@ def decode(
     frame: Annotated[Path, typer.Option(help="Public frame of the camera, *.safetensors.")],
     secret: Annotated[Path, typer.Option(help="File with the secret, mode 600.")],
     device: Annotated[str, typer.Option(help="The camera's name in its key schedule.")],
-    epoch: Annotated[int, typer.Option(help="Mask epoch of the embeddings.")],
+    epoch: Annotated[str, typer.Option(help="Epoch of the embeddings: its name, or its number.")],
     form: Annotated[str, typer.Option(help="white, flat or raw.")] = "white",
 ) -> None:
     """Decode embeddings that a camera released. A wrong key gives noise, not an error."""
@@ -37,7 +37,8 @@ def decode(
             read_frame(frame),
             secret=Secret.read(secret),
             device=device,
-            epoch=epoch,
+            # A name has 32 digits; the largest number has 20.
+            epoch=int(epoch) if epoch.isdecimal() and len(epoch) <= 20 else epoch,
         )
         _write(out, scenes)
     except OpticsError as error:

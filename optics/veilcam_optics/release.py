@@ -21,6 +21,7 @@ from scipy.special import ndtri
 from torch import Tensor
 
 from veilcam_optics.decoding import Decoder, SceneFrame
+from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys import KeyStream, Secret, epoch_levels
 from veilcam_optics.masks import to_weights
@@ -172,7 +173,7 @@ def decode_released(
     *,
     secret: Secret,
     device: str,
-    epoch: int,
+    epoch: int | str,
     gain: float | Tensor = 1.0,
 ) -> Tensor:
     """Scenes from released embeddings, away from the device, for whoever shares its secret.
@@ -183,17 +184,18 @@ def decode_released(
         frame: what is public about camera and scenes.
         secret: of the device. Another one gives noise, and nothing says so.
         device: its name in the key schedule.
-        epoch: in which the embeddings were read.
+        epoch: in which the embeddings were read: its number, or the name that came with them.
         gain: reading per unit of irradiance.
 
     Returns:
         (batch, rows, columns) of the scene.
 
     Raises:
-        OpticsError: embeddings of another shape, or a form that holds nothing.
+        OpticsError: embeddings of another shape, a form that holds nothing, or no epoch's name.
     """
+    number = EpochNames(secret, device).counter(epoch) if isinstance(epoch, str) else epoch
     levels = epoch_levels(
-        secret, device, epoch, camera=frame.camera, distribution=frame.distribution
+        secret, device, number, camera=frame.camera, distribution=frame.distribution
     )
     decoder = frame.decoding().prepare(to_weights(levels, frame.camera.panel), gain=gain)
     whitening = Whitening(decoder, levels) if form is ReleaseForm.WHITE else None

@@ -8,17 +8,17 @@ import torch
 
 from veilcam_client.models import Form, Release
 from veilcam_optics.decoding import Decoder
+from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys import Secret, epoch_levels
 from veilcam_optics.masks import to_weights
 from veilcam_optics.release import ReleaseForm, Whitening, release
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.devices.protocols import Levels, Reading
-from veilcam_server.epoch_names import EpochNames
 from veilcam_server.errors import StartError
 from veilcam_server.inference import Classifier, Verdict
 from veilcam_server.masks import Mask
-from veilcam_training.bundle import Bundle, Fresh
+from veilcam_training.bundle import Bundle, Fresh, classifier_inputs
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,7 +34,8 @@ class FreshReader:
     def classify(self, embedding: Reading) -> Verdict:
         """Decode and classify one embedding."""
         with torch.inference_mode():
-            inputs = self.fresh.classifier_inputs(self.decoder, torch.from_numpy(embedding)[None])
+            readings = torch.from_numpy(embedding)[None]
+            inputs = classifier_inputs(self.decoder, readings, self.fresh.features)
         return self.classifier.classify(inputs)
 
     def release(self, embedding: Reading, form: Form) -> Reading:

@@ -19,6 +19,7 @@ from veilcam_optics.decoding import (
     fit_statistics,
     write_frame,
 )
+from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
@@ -211,7 +212,7 @@ def test_decode_on_the_command_line(
     assert released is not None
     np.save(tmp_path / "in.npy", released.numpy())
 
-    def decoded(device: str, epoch: int) -> Tensor:
+    def decoded(device: str, epoch: int | str) -> Tensor:
         command = [
             *("decode", str(tmp_path / "in.npy"), str(tmp_path / "out.npy"), "--form", form),
             *("--frame", str(tmp_path / "frame.safetensors"), "--device", device),
@@ -224,7 +225,9 @@ def test_decode_on_the_command_line(
 
     spread = (wanted - wanted.mean(0)).square().mean()
     assert float((decoded("cam", 5) - wanted).square().mean() / spread) < 0.2
-    for device, epoch in (("cam", 6), ("other", 5)):
+    name = EpochNames(Secret.read(tmp_path / "secret"), "cam").name(5)
+    assert torch.equal(decoded("cam", name), decoded("cam", 5))
+    for device, epoch in (("cam", 6), ("other", 5), ("other", name)):
         assert float((decoded(device, epoch) - wanted).square().mean() / spread) > 0.8
 
 

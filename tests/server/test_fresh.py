@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 import torch
 
+from veilcam_client import SceneDecoder, VeilcamError
 from veilcam_client.models import Capture, Classification, EveryCaptures, Status
-from veilcam_optics.decoding import Decoder, fit_statistics
+from veilcam_optics.decoding import Decoder, fit_statistics, write_frame
+from veilcam_optics.epoch_names import EpochNames
+from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding
 from veilcam_optics.grid import GridLight
 from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
@@ -21,12 +24,13 @@ from veilcam_optics.release import ReleaseForm, Whitening, recover
 from veilcam_optics.transfer import TransferOperator
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import SensorError
-from veilcam_server.epoch_names import EpochNames
 from veilcam_server.errors import StartError
 from veilcam_server.fresh import FreshReader, FreshSource
-from veilcam_training.bundle import Bundle, build_classifier
+from veilcam_training.bundle import Bundle, build_classifier, classifier_inputs
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.server.conftest import Bench, Running
 
 PER_CAPTURE = EveryCaptures(captures=1)
@@ -89,7 +93,7 @@ def test_the_label_is_what_decoder_and_network_make_of_the_reading(
         levels = levels_of(fresh_bundle, secret, counter_of(fresh_bundle, secret, captured.epoch))
         decoder = decoder_of(fresh_bundle, levels)
         reading = a_reading(fresh_bundle, levels)
-        inputs = fresh.classifier_inputs(decoder, torch.from_numpy(reading)[None])
+        inputs = classifier_inputs(decoder, torch.from_numpy(reading)[None], fresh.features)
         expected = network(inputs).double().softmax(dim=1)[0]
         verdict = captured.reader.classify(reading)
         np.testing.assert_allclose(list(verdict.scores.values()), expected, atol=1e-5)
@@ -210,7 +214,7 @@ def test_epoch_names_are_a_cipher_of_the_counter(secret: Secret) -> None:
     assert EpochNames(secret, "b").counter(made[0]) not in counters
     assert EpochNames(Secret.generate(), "a").counter(made[0]) not in counters
     for bad in ("", "0" * 31, "G" * 32, made[0].upper() + "\n"):
-        with pytest.raises(ValueError, match="32 hexadecimal digits"):
+        with pytest.raises(OpticsError, match="32 hexadecimal digits"):
             names.counter(bad)
 
 
@@ -234,6 +238,39 @@ async def test_answers_tell_their_form(running: Running, fresh_bench: Bench) -> 
         assert result.embedding is not None
         assert result.embedding.form == "white"
         assert len({capture.epoch, npy.headers["veilcam-epoch"], result.epoch}) == 3
+
+
+@pytest.mark.anyio
+async def test_the_sdk_decodes_what_was_released_with_the_secret_alone(
+    running: Running,
+    fresh_bench: Bench,
+    fresh_bundle: Bundle,
+    secret: Secret,
+    tmp_path: Path,
+) -> None:
+    fresh = fresh_bundle.fresh
+    assert fresh is not None
+    frame = tmp_path / "frame.safetensors"
+    write_frame(frame, fresh.frame(fresh_bundle.camera, fresh_bundle.scene, fresh_bundle.embedding))
+    for name, each in (("mine", secret), ("other", Secret.generate())):
+        (tmp_path / name).write_text(each.reveal().hex())
+        (tmp_path / name).chmod(0o600)
+    async with running(on=fresh_bench, policy=PER_CAPTURE) as client:
+        capture = Capture.model_validate_json((await client.post("/v1/captures")).content)
+        plain = Classification.model_validate_json(
+            (await client.post("/v1/classifications")).content
+        )
+    levels = levels_of(fresh_bundle, secret, counter_of(fresh_bundle, secret, capture.epoch))
+    reading = torch.from_numpy(fresh_bench.sensor.reading)[None]
+    expected = decoder_of(fresh_bundle, levels)(reading)[0].numpy()
+    scene = SceneDecoder(frame, tmp_path / "mine", device=fresh.device).decode(capture)
+    np.testing.assert_allclose(scene, expected, atol=1e-4 * np.abs(expected).max())
+    noise = SceneDecoder(frame, tmp_path / "other", device=fresh.device).decode(capture)
+    assert np.abs(noise - expected).max() > 0.1 * np.abs(expected).max()
+    with pytest.raises(VeilcamError, match="include_embedding"):
+        SceneDecoder(frame, tmp_path / "mine", device=fresh.device).decode(plain)
+    with pytest.raises(VeilcamError, match="check the path"):
+        SceneDecoder(tmp_path / "nothing", tmp_path / "mine", device=fresh.device)
 
 
 @pytest.mark.anyio

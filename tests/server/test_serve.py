@@ -30,11 +30,11 @@ from veilcam_client import (
 )
 from veilcam_client.cli import app as client_cli
 from veilcam_client.events import Classified, MaskChanged
+from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.keys import Secret
 from veilcam_server.cli import app
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.devices.scene import write_scene
-from veilcam_server.epoch_names import EpochNames
 from veilcam_server.errors import StartError
 from veilcam_server.serve import bind, build_service
 from veilcam_server.settings import Settings

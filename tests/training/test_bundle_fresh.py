@@ -27,6 +27,7 @@ from veilcam_training.bundle import (
     Fresh,
     build_classifier,
     build_untrained,
+    classifier_inputs,
     read_bundle,
     write_bundle,
 )
@@ -167,7 +168,7 @@ def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -
         frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
         decoder = frame.decoding().prepare(to_weights(levels, bundle.camera.panel))
         readings = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
-        inputs = fresh.classifier_inputs(decoder, readings)
+        inputs = classifier_inputs(decoder, readings, fresh.features)
         assert inputs.shape == (3, fresh.inputs)
         answers.append(build_classifier(fresh.layers, fresh.weights)(inputs))
     assert torch.equal(answers[0], answers[1])
@@ -179,11 +180,13 @@ def test_features_choose_what_the_classifier_is_given() -> None:
     frame = both.frame(CAMERA, SCENE, EMBEDDING)
     decoder = frame.decoding().prepare(torch.rand(CAMERA.mask_shape))
     readings = torch.rand(2, EMBEDDING.size)
-    inputs = both.classifier_inputs(decoder, readings)
+    inputs = classifier_inputs(decoder, readings, both.features)
     assert torch.equal(inputs[:, :PIXELS], decoder(readings).flatten(1))
     assert torch.equal(inputs[0, PIXELS:], decoder.deviation.flatten())
-    assert torch.equal(estimate.classifier_inputs(decoder, readings), inputs[:, :PIXELS])
-    assert torch.equal(turned.classifier_inputs(decoder, readings), inputs.roll(PIXELS, dims=1))
+    assert torch.equal(classifier_inputs(decoder, readings, estimate.features), inputs[:, :PIXELS])
+    assert torch.equal(
+        classifier_inputs(decoder, readings, turned.features), inputs.roll(PIXELS, dims=1)
+    )
     assert estimate.inputs == PIXELS
 
 

@@ -15,13 +15,19 @@ from pydantic import ValidationError
 from torch.nn.functional import avg_pool2d
 from typer.testing import CliRunner
 
+from veilcam_optics.decoding import read_frame
 from veilcam_optics.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.keys import Secret, epoch_levels
 from veilcam_optics.masks import to_weights
 from veilcam_optics.noise import shot_noise
 from veilcam_optics.release import ReleaseForm
 from veilcam_optics.transfer import TransferOperator
-from veilcam_training.bundle import build_classifier, read_bundle, write_bundle
+from veilcam_training.bundle import (
+    build_classifier,
+    classifier_inputs,
+    read_bundle,
+    write_bundle,
+)
 from veilcam_training.cli import app
 from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
@@ -115,7 +121,7 @@ def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
     clean = TransferOperator(CAMERA, bundle.scene, bundle.embedding).embed(test.scenes(), weights)
     readings = shot_noise(clean, 40.0, torch.Generator().manual_seed(0))
     classifier = build_classifier(fresh.layers, fresh.weights)
-    predicted = classifier(fresh.classifier_inputs(decoder, readings)).argmax(1)
+    predicted = classifier(classifier_inputs(decoder, readings, fresh.features)).argmax(1)
     assert float((predicted == test.labels).float().mean()) > 0.8
     # Nothing is left to do, and the same comes of it.
     again = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
@@ -137,6 +143,11 @@ def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None
     assert bundle.fresh.device == "hall"
     assert bundle.provenance["settings"]["seed"] == 2  # type: ignore[index,call-overload]
     assert bundle.embedding == Embedding(3, 4)
+    frame = tmp_path / "frame.safetensors"
+    result = CliRunner().invoke(app, ["frame", str(out), str(frame)])
+    assert result.exit_code == 0, result.output
+    assert "'hall'" in result.output
+    assert read_frame(frame).embedding == bundle.embedding
     refused = CliRunner().invoke(app, [*command[:4], str(tmp_path / "fresh.zip")])
     assert isinstance(refused.exception, TrainingError)
     assert "ends in .veilcam" in str(refused.exception)

@@ -24,7 +24,7 @@ from veilcam_training.device import choose_device
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
 from veilcam_training.fitting import Observer
-from veilcam_training.fresh.command import fit_fresh_command
+from veilcam_training.fresh.command import fit_fresh_command, frame_command
 from veilcam_training.job import Outcome, Settings, as_pair, make_model, run_job
 from veilcam_training.keyring import as_bundle, fit_keyring
 from veilcam_training.progress import FitProgress, make_progress
@@ -206,6 +206,7 @@ def keyring_command(
 
 app.command("table")(table_command)
 app.command("fit-fresh")(fit_fresh_command)
+app.command("frame")(frame_command)
 
 
 @app.command("download")

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.keys import Secret, epoch_levels
 from veilcam_optics.masks import to_weights
 from veilcam_optics.transfer import TransferOperator
 from veilcam_server.devices.protocols import Levels, Reading
-from veilcam_server.epoch_names import EpochNames
 from veilcam_training.bundle import Bundle
 
 

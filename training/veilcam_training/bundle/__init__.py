@@ -4,7 +4,7 @@ from veilcam_training.bundle.archive import read_bundle, write_bundle
 from veilcam_training.bundle.bundle import Accuracy, Bundle, Pair
 from veilcam_training.bundle.classifier import build_classifier, build_untrained
 from veilcam_training.bundle.errors import BundleError
-from veilcam_training.bundle.fresh import Feature, Fresh
+from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
 from veilcam_training.bundle.layers import LayerRecord
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Pair",
     "build_classifier",
     "build_untrained",
+    "classifier_inputs",
     "read_bundle",
     "write_bundle",
 ]

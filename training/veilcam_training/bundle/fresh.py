@@ -23,6 +23,8 @@ from veilcam_training.bundle.layers import LayerRecord
 Feature = Literal["estimate", "deviation"]
 """``estimate`` is the decoded scene, ``deviation`` its posterior standard deviation."""
 
+FEATURES: tuple[Feature, ...] = ("estimate", "deviation")
+
 MAX_RESPONSE = 2**26
 """Most numbers in a transfer matrix: 256 MiB of float32."""
 LEAST_BITS = 128.0
@@ -43,7 +45,7 @@ class Fresh:
     weights: Mapping[str, Tensor] = field(repr=False)
     """By the names of the built module's ``state_dict``."""
     reach: Reach = field(default_factory=Reach)
-    features: tuple[Feature, ...] = ("estimate", "deviation")
+    features: tuple[Feature, ...] = FEATURES
     """What the classifier is given, each as large as the scene, one after the other."""
 
     @property
@@ -51,24 +53,28 @@ class Fresh:
         """How many numbers the classifier takes."""
         return len(self.features) * self.statistics.pixels
 
-    def classifier_inputs(self, decoder: Decoder, readings: Tensor) -> Tensor:
-        """What the classifier is given of readings behind one mask.
-
-        Args:
-            decoder: of that mask.
-            readings: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
-
-        Returns:
-            (batch, ``inputs``) float32.
-        """
-        estimate = decoder(readings).flatten(1)
-        known = {"estimate": estimate, "deviation": decoder.deviation.flatten().expand_as(estimate)}
-        return torch.cat([known[feature] for feature in self.features], dim=1)
-
     def frame(self, camera: Camera, scene: Scene, embedding: Embedding) -> SceneFrame:
         """All that decoding needs besides the secret."""
         known = (self.statistics, self.noise, self.reach, self.distribution)
         return SceneFrame(camera, scene, embedding, *known)
+
+
+def classifier_inputs(
+    decoder: Decoder, readings: Tensor, features: tuple[Feature, ...] = FEATURES
+) -> Tensor:
+    """What the classifier is given of readings behind one mask.
+
+    Args:
+        decoder: of that mask.
+        readings: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
+        features: each as large as the scene, one after the other.
+
+    Returns:
+        (batch, features x scene pixels).
+    """
+    estimate = decoder(readings).flatten(1)
+    known = {"estimate": estimate, "deviation": decoder.deviation.flatten().expand_as(estimate)}
+    return torch.cat([known[feature] for feature in features], dim=1)
 
 
 def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding) -> None:

@@ -25,6 +25,7 @@ from veilcam_optics.keys import SECRET_BYTES, Levels, MaskDistribution, Secret, 
 from veilcam_optics.masks import to_weights
 from veilcam_optics.noise import shot_noise
 from veilcam_optics.transfer import TransferOperator, Variables
+from veilcam_training.bundle.fresh import FEATURES, classifier_inputs
 from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError
 from veilcam_training.fresh.placement import Placement
@@ -35,8 +36,8 @@ from veilcam_training.randomness import derive, stream
 STATISTICS_BATCH = 2000
 STATISTICS_SCENES = 30_000
 """How many scenes the statistics are made from, at most."""
-CHANNELS = 2
-"""Estimate and posterior deviation."""
+CHANNELS = len(FEATURES)
+"""Of the classifier's input, each as large as the decoded scene."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,7 @@ class PreparedMask:
 
     def decode(self, readings: Tensor) -> Tensor:
         """Input of the classifier, (batch, CHANNELS x pixels of the decoded scene)."""
-        return features(self.decoder, readings)
-
-
-def features(decoder: Decoder, readings: Tensor) -> Tensor:
-    """What the classifier is given: the estimate, and its posterior deviation, side by side."""
-    estimate = decoder(readings).flatten(1)
-    return torch.cat([estimate, decoder.deviation.flatten().expand_as(estimate)], dim=1)
+        return classifier_inputs(self.decoder, readings)
 
 
 class FreshCamera:

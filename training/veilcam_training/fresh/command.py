@@ -1,4 +1,4 @@
-"""``veilcam-train fit-fresh``: one classifier for masks that nobody has used before."""
+"""``veilcam-train fit-fresh`` and ``frame``: masks that nobody has used before."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import torch
 import typer
 from rich.console import Console
 
+from veilcam_optics.decoding import write_frame
 from veilcam_optics.geometry import Camera
-from veilcam_training.bundle import write_bundle
+from veilcam_training.bundle import read_bundle, write_bundle
 from veilcam_training.data import open_source
 from veilcam_training.errors import TrainingError
 from veilcam_training.fresh.job import as_fresh_bundle, run_fresh
@@ -52,3 +53,19 @@ def fit_fresh_command(
         f"({100 * outcome.wrong_key.accuracy:.2f} % with the wrong key)\n"
         f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)"
     )
+
+
+def frame_command(
+    bundle: Annotated[Path, typer.Argument(help="Bundle of mode fresh.")],
+    out: Annotated[Path, typer.Argument(help="Frame to write, *.safetensors.")],
+) -> None:
+    """Write what decoding elsewhere needs besides the secret; none of it is secret."""
+    contents = read_bundle(bundle)
+    if contents.fresh is None:
+        raise TrainingError(f"{bundle} holds pairs: use a bundle of mode fresh")
+    if out.suffix != ".safetensors" or not out.parent.is_dir():
+        raise TrainingError(
+            f"{out} is not valid: use a name that ends in .safetensors, in a folder that is there"
+        )
+    write_frame(out, contents.fresh.frame(contents.camera, contents.scene, contents.embedding))
+    Console().print(f"wrote {out}; the camera's label is {contents.fresh.device!r}")

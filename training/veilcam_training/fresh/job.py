@@ -22,7 +22,6 @@ from veilcam_training.fresh.fitting import FreshFit, fit_fresh
 from veilcam_training.fresh.settings import FreshSettings
 from veilcam_training.provenance import provenance
 
-
 WRONG_KEY_IMAGES = 1000
 """Test images that are decoded with another key: enough to tell that accuracy is at chance."""
 

@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
+from veilcam_optics.errors import invalid
 from veilcam_optics.keys import Secret
 
 CONTEXT = b"veilcam epoch names, version 1"
@@ -40,9 +41,9 @@ class EpochNames:
         """Return the epoch of ``name``; with another secret, some other number.
 
         Raises:
-            ValueError: not 32 hexadecimal digits.
+            OpticsError: not 32 hexadecimal digits.
         """
         if re.fullmatch(r"[0-9a-f]{32}", name) is None:
-            raise ValueError("an epoch name is not valid: use 32 hexadecimal digits")
+            raise invalid("epoch", repr(name[:40]), "", "32 hexadecimal digits, as sent")
         counter: int = struct.unpack(">QQ", self._cipher.decryptor().update(bytes.fromhex(name)))[0]
         return counter
