@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from veilcam_optics.errors import invalid
 from veilcam_optics.factored import aperture_fields, as_number
 
 
@@ -111,6 +112,10 @@ EXACT = Approximation()
 """Nothing left out."""
 
 
+_MAX_FIELD_VALUES = 1e8
+"""Of all apertures at all nodes: 1.6 GB."""
+
+
 class Axis:
     """One axis of camera and scene: the offsets, the integration nodes, and kernels made on them.
 
@@ -127,6 +132,9 @@ class Axis:
         shift: displacement of the mask from the optical axis [m].
         step: largest distance of integration nodes [m].
         approximation: what is left out.
+
+    Raises:
+        OpticsError: nodes so many that the fields do not fit in memory.
     """
 
     def __init__(
@@ -155,6 +163,15 @@ class Axis:
         # Nodes at whole multiples of the step stay put when the geometry moves a little, so that
         # a finite difference sees the integral change and not its quadrature error.
         half = 0 if approximation.shadow else math.floor(reach / step) + 2
+        if (2 * half + 1) * apertures > _MAX_FIELD_VALUES:
+            least = 2.1 * reach * apertures / _MAX_FIELD_VALUES
+            raise invalid(
+                "step",
+                step,
+                "m",
+                f"at least {least:.2g} m: finer, the fields over the {2 * reach:.2g} m that scene "
+                "and sensor span together do not fit in memory",
+            )
         self.start, self.step = -half * step, step
         self.nodes = step * torch.arange(-half, half + 1, dtype=torch.float64)
         index = torch.arange(apertures, dtype=torch.float64) - (apertures - 1) / 2

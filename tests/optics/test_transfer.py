@@ -249,6 +249,7 @@ def _nan_mask() -> object:
         (_wrong_shape, "window"),
         (_nan_mask, "NaN"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=-1.0), "step = -1.0 m"),
+        (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=1e-12), "step = 1e-12 m .* memory"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(-1, 0)), "reach.rows"),
         (lambda: Camera(distance=-4e-3), "camera.distance = -0.004 m"),
         (lambda: Panel(aperture_y=1e-3), "at most the pitch"),
