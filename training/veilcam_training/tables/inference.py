@@ -9,8 +9,8 @@ from statistics import median
 import torch
 from torch import nn
 
-REPEATS = 200
-WARM_UP = 20
+REPEATS = 100
+WARM_UP = 10
 
 
 @torch.inference_mode()

@@ -1,0 +1,209 @@
+"""The report of a table says what the cells found, and shows it."""
+
+from __future__ import annotations
+
+import base64
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.collections import PathCollection
+from PIL import Image
+
+from veilcam_optics.geometry import Camera
+from veilcam_training.data import Source, split
+from veilcam_training.errors import TrainingError
+from veilcam_training.figures import Origin
+from veilcam_training.job import Settings, make_model
+from veilcam_training.tables.catalogue import find_table
+from veilcam_training.tables.cell import Cell
+from veilcam_training.tables.charts import draw_charts
+from veilcam_training.tables.cost import draw_cost
+from veilcam_training.tables.pictures import (
+    PSF_SHAPE,
+    Pictures,
+    load_pictures,
+    make_pictures,
+    save_pictures,
+)
+from veilcam_training.tables.report import write_report
+from veilcam_training.tables.result import (
+    CellResult,
+    EpochRecord,
+    Finished,
+    load_results,
+    save_finished,
+)
+from veilcam_training.tables.summary import Summary
+
+
+def finish(work: Path, test: float, **settings: object) -> CellResult:
+    """Put a finished cell with a made-up accuracy into ``work``."""
+    chosen = Settings.model_validate(settings)
+    rows, columns = map(int, chosen.embedding.split("x"))
+    epoch = EpochRecord(
+        loss=1.0, training_accuracy=0.5, validation_accuracy=test - 0.01, validation_loss=1.0
+    )
+    result = CellResult(
+        settings=chosen,
+        fingerprint=Cell(chosen).name,
+        labels=tuple("0123456789"),
+        test_set="mnist test",
+        test_accuracy=test,
+        validation_accuracy=test - 0.01,
+        best_epoch=1,
+        epochs=(epoch, epoch, epoch),
+        confusion=tuple(tuple(int(9 * (i == j) + 1) for i in range(10)) for j in range(10)),
+        seconds=12.0,
+        inference_seconds=34e-6,
+        device="cpu",
+        origin=Origin("veilcam-train table mnist <here>", "abc123", "2026-01-31", "a machine"),
+        provenance={},
+    )
+    random = np.random.default_rng(0)
+    pictures = Pictures(
+        psf=random.random((8, 9)).astype(np.float32),
+        scenes=random.random((2, 28, 28)).astype(np.float32),
+        embeddings=random.random((2, rows, columns)).astype(np.float32),
+    )
+    save_finished(work, Finished(result, pictures, None))
+    return result
+
+
+@pytest.fixture
+def work(tmp_path: Path) -> Path:
+    folder = tmp_path / "work"
+    finish(folder, 0.96, classifier="LR", embedding="24x32")  # the paper: 95.5
+    finish(folder, 0.78, classifier="LR", embedding="3x4", seed=0)  # 79.3
+    finish(folder, 0.80, classifier="LR", embedding="3x4", seed=1)
+    finish(folder, 0.88, classifier="LR", embedding="3x4", reading="point")
+    finish(folder, 0.99, classifier="CNN16", embedding="24x32")
+    return folder
+
+
+def test_report(work: Path, tmp_path: Path) -> None:
+    out = tmp_path / "report"
+    results = list(load_results(work))
+    assert len(results) == 5
+    write_report(out, find_table("mnist"), results, work)
+    markdown, page = ((out / name).read_text() for name in ("report.md", "report.html"))
+
+    rows = {
+        (cells[1], cells[2]): cells[3:7]
+        for line in markdown.splitlines()
+        if len(cells := [cell.strip() for cell in line.split("|")]) == 8
+    }
+    assert rows["LR", "learned mask"] == [
+        "96.00 (95.5, ▲ +0.5)",
+        "– (93.5)",
+        "– (91.4)",
+        "79.00 ± 1.41 (79.3, ▼ −0.3)",
+    ]
+    assert rows["LR", "learned mask, point reading"][3] == "88.00 (79.3, ▲ +8.7)"
+    assert rows["CNN16", "learned mask"][0] == "99.00"
+    assert rows["LR", "fixed mask, measured"] == ["– (92.8)", "– (91.9)", "– (87.7)", "– (73.4)"]
+    assert ("FC800", "learned mask, point reading") not in rows
+    assert "| `mnist_LR_learned_3x4` | 2 | 78.00 % | 79.00 % | 79.3 % | −0.3 | 3 (2) |" in markdown
+    assert "12 s | 34 µs |" in markdown
+
+    assert page.count('class="better"') == 2 * 2  # in the table and in the list
+    assert page.count('class="worse"') == 2 * 1
+    assert "79.00 ± 1.41" in page
+    assert "table mnist &lt;here&gt;" in page
+    for text in (markdown, page):
+        for said in ("abc123", "a machine", "Bezzam"):
+            assert said in text
+
+    pictures = re.findall(r"\]\((pictures/\w+\.png)\)", markdown)
+    inlined = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    assert "src=" not in page.replace('src="data:', "")
+    assert len(pictures) == len(inlined) == 6
+    for path, data in zip(pictures, inlined, strict=True):
+        assert (out / path).read_bytes() == base64.b64decode(data)
+        with Image.open(out / path) as picture:
+            assert min(picture.size) > 200
+    assert {Path(path).stem for path in pictures} == {
+        "cost",
+        "curves",
+        "psfs",
+        "embeddings",
+        "confusion_LR",
+        "confusion_CNN16",
+    }
+
+
+def test_report_of_nothing(tmp_path: Path) -> None:
+    write_report(tmp_path, find_table("robust"), [], tmp_path)
+    text = (tmp_path / "report.md").read_text()
+    assert "| FC800 | learned mask | – (98.7) | – (68.8) |" in text
+    assert "![" not in text
+    write_report(tmp_path, find_table("faces"), [], tmp_path)
+    text = (tmp_path / "report.md").read_text()
+    assert "faces-smiling 3x4" in text
+    assert "paper" not in text
+
+
+def test_cost_chart_has_all_four(work: Path) -> None:
+    """Accuracy and training time as places, size and inference time as looks."""
+    results = list(load_results(work))
+    results[0] = results[0].model_copy(update={"seconds": 99.0, "inference_seconds": 1e-3})
+    summary = Summary(find_table("mnist"), results)
+    axes = draw_cost(summary).axes[0]
+    points = [point for point in axes.collections if isinstance(point, PathCollection)]
+    entries = summary.finished()
+    places = np.array([point.get_offsets() for point in points])[:, 0]
+    assert places[:, 0].tolist() == [entry.results[0].seconds for entry in entries]
+    assert places[:, 1] == pytest.approx([100 - (entry.test or 0) for entry in entries])
+    assert axes.yaxis_inverted()
+    embeddings = [entry.place.column.embedding for entry in entries]
+    sizes = dict(zip(embeddings, [float(point.get_sizes()[0]) for point in points], strict=True))
+    assert sizes["24x32"] > sizes["3x4"]
+    coloured = [float(np.asarray(point.get_array())[0]) for point in points]
+    assert coloured == [1e6 * entry.results[0].inference_seconds for entry in entries]
+    assert len(set(coloured)) == 2
+
+
+def test_charts_of_one_cell(tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    result = finish(work, 1.0, classifier="LR", encoder="digital", embedding="3x4")
+    charts = draw_charts(tmp_path, Summary(find_table("mnist"), [result]), work)
+    assert all((tmp_path / name).stat().st_size for name, _ in charts)
+    (work / result.cell.name / "pictures.npz").unlink()
+    with pytest.raises(TrainingError, match="holds no pictures"):
+        draw_charts(tmp_path, Summary(find_table("mnist"), [result]), work)
+
+
+@pytest.mark.parametrize("encoder", ["lens", "learned", "fixed_simulated", "digital"])
+def test_pictures(encoder: str, source: Source, tmp_path: Path) -> None:
+    settings = Settings(encoder=encoder, embedding="6x8", seed=3)
+    model = make_model(settings, source, Camera())
+    validation = split(source.training()).validation
+    pictures = make_pictures(model, settings, validation)
+    assert pictures.embeddings.shape == (3, 6, 8)
+    assert np.allclose(pictures.scenes, validation.scenes(slice(3)))
+    assert (pictures.embeddings.max((1, 2)) == 1).all()
+    if encoder == "digital":
+        assert pictures.psf is None
+    else:
+        assert pictures.psf is not None
+        assert pictures.psf.shape == PSF_SHAPE.shape
+        lit = (pictures.psf > 0.05).mean()
+        assert lit < 1e-3 if encoder == "lens" else 0.1 < lit < 0.9
+    save_pictures(tmp_path / "a.npz", pictures)
+    again = load_pictures(tmp_path / "a.npz")
+    assert np.allclose(again.embeddings, pictures.embeddings, atol=0.5 / 255 + 1e-6)
+    assert (again.psf is None) == (pictures.psf is None)
+
+
+def test_psf_is_that_of_the_learned_weights(source: Source) -> None:
+    settings = Settings(embedding="3x4")
+    model = make_model(settings, source, Camera())
+    validation = split(source.training()).validation
+    with torch.no_grad():
+        next(iter(model.encoder.parameters()))[:25] = 0  # the upper half is closed
+    psf = make_pictures(model, settings, validation).psf
+    assert psf is not None
+    halves = sorted((float(psf[:40].sum()), float(psf[-40:].sum())))
+    assert halves[0] < 0.05 * halves[1]
