@@ -148,10 +148,19 @@ def some_masks(case: Case, count: int) -> list[Tensor]:
     ]
 
 
-def true_model(case: Case) -> Model:
-    """A setting far finer than any that a plan would choose."""
+def true_model(case: Case, chosen: Reach) -> Model:
+    """A setting far finer than any that a plan would choose.
+
+    Over a wide field every zone has kernels of its own, and pairs as far apart as elsewhere would
+    take minutes each: there, the pairs are those within ``chosen``, the plan's reach, and the
+    nearest two shells beyond it, which hold nearly all that it leaves out.
+    """
     camera = case.camera
-    reach = Reach(min(camera.window.rows - 1, 8 * case.unit + 4), min(camera.window.columns - 1, 6))
+    reach = Reach(8 * case.unit + 4, 6)
+    if case.conditions.off_axis:
+        reach = Reach(chosen.rows + 2 * case.unit, chosen.columns + 2)
+    rows, columns = camera.window.rows - 1, camera.window.columns - 1
+    reach = Reach(min(rows, reach.rows), min(columns, reach.columns))
     apart = max(camera.panel.pitch_y * (1 + reach.rows), camera.panel.pitch_x * (1 + reach.columns))
     sensor, embedding = camera.sensor, case.embedding
     pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
@@ -339,7 +348,7 @@ def judge(case: Case, *, masks: int, rounds: int) -> Result:
     # Small masks differ more.
     size = case.camera.window.rows * case.camera.window.columns
     weights = some_masks(case, masks * max(1, min(4, 800 // size)))
-    truths = matrices(LightOperator(true_model(case)), weights)
+    truths = matrices(LightOperator(true_model(case, chosen.model.dials.reach)), weights)
     measured = relative(matrices(chosen.operator, weights), truths)
     worst, rival = 1.0, None
     mine = step_of(chosen.operator, weights[0])
@@ -362,7 +371,7 @@ def against_integration(case: Case) -> float:
     """Relative L2 between the truth and direct integration of the whole field."""
     ideal = replace(case, conditions=IDEAL)
     weights = some_masks(ideal, 1)
-    truth = matrices(LightOperator(true_model(ideal)), weights)
+    truth = matrices(LightOperator(true_model(ideal, Reach())), weights)
     whole = max(
         case.camera.window.rows * case.camera.panel.pitch_y,
         case.camera.window.columns * case.camera.panel.pitch_x,
