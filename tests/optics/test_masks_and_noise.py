@@ -66,3 +66,17 @@ def test_no_light_no_batch_no_noise() -> None:
     assert shot_noise(values, math.inf).equal(values)
     with pytest.raises(OpticsError, match="snr_db"):
         shot_noise(values, math.nan)
+
+
+def test_the_gradient_knows_of_the_noises_amplitude() -> None:
+    values = torch.rand(3, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(4)) + 0.1
+
+    def noisy(lit: torch.Tensor) -> torch.Tensor:
+        return shot_noise(lit, 20.0, torch.Generator().manual_seed(5))
+
+    assert torch.autograd.gradcheck(noisy, (values.requires_grad_(),))
+    # In darkness there is no slope, and no NaN either.
+    for dark in (torch.zeros(2, 8), torch.eye(2, 8)):
+        noisy(dark.requires_grad_()).sum().backward()
+        assert dark.grad is not None
+        assert bool(torch.isfinite(dark.grad).all())

@@ -81,6 +81,7 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
         {"optimiser": "sgd"},
         {"rate": 2e-2},
         {"mask_rate": 1e-2},
+        {"mask_start": "pinhole"},
         {"weight_decay": 0.5},
         {"schedule": "constant"},
         {"warm_up": 0.5},

@@ -99,6 +99,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         stream(settings.seed, "encoder"),
         psf=settings.psf,
         errors=settings.recipe.panel_errors,
+        pinhole=settings.recipe.mask_start == "pinhole",
     )
     task = Task(
         channels=setup.channels,

@@ -41,7 +41,7 @@ def _shot_noise(snr_db: float) -> Operator:
     return Operator(
         f"shot noise, {snr_db:g} dB",
         bind,
-        # Its amplitude counts as a constant for the gradient, by design.
+        # A root has no slope in darkness, which the settings hold some of.
         smooth=snr_db == math.inf,
         mirror=((-2,), (-1,)) if snr_db == math.inf else ((), ()),
         meta=True,

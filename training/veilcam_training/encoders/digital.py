@@ -33,6 +33,7 @@ class Digital(Encoder):
 
     def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
         """White noise at the delivered signal-to-noise ratio ``snr_db`` [dB] of each image."""
-        power = values.detach().square().mean(1, keepdim=True) * 10 ** (-snr_db / 10)
+        power = values.square().mean(1, keepdim=True) * 10 ** (-snr_db / 10)
         noise = torch.randn(values.shape, generator=generator, device=values.device)
-        return values + power.sqrt() * noise
+        # A black image has no noise, and no gradient of it.
+        return values + power.clamp_min(torch.finfo(values.dtype).tiny).sqrt() * noise
