@@ -19,6 +19,7 @@ import torch
 from veilcam_training import cli
 from veilcam_training.bundle import read_bundle
 from veilcam_training.evaluation import confusion
+from veilcam_training.fitting import Epoch
 from veilcam_training.job import Settings
 from veilcam_training.tables import command
 from veilcam_training.tables import run as run_module
@@ -28,6 +29,7 @@ from veilcam_training.tables.inference import time_label
 from veilcam_training.tables.paper import load_paper
 from veilcam_training.tables.place import Column, Place, Row
 from veilcam_training.tables.result import load_results
+from veilcam_training.tables.stopwatch import Stopwatch
 from veilcam_training.tables.table import Part
 
 Call = Callable[..., int]
@@ -411,3 +413,16 @@ def test_time_of_a_label() -> None:
     assert 0 < time_label(model, 12) < 1
     assert model.training
     assert all(torch.equal(state[name], value) for name, value in model.state_dict().items())
+
+
+def test_stopwatch_counts_the_epochs_of_an_earlier_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    epochs = [Epoch(number, 1.0, 0.5, 0.5, 1.0, seconds=40.0) for number in range(5)]
+    for device, clock in (("cpu", "process_time"), ("cuda", "monotonic")):
+        now = iter([100.0, 103.0, 104.0])
+        with monkeypatch.context() as patch:
+            patch.setattr(time, clock, lambda now=now: next(now))
+            watch = Stopwatch(torch.device(device))
+            assert watch.seconds(epochs) == 5 * 40
+            for epoch in epochs[3:]:
+                watch.epoch(epoch)
+        assert watch.seconds(epochs) == 5 * 2

@@ -52,7 +52,7 @@ class CellResult(BaseModel):
     confusion: tuple[tuple[int, ...], ...]
     """Of the test set: a row for each true class, a column for each predicted one."""
     seconds: float
-    """All epochs together, on ``device``."""
+    """All epochs together, see :class:`~veilcam_training.tables.stopwatch.Stopwatch`."""
     inference_seconds: float
     """From one reading to its label, see :func:`~veilcam_training.tables.inference.time_label`."""
     device: str

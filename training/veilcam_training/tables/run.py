@@ -30,6 +30,7 @@ from veilcam_training.tables.result import (
     load_result,
     save_finished,
 )
+from veilcam_training.tables.stopwatch import Stopwatch
 from veilcam_training.workers import Workers
 
 
@@ -77,13 +78,14 @@ class CellRunner:
         if self.until is not None and time.time() >= self.until:
             return None
         source, camera, settings = self.source(cell.settings.data), Camera(), cell.settings
+        watch = Stopwatch(self.device)
         outcome = run_job(
             settings,
             source,
             camera,
             device=self.device,
             checkpoint=cell_folder(self.work, cell) / CHECKPOINT,
-            observers=self.observe(cell),
+            observers=[watch, *self.observe(cell)],
         )
         model, history, best = outcome.fit.model, outcome.fit.history, outcome.fit.best
         result = CellResult(
@@ -98,7 +100,7 @@ class CellRunner:
                 EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
             ),
             confusion=tuple(map(tuple, outcome.confusion.tolist())),
-            seconds=sum(epoch.seconds for epoch in history),
+            seconds=watch.seconds(history),
             inference_seconds=time_label(model.classifier, model.encoder.setup.outputs),
             device=self.device.type,
             origin=Origin.here(),
