@@ -33,9 +33,9 @@ def draw_charts(folder: Path, summary: Summary, work: Path) -> list[tuple[str, s
     charts: list[tuple[str, str, Figure | None]] = [
         (
             "cost.png",
-            "Accuracy against cost, best in the upper left corner; training in seconds of one core or "
-            "GPU. A marker is the larger the larger the embedding; its colour is the time from a "
-            "reading to a label (one thread, one reading at a time, median).",
+            "Accuracy against cost, best in the upper left corner. Training is in seconds of one "
+            "core (or GPU). Markers grow with the embedding; their colour is the time "
+            "from a reading to a label (one thread, one reading at a time, median).",
             draw_cost(summary),
         ),
         (
