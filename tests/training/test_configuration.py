@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from veilcam_optics.geometry import Camera
 from veilcam_training.configuration import load_settings
+from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
-from veilcam_training.job import Settings
+from veilcam_training.job import Settings, make_model
+from veilcam_training.recipe import Recipe
 from veilcam_training.recipes import RECIPES, Situation, find_recipe
 
 
@@ -63,7 +68,37 @@ def test_our_recipes() -> None:
         assert (short.epochs, long.epochs) == (15, 50)
         assert short.model_copy(update={"epochs": 50}) == long
     with pytest.raises(TrainingError, match=f"use one of {', '.join(RECIPES)}"):
-        find_recipe("best", Situation())
+        find_recipe("worst", Situation())
+
+
+SIZES = ("24x32", "12x16", "6x8", "3x4")
+
+
+@pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
+@pytest.mark.parametrize("classifier", ["LR", "FC800", "CNN16"])
+@pytest.mark.parametrize("change", ["none", "shift", "rotate"])
+def test_the_best_recipes_can_be_used(
+    source: Source, encoder: str, classifier: str, change: str
+) -> None:
+    for embedding in SIZES if change == "none" else SIZES[:1]:
+        recipe = find_recipe("best", Situation("mnist", encoder, embedding, classifier, change))
+        assert Recipe.model_validate(recipe.model_dump()) == recipe
+        # What a recipe asks of encoder and classifier is the same at every size.
+        settings = Settings(encoder=encoder, embedding="3x4", classifier=classifier, recipe=recipe)
+        make_model(settings, source, Camera())
+
+
+def test_the_best_recipe_depends_on_the_situation() -> None:
+    for classifier in ("LR", "FC800"):
+        recipes = [find_recipe("best", Situation("mnist", "learned", s, classifier)) for s in SIZES]
+        assert all(a != b for a, b in pairwise(recipes))
+        large = find_recipe("best", Situation("mnist", "learned", "30x40", classifier))
+        assert large == recipes[0]
+    shift = Situation("mnist", "learned", "24x32", "CNN16", "shift")
+    assert find_recipe("best", shift).mask_start == "pinhole"
+    assert find_recipe("best", replace(shift, encoder="lens")).mask_start == "random"
+    fashion = Situation("fashion", classifier="FC800")
+    assert find_recipe("best", fashion) == find_recipe("long", fashion)
 
 
 def write(tmp_path: Path, text: str) -> Path:
