@@ -77,6 +77,6 @@ def test_the_gradient_knows_of_the_noises_amplitude() -> None:
     assert torch.autograd.gradcheck(noisy, (values.requires_grad_(),))
     # In darkness there is no slope, and no NaN either.
     for dark in (torch.zeros(2, 8), torch.eye(2, 8)):
-        noisy(dark.requires_grad_()).sum().backward()
+        noisy(dark.requires_grad_()).sum().backward()  # type: ignore[no-untyped-call]
         assert dark.grad is not None
         assert bool(torch.isfinite(dark.grad).all())
