@@ -128,6 +128,7 @@ TASKS: Mapping[str, Mapping[str, Any]] = {
         "renewed": 8,
         "exponent": 4.0,
         "spread": 0.25,
+        "epochs": 12,
     },
     "mnist_3x4": {
         "embedding": "3x4",
@@ -135,7 +136,7 @@ TASKS: Mapping[str, Mapping[str, Any]] = {
         "renewed": 8,
         "exponent": 4.0,
         "spread": 0.25,
-        "epochs": 14,
+        "epochs": 8,
     },
     "mnist_shift": {
         "placement": "anywhere",
@@ -143,12 +144,12 @@ TASKS: Mapping[str, Mapping[str, Any]] = {
         "rank": 512,
         "classifier": "CNN16",
         "batch": 256,
-        "epochs": 10,
+        "epochs": 6,
         "misalignment": Misalignment(panels=4),
     },
     "fashion_24x32": {
         "data": "fashion",
-        "epochs": 16,
+        "epochs": 8,
         "augmentation": Augmentation(rotation=5, scale=0.08, shear=0.05, shift=1.5, mirror=True),
     },
     "faces_gender_24x32": {
