@@ -1,4 +1,4 @@
-"""Write the README's table of figures from ``benchmarks/results``, so that it cannot go stale.
+"""Write the tables of figures in README and docs from ``benchmarks/results``: they cannot go stale.
 
 python benchmarks/readme_figures.py
 """
@@ -11,8 +11,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->"
 
-# What a figure is called in words, how it is shown, and in which file it stands.
-SHOWN: dict[str, tuple[str, str, str]] = {
+Figures = dict[str, tuple[str, str, str]]
+"""In which file a figure stands, what it is in words, and how it is shown."""
+
+README: Figures = {
     "demo_accuracy": ("main-job", "demo: held-out digits read right through six masks", "{:.3f}"),
     "demo_wrong_classifier_accuracy": (
         "main-job",
@@ -55,13 +57,70 @@ SHOWN: dict[str, tuple[str, str, str]] = {
         "a plan's time over the fastest setting's, at worst",
         "{:.2f} x",
     ),
+    "fresh_mnist_24x32": (
+        "fresh-masks",
+        "MNIST behind masks never used before, one for each of 10,000 captures, 24 x 32",
+        "{:.2f} %",
+    ),
+    "fresh_mnist_shift": (
+        "fresh-masks",
+        "the same, digits anywhere in the field of view",
+        "{:.2f} %",
+    ),
+    "prepare_ms": ("fresh-masks", "preparing such a mask, on one core", "{:.0f} ms"),
+    "decode_classify_ms": ("fresh-masks", "decoding and classifying, on one core", "{:.1f} ms"),
+    "cluster_ari_white": (
+        "fresh-masks",
+        "clustering released embeddings by mask without the key: best adjusted Rand index",
+        "{:.4f}",
+    ),
 }
 
+FRESH: Figures = {
+    **{
+        f"fresh_{task}{suffix}": ("fresh-masks", f"{words}{said}", "{:.2f} %")
+        for task, words in {
+            "mnist_24x32": "MNIST, 24 x 32",
+            "mnist_12x16": "MNIST, 12 x 16",
+            "mnist_6x8": "MNIST, 6 x 8",
+            "mnist_3x4": "MNIST, 3 x 4",
+            "mnist_shift": "MNIST anywhere in the field of view, 24 x 32",
+            "fashion_24x32": "Fashion-MNIST, 24 x 32",
+        }.items()
+        for suffix, said in {"": "", "_wrong_key": ", decoded with another key"}.items()
+    },
+}
 
-def table() -> str:
-    """The table in Markdown; figures that were not measured yet are left out."""
+RELEASED: Figures = {
+    f"{figure}_{form}{suffix}": ("fresh-masks", f"{words}, form `{form}`{said}", pattern)
+    for figure, words, pattern in (
+        ("cluster_ari", "masks told apart without a key (adjusted Rand index)", "{:.4f}"),
+        ("keyless_accuracy", "digits read without a key, many masks known", "{:.1f} %"),
+    )
+    for form in ("raw", "flat", "white")
+    for suffix, said in {"": "", "_exponent4": ", sparse masks"}.items()
+}
+
+TIMES: Figures = {
+    "prepare_ms": ("fresh-masks", "preparing a mask", "{:.1f} ms"),
+    "decode_classify_ms": ("fresh-masks", "decoding and classifying a capture", "{:.2f} ms"),
+    "classifier_macs": ("fresh-masks", "multiply-adds of the classifier", "{:,}"),
+    "epochs_run": ("fresh-masks", "epochs of the daemon, one a capture", "{:,}"),
+    "epochs_repeated": ("fresh-masks", "of them repeated", "{}"),
+    "frames_mixed": ("fresh-masks", "readings that mixed two masks", "{}"),
+}
+
+PAGES: dict[str, list[Figures]] = {
+    "README.md": [README],
+    "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
+}
+"""The tables of each page, from top to bottom."""
+
+
+def table(shown: Figures) -> str:
+    """One table in Markdown; figures that were not measured yet are left out."""
     lines = ["| what | measured | command |", "|---|---|---|"]
-    for name, (file, words, pattern) in SHOWN.items():
+    for name, (file, words, pattern) in shown.items():
         path = ROOT / "benchmarks" / "results" / f"{file}.json"
         figures = json.loads(path.read_text()) if path.exists() else {}
         if name in figures:
@@ -70,16 +129,22 @@ def table() -> str:
     return "\n".join(lines) + "\n"
 
 
-def with_table(readme: str) -> str:
-    """The README with its table replaced."""
-    before, rest = readme.split(BEGIN)
-    return before + BEGIN + table() + END + rest.split(END)[1]
+def with_tables(name: str, page: str) -> str:
+    """The text of page ``name`` with its tables replaced."""
+    first, *parts = page.split(BEGIN)
+    tables = PAGES[name]
+    if len(parts) != len(tables):
+        raise ValueError(f"{name} has {len(parts)} tables, not {len(tables)}")
+    for shown, part in zip(tables, parts, strict=True):
+        first += BEGIN + table(shown) + END + part.split(END)[1]
+    return first
 
 
 def main() -> None:
-    """Rewrite README.md."""
-    path = ROOT / "README.md"
-    path.write_text(with_table(path.read_text()))
+    """Rewrite the pages."""
+    for name in PAGES:
+        path = ROOT / name
+        path.write_text(with_tables(name, path.read_text()))
 
 
 if __name__ == "__main__":
