@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Scene
+from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.scenes import SceneTransform
+from veilcam_training.bundle.layers import Linear
 from veilcam_training.changes import (
     CHANGES,
     PLACES,
@@ -23,6 +24,7 @@ from veilcam_training.changes import (
 )
 from veilcam_training.encoders import Setup, make_encoder
 from veilcam_training.errors import TrainingError
+from veilcam_training.model import LenslessClassifier
 from veilcam_training.randomness import stream
 
 IMAGE, CAMERA = Scene(), Camera()
@@ -103,6 +105,23 @@ def test_shifted_scenes_are_seen_alike_in_parts_and_whole(encoder: str) -> None:
         start += len(scenes)
         embeddings.append(camera(scenes, part))
     torch.testing.assert_close(torch.cat(embeddings), camera(whole), rtol=1e-4, atol=1e-8)
+
+
+def test_training_takes_parts_and_evaluation_the_scene() -> None:
+    change, pictures = Shift(IMAGE, CAMERA), images(20)
+    camera = make_encoder(
+        "fixed_simulated", Setup(CAMERA, change.scene, Embedding(3, 4)), stream(0)
+    )
+    model = LenslessClassifier(camera, (Linear(inputs=12, outputs=10),), None, change=change)
+    noise = stream(0, "noise")
+    parts = change.in_parts(pictures, stream(0, "change"))
+    seen = torch.cat([camera(scenes, part) for scenes, part in parts])
+    trained = model.train()(pictures, noise, stream(0, "change"))
+    torch.testing.assert_close(trained, model.classifier(seen))
+    seen = camera(change(pictures, stream(0, "change")))
+    evaluated = model.eval()(pictures, noise, stream(0, "change"))
+    torch.testing.assert_close(evaluated, model.classifier(seen))
+    assert not torch.allclose(trained, evaluated)
 
 
 def test_an_object_that_does_not_fit() -> None:
