@@ -28,7 +28,7 @@ from veilcam_training.figures import record_figures
 from veilcam_training.tables.result import BUNDLE, CHECKPOINT, RESULT, load_results
 
 PART = (
-    *("--encoders", "fixed_simulated,learned"),
+    *("--encoders", "learned"),
     *("--classifiers", "LR,FC800"),
     *("--embeddings", "3x4"),
     *("--readings", "area"),

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -37,16 +38,28 @@ ONE = ("--encoders", "learned", "--embeddings", "6x8", "--readings", "area", "--
 
 
 @pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch) -> Call:
-    """``veilcam-train table`` with arguments; its exit status."""
+def train(monkeypatch: pytest.MonkeyPatch) -> Call:
+    """``veilcam-train`` with arguments; its exit status."""
 
     def run(*arguments: object) -> int:
-        monkeypatch.setattr(sys, "argv", ["veilcam-train", "table", *map(str, arguments)])
+        monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, arguments)])
         with pytest.raises(SystemExit) as caught:
             cli.main()
         return int(caught.value.code or 0)
 
     return run
+
+
+@pytest.fixture
+def call(train: Call) -> Call:
+    """``veilcam-train table`` with arguments."""
+    return partial(train, "table")
+
+
+@pytest.fixture
+def report(train: Call) -> Call:
+    """``veilcam-train report`` with arguments."""
+    return partial(train, "report")
 
 
 def numbers(work: Path) -> list[dict[str, Any]]:
@@ -161,6 +174,7 @@ def test_names(place: tuple[str, ...], name: str, figure: str | None) -> None:
         (("mnist", "--device", "tpu"), "use cpu, cuda or auto"),
         (("mnist", "--workers", "2", "--ray", "a:1"), "use one of them"),
         (("mnist", "--encoders", "fixed_measured"), "give --psf FILE"),
+        (("mnist", "--psf", "none.npz"), "none.npz is missing"),
         (("cifar10",), "data_batch_1.bin is missing"),
     ],
 )
@@ -179,6 +193,15 @@ def test_what_cannot_be_run_is_one_line(
     assert reason in printed.err
     assert printed.err.count("\n") == 1
     assert not list(tmp_path.rglob("result.json"))
+
+
+def test_a_report_needs_cells_and_a_place(
+    report: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert report("mnist", "--work", tmp_path / "none", "--out", tmp_path) == 1
+    assert "none is not a folder" in capsys.readouterr().err
+    assert report("mnist", "--work", tmp_path) == 1
+    assert "give --out FOLDER or --figures FILE" in capsys.readouterr().err
 
 
 def test_options_reach_the_cells(
@@ -203,12 +226,14 @@ def test_options_reach_the_cells(
     assert not seen["runner"].until
     default = seen["cells"][0].settings.recipe
 
-    chosen = ("--seeds", 2, "--seed", 5, "--psf", "a.npz", "--workers", 3, "--device", "cpu")
+    psf = tmp_path / "a.npz"
+    psf.touch()
+    chosen = ("--seeds", 2, "--seed", 5, "--psf", psf, "--workers", 3, "--device", "cpu")
     assert call("mnist", *options, *chosen, "--budget", "1h", "--recipe", "paper") == 0
     cells = [cell.settings for cell in seen["cells"]]
     assert len(cells) == 2 * 64
     assert {cell.seed for cell in cells} == {5, 6}
-    assert {cell.psf for cell in cells if cell.encoder == "fixed_measured"} == {Path("a.npz")}
+    assert {cell.psf for cell in cells if cell.encoder == "fixed_measured"} == {psf}
     assert {cell.psf for cell in cells if cell.encoder != "fixed_measured"} == {None}
     assert seen["workers"] == (3, None)
     left = seen["runner"].until - time.time()
@@ -226,7 +251,9 @@ def test_options_reach_the_cells(
 
 
 def test_finished_cells_are_kept(
+    *,
     call: Call,
+    report: Call,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     digit_folder: Path,
@@ -275,6 +302,12 @@ def test_finished_cells_are_kept(
     figures.unlink()
     assert call("mnist", *options, "--figures", figures, *chosen, "--seeds", 2) == 0
     assert json.loads(figures.read_text()) == record
+    figures.unlink()
+    out = tmp_path / "report"
+    assert report("mnist", "--work", work, "--figures", figures, "--out", out) == 0
+    assert json.loads(figures.read_text()) == record
+    assert "12 cells" in capsys.readouterr().out
+    assert (out / "report.html").exists()
     # Other settings are not taken for these.
     assert call("mnist", "--data", digit_folder, "--work", work, "--epochs", 3, *chosen) == 1
     assert "was made with other settings" in capsys.readouterr().err

@@ -30,7 +30,7 @@ from veilcam_training.keyring import as_bundle, fit_keyring
 from veilcam_training.progress import FitProgress, make_progress
 from veilcam_training.ranks import join_ranks
 from veilcam_training.recipes import RECIPES
-from veilcam_training.tables.command import table_command
+from veilcam_training.tables.command import report_command, table_command
 from veilcam_training.workers import make_workers
 
 app = typer.Typer(
@@ -205,6 +205,7 @@ def keyring_command(
 
 
 app.command("table")(table_command)
+app.command("report")(report_command)
 app.command("fit-fresh")(fit_fresh_command)
 app.command("frame")(frame_command)
 

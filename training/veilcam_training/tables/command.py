@@ -1,4 +1,4 @@
-"""``veilcam-train table``: run cells of a table, and report what is finished."""
+"""``veilcam-train table`` runs cells of a table, ``veilcam-train report`` shows them."""
 
 from __future__ import annotations
 
@@ -25,11 +25,17 @@ from veilcam_training.tables.figures import record_cells
 from veilcam_training.tables.place import Place
 from veilcam_training.tables.result import CellResult, load_results
 from veilcam_training.tables.run import CellRunner, run_cells
-from veilcam_training.tables.table import Part
+from veilcam_training.tables.table import Part, Table
 from veilcam_training.workers import make_workers
 
 console = Console()
 
+Out = Annotated[
+    Path | None, typer.Option("--out", help="Folder for report.html, report.md and pictures.")
+]
+Figures = Annotated[
+    Path | None, typer.Option("--figures", help="Record to write test accuracies into.")
+]
 Names = Annotated[str | None, typer.Option(help="Of them only these, e.g. lens,learned.")]
 
 
@@ -40,9 +46,7 @@ def table_command(
     work: Annotated[
         Path, typer.Option("--work", help="Folder of the cells: what is finished there is kept.")
     ],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for report.html, report.md and pictures.")
-    ] = None,
+    out: Out = None,
     encoders: Names = None,
     classifiers: Annotated[
         str | None, typer.Option(help="Instead of the paper's, e.g. LR,CNN32.")
@@ -68,9 +72,7 @@ def table_command(
         str | None, typer.Option(help="HOST:PORT of a Ray cluster, or local to start one.")
     ] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda, or auto: cuda if there is one.")] = "auto",
-    figures: Annotated[
-        Path | None, typer.Option(help="Record of figures to write test accuracies into.")
-    ] = None,
+    figures: Figures = None,
 ) -> None:
     """Run a table of the paper, or a part of it, and report it beside the paper's numbers.
 
@@ -79,7 +81,16 @@ def table_command(
     """
     table = find_table(name)
     until = None if budget is None else time.time() + parse_duration(budget)
-    part = Part(*map(_names, (encoders, classifiers, embeddings, readings, datasets, changes)))
+    if psf is not None and not psf.is_file():
+        raise TrainingError(f"{psf} is missing: give the file of a PSF as --psf")
+    part = Part(
+        encoders=_names(encoders),
+        classifiers=_names(classifiers),
+        embeddings=_names(embeddings),
+        readings=_names(readings),
+        datasets=_names(datasets),
+        changes=_names(changes),
+    )
     places = table.places(part, psf=psf is not None)
     cells = [
         Cell(_settings(each, seed + repeat, psf, recipe, epochs))
@@ -101,6 +112,25 @@ def table_command(
         console.print(
             f"{len(cells) - bar.finished} of {len(cells)} cells are left: start again to go on"
         )
+    _report(table, work, out, figures)
+
+
+def report_command(
+    name: Annotated[str, typer.Argument(help=f"One of {', '.join(TABLES)}.")],
+    *,
+    work: Annotated[Path, typer.Option("--work", help="Folder of the cells.")],
+    out: Out = None,
+    figures: Figures = None,
+) -> None:
+    """Report every finished cell of a table, whatever its settings; nothing is run."""
+    if not work.is_dir():
+        raise TrainingError(f"{work} is not a folder: give that of the cells as --work")
+    if out is None and figures is None:
+        raise TrainingError("there is nowhere to report to: give --out FOLDER or --figures FILE")
+    _report(find_table(name), work, out, figures)
+
+
+def _report(table: Table, work: Path, out: Path | None, figures: Path | None) -> None:
     results = [result for result in load_results(work) if table.holds(result.settings)]
     if figures is not None:
         record_cells(figures, results)
