@@ -47,7 +47,7 @@ from veilcam_server.camera import MaskedCamera
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, Display, Shown
 from veilcam_server.devices.protocols import Levels, Reading
-from veilcam_server.devices.simulated import Conditions, simulated_device
+from veilcam_server.devices.simulated import Conditions, raw_shape, simulated_device
 from veilcam_server.epochs import EpochStore
 from veilcam_server.fence import Fence
 from veilcam_server.fresh import FreshSource
@@ -59,6 +59,7 @@ from veilcam_training.bundle.layers import AveragePool, Conv2d, Flatten, Linear,
 from veilcam_training.figures import record_figures
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(), Embedding(12, 16)
+RAW = raw_shape(EMBEDDING)
 RANK = 96
 SETTLE = 1e-3
 """What the simulated crystal takes to turn, and what the engine grants it [s]."""
@@ -120,10 +121,12 @@ class PlantedLight:
         return (torch.tensor(list(self._fingerprints.of(levels)), dtype=torch.float32),)
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return an embedding that holds the fingerprint."""
+        """Return raw pixels of an embedding that holds the fingerprint."""
         readings = scenes.mean((1, 2))[:, None].repeat(1, EMBEDDING.size)
         readings[:, : len(response[0])] = response[0]
-        return readings.reshape(-1, *EMBEDDING.shape)
+        boxes = readings.reshape(-1, *EMBEDDING.shape)
+        rows, columns = (raw // box for raw, box in zip(RAW, EMBEDDING.shape, strict=True))
+        return boxes.repeat_interleave(rows, 1).repeat_interleave(columns, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +229,9 @@ class Setting:
             PlantedLight(self.fingerprints),
             GreyScene(),
             camera=self.bundle.camera,
+            embedding=EMBEDDING,
             conditions=Conditions(settle, exposure=0.0, snr_db=float("inf")),
+            full_scale=300.0,
         )
         return MaskedCamera(
             Device(WatchedDisplay(device.display, tell), device.sensor, simulated=True),
@@ -320,7 +325,8 @@ def soak(
             planted = np.array(list(expected), np.float32)
             reader = captured.reader
             assert isinstance(reader, MarkedReader)
-            seen = captured.embedding.ravel()[: len(planted)]
+            # The converter rounds to a twelfth of what tells two fingerprints apart.
+            seen = np.rint(captured.embedding.ravel()[: len(planted)])
             if not np.array_equal(seen, planted) or reader.fingerprint != expected:
                 outcome.mixed += 1
             # As a request would: the label, and the form in which the embedding leaves.

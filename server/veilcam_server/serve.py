@@ -22,6 +22,7 @@ from veilcam_server.devices.errors import DeviceError, DeviceMissingError
 from veilcam_server.devices.protocols import Device
 from veilcam_server.devices.scene import FileScene
 from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
+from veilcam_server.devices.st7735r_emulator import REFRESH
 from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import EpochError, RotationImpossibleError, StartError
 from veilcam_server.fence import Fence
@@ -51,8 +52,14 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
         planned_light(bundle.camera, bundle.scene, bundle.embedding),
         scene,
         camera=bundle.camera,
-        # The crystal turns in less than the time that the fence grants it.
-        conditions=Conditions(0.8 * settings.settle, settings.exposure, settings.snr_db),
+        embedding=bundle.embedding,
+        # The panel scans and turns in less than the time that the fence grants it.
+        conditions=Conditions(
+            settle=0.8 * settings.settle,
+            scan=min(REFRESH, 0.1 * settings.settle),
+            exposure=settings.exposure,
+            snr_db=settings.snr_db,
+        ),
     )
 
 

@@ -35,6 +35,7 @@ def accuracy(bundle: Bundle, source: PairSource) -> float:
         planned_light(bundle.camera, bundle.scene, bundle.embedding),
         scene,
         camera=bundle.camera,
+        embedding=bundle.embedding,
         conditions=Conditions(settle=0.0, exposure=0.0),
         seed=0,
     )

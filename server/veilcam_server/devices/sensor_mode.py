@@ -30,6 +30,11 @@ class SensorMode:
         return self.columns, self.rows
 
     @property
+    def white_level(self) -> int:
+        """Of a saturated pixel."""
+        return (1 << self.bit_depth) - 1
+
+    @property
     def readout(self) -> float:
         """From the first row's readout to the last one's [s]."""
         return (self.rows - 1) * self.line_time
@@ -64,8 +69,7 @@ class RawFormat:
                 "read: use one that gives them whole and uncompressed"
             )
         shift = shifts[bits]
-        white = (1 << mode.bit_depth) - 1
-        return cls(int(given["stride"]), mode.black_level << shift, white << shift)
+        return cls(int(given["stride"]), mode.black_level << shift, mode.white_level << shift)
 
     def pixels(self, request: Request, mode: SensorMode) -> Raw:
         """Return a copy of a frame, without what pads its lines.

@@ -1,38 +1,54 @@
-"""A simulated panel and sensor, coupled by light alone.
+"""A simulated camera: the real drivers on an emulated panel and a fake picamera2.
 
-The panel's liquid crystal takes time to turn; the sensor collects what passes it meanwhile. The
-light is a plan's, and takes the grid path of the optics (field, propagation, point spread function,
-convolution), which is not the transfer operator that training uses.
+What is read came through bytes on a bus, the panel's memory, its crystal, light, raw frames of
+12 bits and their binning. The light is a plan's, finer than what decoders assume, and takes the
+grid path of the optics (field, propagation, point spread function, convolution), which is not the
+transfer operator that training uses.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from veilcam_optics import conditions as optical
+from veilcam_optics.effects import LightOperator
 from veilcam_optics.effects.operator import Response
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.masks import to_weights
-from veilcam_optics.noise import shot_noise
 from veilcam_optics.plan import plan
-from veilcam_server.devices.errors import DisplayError, SensorTimeoutError
-from veilcam_server.devices.protocols import Device, Exposure, Levels, Shown
+from veilcam_optics.sampling import area_average
+from veilcam_server.devices.binning import Raw
+from veilcam_server.devices.fake_picamera2 import FakePicamera2
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.protocols import Device, Levels
 from veilcam_server.devices.scene import SceneSource
+from veilcam_server.devices.sensor_mode import SensorMode
+from veilcam_server.devices.st7735r import ST7735R, TABS
+from veilcam_server.devices.st7735r_emulator import Crystal, PanelEmulator
 
 _CACHED_MASKS = 8
 """Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
+_FINER = 4
+"""Raw pixels along each side of an embedding's box; each stands for many of the real sensor."""
+_HEADROOM = 1.1
+"""Reading of saturated pixels, over the brightest one of a white scene through an open panel."""
+
+TOLERANCE = 0.025
+"""Relative error of the simulated light: it has to be right, not the same as the decoder's."""
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 class Light(Protocol):
@@ -42,17 +58,31 @@ class Light(Protocol):
         """Return what a mask makes of the light."""
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        """Return the binned light of scenes, (batch, rows, columns)."""
+        """Return the light of scenes on raw pixels: (batch, rows, columns) of a raw frame."""
 
 
-TOLERANCE = 0.025
-"""Relative error of the simulated light: it has to be right, not the same as the decoder's."""
+def raw_shape(embedding: Embedding) -> tuple[int, int]:
+    """Rows and columns of simulated raw frames: finer than the embedding."""
+    return _FINER * embedding.rows, _FINER * embedding.columns
 
 
-def planned_light(camera: Camera, scene: Scene, embedding: Embedding) -> Light:
-    """Return the light of a camera in front of an ordinary scene, as a plan chooses it."""
-    chosen = plan(camera, scene, embedding, TOLERANCE, batch=1, method="grid")
-    return chosen.operator
+def planned_light(
+    camera: Camera,
+    scene: Scene,
+    embedding: Embedding,
+    conditions: optical.Conditions = optical.IDEAL,
+) -> Light:
+    """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
+
+    Args:
+        camera: as it is, its filters' leakage included.
+        scene: in front of it.
+        embedding: that is read.
+        conditions: what a decoder need not know of: misalignment, gamma, contrast floor and others.
+            Noise among them has no effect here: it belongs to the sensor.
+    """
+    chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
+    return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,83 +90,51 @@ class Conditions:
     """What the simulated hardware is like."""
 
     settle: float = 0.05
-    """From a write to the panel until its crystal has turned [s]."""
+    """What a sub-pixel takes to turn, once the panel's scan has reached it [s]."""
     exposure: float = 0.01
     """[s]"""
     snr_db: float = 40.0
+    """Of a binned reading."""
+    scan: float = 0.0
+    """Between two refreshes of a panel's line; 12.3 ms on the real one [s]."""
+    warm_up: float = 0.0
+    """Share of the light that is missing at first."""
+    warm_up_time: float = 60.0
+    """After which 37 % of that is still missing [s]."""
 
     def __post_init__(self) -> None:
-        for name in ("settle", "exposure"):
+        for name in ("settle", "exposure", "scan"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} = {value} s is not valid: use a number >= 0")
         if math.isnan(self.snr_db):
             raise ValueError("snr_db = nan is not valid: use a number of dB, or inf for no noise")
+        if not 0 <= self.warm_up < 1:
+            raise ValueError(f"warm_up = {self.warm_up} is not valid: use a share from 0 to 1")
+        if not (math.isfinite(self.warm_up_time) and self.warm_up_time > 0):
+            raise ValueError(f"warm_up_time = {self.warm_up_time} s is not valid: use a number > 0")
 
 
-class SimulatedDisplay:
-    """A panel whose transmittance moves linearly from the old mask to the new one."""
-
-    name = "simulated ST7735R"
-
-    def __init__(
-        self, camera: Camera, settle: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._camera, self._settle, self._clock = camera, settle, clock
-        self._lock = threading.Lock()
-        self._old = self._new = np.zeros(camera.mask_shape, np.uint8)
-        self._written_at = -math.inf
-
-    def show(self, levels: Levels) -> Shown:
-        """Write a mask."""
-        if levels.shape != self._camera.mask_shape or levels.dtype != np.uint8:
-            raise DisplayError(f"the panel takes uint8 levels of shape {self._camera.mask_shape}")
-        if int(levels.max()) >= self._camera.panel.levels:
-            raise DisplayError(f"the panel takes levels 0 to {self._camera.panel.levels - 1}")
-        with self._lock:
-            # A crystal that is still turning when it is told to turn elsewhere counts as turned:
-            # the engine never asks for that but when a write failed.
-            self._old, self._new = self._new, levels.copy()
-            self._written_at = self._clock()
-            return Shown(self._written_at)
-
-    def blank(self) -> None:
-        """Show opaque."""
-        self.show(np.zeros(self._camera.mask_shape, np.uint8))
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def transmittance(self, at: float) -> tuple[Levels, Levels, float]:
-        """Return old mask, new mask and how far the crystal has turned to the new one, 0 to 1."""
-        with self._lock:
-            elapsed = at - self._written_at
-            if elapsed < 0:
-                return self._old, self._new, 0.0
-            turned = elapsed / self._settle if self._settle > 0 else 1.0
-            return self._old, self._new, min(1.0, turned)
-
-
-class SimulatedSensor:
-    """Collects the light that passes a :class:`SimulatedDisplay` from a scene."""
-
-    name = "simulated IMX477"
+class SimulatedLight:
+    """From a scene through a panel to raw frames: called with begin and end of an exposure [s]."""
 
     def __init__(
         self,
-        display: SimulatedDisplay,
+        panel: PanelEmulator,
         scene: SceneSource,
         light: Light,
         *,
         camera: Camera,
+        embedding: Embedding,
         conditions: Conditions,
-        seed: int | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        mode: SensorMode,
+        full_scale: float,
+        seed: int | None,
+        began_at: float,
     ) -> None:
-        self._display, self._scene, self._light = display, scene, light
-        self._camera, self._conditions = camera, conditions
-        self._clock, self._sleep = clock, sleep
+        self._panel, self._scene, self._light = panel, scene, light
+        self._camera, self._embedding, self._conditions = camera, embedding, conditions
+        self._mode, self._full_scale, self._began_at = mode, full_scale, began_at
         self._generator = torch.Generator()
         if seed is None:
             self._generator.seed()
@@ -144,37 +142,52 @@ class SimulatedSensor:
             self._generator.manual_seed(seed)
         self._settled = _Responses(light, camera)
 
-    def capture(self, not_before: float, timeout: float) -> Exposure:
-        """Wait, expose, convolve, bin."""
-        if self._conditions.exposure > timeout:
-            raise SensorTimeoutError(f"the exposure takes longer than the timeout, {timeout} s")
-        self._sleep(max(0.0, not_before - self._clock()))
-        started_at = self._clock()
-        scene = torch.from_numpy(self._scene.read())
-        self._sleep(self._conditions.exposure)
-        ended_at = self._clock()
+    def __call__(self, begin: float, end: float) -> Raw:
+        """Collect the light of an exposure, and convert it."""
+        scene = torch.from_numpy(self._scene.read())[None]
+        conditions, mode = self._conditions, self._mode
         with torch.no_grad():
-            irradiance = self._collected(scene[None], started_at, ended_at)
-        noisy = shot_noise(irradiance, self._conditions.snr_db, self._generator)[0]
-        embedding: npt.NDArray[np.float32] = noisy.numpy().astype(np.float32)
-        return Exposure(embedding, started_at, ended_at)
+            irradiance = self._collected(scene, begin, end)[0].double()
+        missing = math.exp(-max(0.0, begin - self._began_at) / conditions.warm_up_time)
+        irradiance = irradiance * (1 - conditions.warm_up * missing)
+        if conditions.exposure > 0:
+            irradiance = irradiance * ((end - begin) / conditions.exposure)
+        counts = mode.white_level - mode.black_level
+        numbers = mode.black_level + self._noisy(irradiance) * (counts / self._full_scale)
+        raw: Raw = numbers.round().clamp(0, mode.white_level).to(torch.int32).numpy()
+        return raw.astype(np.uint16)
 
-    def close(self) -> None:
-        """Nothing is held open."""
+    def _noisy(self, irradiance: torch.Tensor) -> torch.Tensor:
+        """Photon noise, so that the *binned* reading has the ratio asked for."""
+        if self._conditions.snr_db == math.inf:
+            return irradiance
+        binned = area_average(irradiance, *self._embedding.shape)
+        total = float(binned.sum())
+        if total <= 0:
+            return irradiance
+        # As in veilcam_optics.noise: variance per unit of light, here for `share` pixels a box.
+        share = irradiance.numel() / binned.numel()
+        unit = float(binned.square().sum()) / (total * 10 ** (self._conditions.snr_db / 10))
+        noise = torch.randn(irradiance.shape, generator=self._generator, dtype=irradiance.dtype)
+        return irradiance + (irradiance.clamp(min=0) * (share * unit)).sqrt() * noise
 
-    def _collected(self, scene: torch.Tensor, started_at: float, ended_at: float) -> torch.Tensor:
+    def _collected(self, scene: torch.Tensor, begin: float, end: float) -> torch.Tensor:
         """Light on the sensor, mean over the exposure."""
-        old, new, turned = self._display.transmittance(started_at)
-        if turned == 1.0:
-            return self._light.collect(scene, self._settled.response(new))
+        if self._panel.settled(begin):
+            levels = self._window(self._panel.framebuffer())
+            return self._light.collect(scene, self._settled.response(levels))
+        top = self._camera.panel.levels - 1
         seen = []
-        for instant in np.linspace(started_at, ended_at, _INSTANTS):
-            old, new, turned = self._display.transmittance(float(instant))
-            mixed = torch.lerp(
-                to_weights(old, self._camera.panel), to_weights(new, self._camera.panel), turned
-            )
-            seen.append(self._light.collect(scene, self._light.response(mixed)))
+        for instant in np.linspace(begin, end, _INSTANTS):
+            weights = torch.from_numpy(self._window(self._panel.visible(float(instant)))) / top
+            seen.append(self._light.collect(scene, self._light.response(weights)))
         return torch.stack(seen).mean(0)
+
+    def _window(self, shown: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        """The part of the whole panel that is the mask."""
+        window = self._camera.window
+        rows = slice(window.first_row, window.first_row + window.rows)
+        return shown[rows, window.first_column : window.first_column + window.columns]
 
 
 @dataclass
@@ -200,22 +213,67 @@ def simulated_device(
     scene: SceneSource,
     *,
     camera: Camera,
+    embedding: Embedding,
     conditions: Conditions,
+    full_scale: float | None = None,
     seed: int | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
 ) -> Device:
-    """Return a panel and a sensor that see ``scene``; ``seed`` fixes the noise.
+    """Return a panel and a sensor that see ``scene``.
+
+    Args:
+        light: between them, on raw pixels.
+        scene: what is in front of them.
+        camera: geometry; its window is the mask.
+        embedding: that is read.
+        conditions: what the hardware is like.
+        full_scale: reading of saturated pixels; by default a little more than that of a white scene
+            through an open panel.
+        seed: fixes the noise.
+        clock: monotonic time [s].
+        sleep: waits so many seconds.
 
     Raises:
         SensorError: there is nothing to see yet.
+        DisplayError: the camera's panel is not the one that is emulated.
     """
-    scene.read()
-    display = SimulatedDisplay(camera, conditions.settle)
-    sensor = SimulatedSensor(
-        display,
+    scene_shape = scene.read().shape
+    rows, columns = raw_shape(embedding)
+    mode = SensorMode(rows, columns, line_time=0.0, frame_duration=0.0)
+    if full_scale is None:
+        with torch.no_grad():
+            opened = light.response(torch.ones(camera.mask_shape))
+            white = light.collect(torch.ones((1, *scene_shape)), opened)
+        full_scale = _HEADROOM * float(white.max())
+    emulator = PanelEmulator(
+        TABS["green"],
+        crystal=Crystal(scan=conditions.scan, settle=conditions.settle),
+        # Nobody need wait for an emulated panel to wake up.
+        reset_time=0.0,
+        clock=clock,
+    )
+    display = ST7735R(
+        emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
+    )
+    frames = SimulatedLight(
+        emulator,
         scene,
         light,
         camera=camera,
+        embedding=embedding,
         conditions=conditions,
+        mode=mode,
+        full_scale=full_scale,
         seed=seed,
+        began_at=clock(),
+    )
+    sensor = IMX477(
+        lambda: FakePicamera2(frames, mode=mode, clock=clock, sleep=sleep),
+        shape=embedding.shape,
+        mode=mode,
+        exposures=ExposureRange(conditions.exposure),
+        full_scale=full_scale,
+        clock=clock,
     )
     return Device(display, sensor, simulated=True)

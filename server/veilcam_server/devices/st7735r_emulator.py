@@ -23,6 +23,8 @@ Shown = npt.NDArray[np.float32]
 _TOP = 63
 _MEMORY = (162, 132)
 """Rows and columns of pixels that the controller has."""
+REFRESH = 0.0123
+"""Time of a scan over all lines at the frame rate that the driver sets [s]."""
 _KEPT = 8
 """Changes that are remembered, so that an exposure over several of them can be evaluated."""
 
@@ -47,7 +49,7 @@ class Faults:
 class Crystal:
     """How a change in the memory becomes one of the light."""
 
-    scan: float = 0.0123
+    scan: float = REFRESH
     """Time between two refreshes of a gate line [s]; 0 for at once."""
     phase: float = 0.0
     """When a refresh of the first line began, monotonic [s]."""
@@ -163,10 +165,9 @@ class PanelEmulator:
         )
         return self._between(turn, at)
 
-    def settled(self, start: float, end: float) -> bool:
-        """Whether nothing turns from ``start`` to ``end`` [s]."""
-        last = self._turns[-1]
-        return last.at + self.crystal.scan + self.crystal.settle <= start <= end
+    def settled(self, at: float) -> bool:
+        """Whether nothing turns any more [s]: it shows the framebuffer, until that changes."""
+        return self._turns[-1].at + self.crystal.scan + self.crystal.settle <= at
 
     def _changed(self) -> None:
         """Turn the crystal from what it shows now to what it is asked to show."""
