@@ -43,9 +43,11 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
         DeviceError: it is not there, or there is nothing in front of a simulated one.
     """
     if settings.device != "simulated":
-        # The drivers of a real camera (ST7735R on spidev and gpiod, IMX477 on picamera2) go here.
+        # A panel without power is transparent, and nothing on its bus tells. The drivers are there
+        # (ST7735R, IMX477), but no capture may be taken before an optical self test has passed.
         raise DeviceMissingError(
-            "this version has no driver for the panel and sensor of a Raspberry Pi: use --simulate"
+            "this version cannot yet test that the panel of a Raspberry Pi hides what is in front "
+            "of it: use --simulate"
         )
     scene = FileScene(settings.scene_file, bundle.scene.shape)
     return simulated_device(

@@ -1,8 +1,9 @@
-"""Panels and sensors. Simulated ones stand here today.
+"""Panels and sensors: drivers that keep to ``protocols.py``, and what stands in for the hardware.
 
-For a real Raspberry Pi this package will hold drivers that keep to ``protocols.py``: an ST7735R on
-spidev and gpiod (``Display``) and an IMX477 on picamera2 (``Sensor``). A configuration that names a
-device which is not there is refused; nothing falls back to a simulated one.
+The drivers are an ST7735R on spidev and gpiod (``Display``) and an IMX477 on picamera2
+(``Sensor``). The simulated camera is the same drivers on an emulated panel and a fake picamera2.
+A configuration that names a device which is not there is refused; nothing falls back to a simulated
+one.
 """
 
 from veilcam_server.devices.errors import (

@@ -33,7 +33,7 @@ class CameraFaults:
     hangs: int = 0
     """Frames that never come."""
     stale: int = 0
-    """Frames that are given out again from before, whatever was asked."""
+    """Frames from the queue that are given out although they began too early."""
     stuck: bool = False
     """Every frame is the first one again."""
     deaf: bool = False
@@ -147,10 +147,12 @@ class FakePicamera2:
             faults.hangs -= 1
             self._sleep_until(until)
             raise TimeoutError
-        if self._before is not None and (faults.stuck or faults.stale > 0):
-            faults.stale = max(0, faults.stale - 1)
+        if self._before is not None and faults.stuck:
             yield self._before
             return
+        if faults.stale > 0:
+            faults.stale -= 1
+            flush = 0
         number, begin, end = self._next(flush)
         done = end + round(self._mode.readout * _NANO)
         if done > until * _NANO:

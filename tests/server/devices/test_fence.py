@@ -1,0 +1,281 @@
+"""Engine, drivers and emulators together, on a real clock: no reading ever mixes two masks.
+
+Each mask is one level all over, so a reading tells which mask made it, or that it was several.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from veilcam_client.models import EveryCaptures, RotationOff, RotationPolicy
+from veilcam_optics.effects.operator import Response
+from veilcam_optics.geometry import Camera, Embedding, Scene, Window
+from veilcam_server.camera import MaskedCamera
+from veilcam_server.devices import Device, Exposure, SensorError
+from veilcam_server.devices.binning import Raw
+from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.sensor_mode import SensorMode
+from veilcam_server.devices.simulated import Conditions, SimulatedLight
+from veilcam_server.devices.st7735r import ST7735R, TABS
+from veilcam_server.devices.st7735r_emulator import Crystal, PanelEmulator
+from veilcam_server.epochs import EpochStore
+from veilcam_server.fence import Fence
+from veilcam_server.pairs import load_pairs
+from veilcam_server.preparation import Preparation
+from veilcam_server.showing import Captured
+from veilcam_training.bundle import Bundle, Pair
+from veilcam_training.bundle.layers import Linear
+
+CAMERA, EMBEDDING = Camera(window=Window(rows=9, columns=6)), Embedding(2, 3)
+LEVELS = (12, 24, 36, 48, 60)
+MODE = SensorMode(8, 12, line_time=5e-4, frame_duration=0.01)
+SETTLE = 0.06
+ROUNDING = 1e-3
+
+
+class White:
+    """A white scene."""
+
+    def read(self) -> npt.NDArray[np.float32]:
+        return np.ones((2, 2), np.float32)
+
+
+class Plain:
+    """Light that is the mean of the mask."""
+
+    def response(self, weights: torch.Tensor) -> Response:
+        return (weights.double().mean(),)
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        return response[0].expand(len(scenes), MODE.rows, MODE.columns).clone()
+
+
+def make_bundle() -> Bundle:
+    pairs = tuple(
+        Pair(
+            levels=np.full(CAMERA.mask_shape, level, np.uint8),
+            layers=(Linear(inputs=EMBEDDING.size, outputs=2),),
+            weights={
+                "0.weight": torch.full((2, EMBEDDING.size), float(level)),
+                "0.bias": torch.zeros(2),
+            },
+        )
+        for level in LEVELS
+    )
+    return Bundle(
+        task="levels",
+        labels=("a", "b"),
+        camera=CAMERA,
+        scene=Scene(rows=2, columns=2),
+        embedding=EMBEDDING,
+        mode="pairs",
+        pairs=pairs,
+    )
+
+
+@dataclass
+class Rig:
+    """An engine on emulated hardware."""
+
+    directory: Path
+    crystal: Crystal = field(default_factory=lambda: Crystal(scan=0.02, settle=0.03))
+    exposures: ExposureRange = field(default_factory=lambda: ExposureRange(0.002))
+    granted: float = SETTLE
+    policy: RotationPolicy = field(default_factory=lambda: EveryCaptures(captures=1))
+    faults: CameraFaults = field(default_factory=CameraFaults)
+    shown: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.panel = PanelEmulator(TABS["green"], crystal=self.crystal, reset_time=0.0)
+        display = ST7735R(
+            self.panel, self.panel, camera=CAMERA, tab=TABS["green"], sleep=lambda _: None
+        )
+        show = display.show
+
+        def noted(levels: npt.NDArray[np.uint8]) -> object:
+            shown = show(levels)
+            self.shown.append(int(levels[0, 0]))
+            return shown
+
+        display.show = noted  # type: ignore[method-assign, assignment]
+        self.light = SimulatedLight(
+            self.panel,
+            White(),
+            Plain(),
+            camera=CAMERA,
+            embedding=EMBEDDING,
+            conditions=Conditions(exposure=self.exposures.start, snr_db=math.inf),
+            mode=MODE,
+            full_scale=1.2,
+            seed=0,
+            began_at=0.0,
+        )
+        self.frames: Callable[[float, float], Raw] = self.light
+        sensor = IMX477(
+            lambda: FakePicamera2(self._frames, mode=MODE, faults=self.faults),
+            shape=EMBEDDING.shape,
+            mode=MODE,
+            exposures=self.exposures,
+            full_scale=1.2,
+        )
+        bundle = make_bundle()
+        self.camera = MaskedCamera(
+            Device(display, sensor, simulated=True),
+            Preparation(load_pairs(bundle), EpochStore(self.directory)),
+            EMBEDDING.shape,
+            fence=Fence(settle=self.granted, timeout=20.0),
+            policy=self.policy,
+        )
+        self.camera.rotate()
+
+    def _frames(self, begin: float, end: float) -> Raw:
+        return self.frames(begin, end)
+
+    def capture(self) -> tuple[int, Captured]:
+        """A reading, and the level of the mask that the engine says it was taken under."""
+        captured = self.camera.capture()
+        return self.shown[-1], captured
+
+
+Rigged = Callable[..., Rig]
+
+
+@pytest.fixture
+def rigged(tmp_path: Path) -> Iterator[Rigged]:
+    with ExitStack() as stack:
+
+        def make(**arguments: object) -> Rig:
+            rig = Rig(tmp_path / "state", **arguments)  # type: ignore[arg-type]
+            stack.callback(rig.camera.stop)
+            return rig
+
+        yield make
+
+
+def mixed(level: int, captured: Captured) -> bool:
+    """Whether a reading is of any other light than that through a mask of one level."""
+    return bool(np.abs(captured.embedding - level / 63).max() > ROUNDING)
+
+
+def test_every_reading_is_of_its_own_mask_alone(rigged: Rigged) -> None:
+    rig = rigged()
+    for _ in range(8):
+        level, captured = rig.capture()
+        assert not mixed(level, captured)
+        assert captured.started_after_shown >= SETTLE
+    assert len(set(rig.shown)) > 1
+
+
+@pytest.mark.parametrize(
+    "crystal",
+    [Crystal(scan=0.4, settle=0.0), Crystal(scan=0.0, settle=0.4)],
+    ids=["late scan", "slow crystal"],
+)
+def test_a_panel_that_takes_longer_is_waited_for_and_mixes_if_it_is_not(
+    crystal: Crystal, rigged: Rigged
+) -> None:
+    patient = rigged(crystal=crystal, granted=0.41)
+    for _ in range(3):
+        assert not mixed(*patient.capture())
+    patient.camera.stop()
+    # The proof that these readings would tell.
+    hasty = rigged(crystal=crystal, granted=0.0)
+    assert sum(mixed(*hasty.capture()) for _ in range(6)) > 0
+
+
+def test_old_frames_in_the_queue_are_passed_over(rigged: Rigged) -> None:
+    rig = rigged()
+    for _ in range(4):
+        rig.faults.stale = 3
+        level, captured = rig.capture()
+        assert rig.faults.stale == 0
+        assert captured.started_after_shown >= SETTLE
+        assert not mixed(level, captured)
+
+
+def test_a_frame_of_an_exposure_not_yet_applied_is_passed_over(
+    rigged: Rigged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[Exposure] = []
+    original = IMX477.capture
+
+    def noted(self: IMX477, not_before: float, timeout: float) -> Exposure:
+        taken.append(original(self, not_before, timeout))
+        return taken[-1]
+
+    monkeypatch.setattr(IMX477, "capture", noted)
+    rig = rigged(exposures=ExposureRange(0.001, factor=4))
+    rig.light._light = Dim()
+    for _ in range(4):
+        level, captured = rig.capture()
+        np.testing.assert_allclose(captured.embedding, 0.1 * level / 63, atol=2e-3)
+    # Each step waited for controls that come into force two frames later.
+    assert taken[0].integration == pytest.approx(0.001)
+    assert taken[-1].integration == pytest.approx(0.004, abs=MODE.line_time)
+
+
+class Dim(Plain):
+    """A tenth of the light."""
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        return 0.1 * super().collect(scenes, response)
+
+
+def test_a_frame_that_is_given_out_twice_is_an_error_and_not_a_reading(rigged: Rigged) -> None:
+    rig = rigged()
+    rig.capture()
+    rig.faults.stuck = True
+    with pytest.raises(SensorError, match="same frame"):
+        rig.capture()
+    rig.faults.stuck = False
+    assert not mixed(*rig.capture())
+
+
+def test_a_change_that_is_asked_for_during_readout_waits(rigged: Rigged) -> None:
+    rig = rigged(policy=RotationOff())
+    changing: list[threading.Thread] = []
+
+    def meddling(begin: float, end: float) -> Raw:
+        if not changing:
+            changing.append(threading.Thread(target=rig.camera.rotate))
+            changing[0].start()
+            changing[0].join(0.1)
+            assert changing[0].is_alive()
+        return rig.light(begin, end)
+
+    rig.frames = meddling
+    before = rig.shown[-1]
+    captured = rig.camera.capture()
+    changing[0].join()
+    assert rig.shown[-1] != before
+    assert not mixed(before, captured)
+
+
+def test_a_mask_that_is_changed_behind_the_engine_s_back_mixes_by_rows(rigged: Rigged) -> None:
+    """The fake camera reads out row by row: what the fence is there for does exist."""
+    rig = rigged(crystal=Crystal(scan=0.0, settle=0.0), policy=RotationOff())
+    before = rig.shown[-1]
+    calls: list[float] = []
+
+    def meddling(begin: float, end: float) -> Raw:
+        calls.append(begin)
+        if len(calls) == 2:  # the last row's exposure
+            rig.camera._device.display.blank()
+            rig.panel._turns[-1] = replace(rig.panel._turns[-1], at=begin - 1e-6)
+        return rig.light(begin, end)
+
+    rig.frames = meddling
+    captured = rig.camera.capture()
+    assert mixed(before, captured)
+    assert captured.embedding[0, 0] > captured.embedding[1, 0]
