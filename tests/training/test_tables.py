@@ -450,12 +450,15 @@ def test_time_of_a_label() -> None:
 
 def test_stopwatch_counts_the_epochs_of_an_earlier_process(monkeypatch: pytest.MonkeyPatch) -> None:
     epochs = [Epoch(number, 1.0, 0.5, 0.5, 1.0, seconds=40.0) for number in range(5)]
-    for device, clock in (("cpu", "process_time"), ("cuda", "monotonic")):
+    for device, kind, clock in (
+        ("cpu", "processor", "process_time"),
+        ("cuda", "elapsed", "monotonic"),
+    ):
         now = iter([100.0, 103.0, 104.0])
         with monkeypatch.context() as patch:
             patch.setattr(time, clock, lambda now=now: next(now))
             watch = Stopwatch(torch.device(device))
-            assert watch.seconds(epochs) == 5 * 40
+            assert watch.read(epochs) == (5 * 40, "elapsed")
             for epoch in epochs[3:]:
                 watch.epoch(epoch)
-        assert watch.seconds(epochs) == 5 * 2
+        assert watch.read(epochs) == (5 * 2, kind)

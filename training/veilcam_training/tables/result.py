@@ -16,6 +16,7 @@ from veilcam_training.figures import Origin
 from veilcam_training.job import Settings
 from veilcam_training.tables.cell import Cell
 from veilcam_training.tables.pictures import Pictures, save_pictures
+from veilcam_training.tables.stopwatch import Clock
 
 RESULT = "result.json"
 PICTURES = "pictures.npz"
@@ -52,7 +53,9 @@ class CellResult(BaseModel):
     confusion: tuple[tuple[int, ...], ...]
     """Of the test set: a row for each true class, a column for each predicted one."""
     seconds: float
-    """All epochs together, see :class:`~veilcam_training.tables.stopwatch.Stopwatch`."""
+    """All epochs together."""
+    clock: Clock = "elapsed"
+    """Which measured ``seconds``, see :class:`~veilcam_training.tables.stopwatch.Stopwatch`."""
     inference_seconds: float
     """From one reading to its label, see :func:`~veilcam_training.tables.inference.time_label`."""
     device: str
@@ -66,7 +69,7 @@ class CellResult(BaseModel):
 
     def numbers(self) -> dict[str, Any]:
         """What another run with the same seed must give again: all but times and origin."""
-        changing = {"seconds", "inference_seconds", "device", "origin", "provenance"}
+        changing = {"seconds", "clock", "inference_seconds", "device", "origin", "provenance"}
         return self.model_dump(mode="json", exclude=changing)
 
 

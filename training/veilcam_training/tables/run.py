@@ -88,6 +88,7 @@ class CellRunner:
             observers=[watch, *self.observe(cell)],
         )
         model, history, best = outcome.fit.model, outcome.fit.history, outcome.fit.best
+        seconds, clock = watch.read(history)
         result = CellResult(
             settings=settings,
             fingerprint=settings.fingerprint(source),
@@ -100,7 +101,8 @@ class CellRunner:
                 EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
             ),
             confusion=tuple(map(tuple, outcome.confusion.tolist())),
-            seconds=watch.seconds(history),
+            seconds=seconds,
+            clock=clock,
             inference_seconds=time_label(model.classifier, model.encoder.setup.outputs),
             device=self.device.type,
             origin=Origin.here(),

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Literal
 
 import torch
 
 from veilcam_training.fitting import Epoch
 
+Clock = Literal["processor", "elapsed"]
+"""Time that the processor spent on this process, or time that went by."""
+
 
 class Stopwatch:
     """Starts when it is made, and watches the epochs of a fit.
 
-    On a CPU it takes the time that the processor spent on this process, so that its neighbours do
-    not count; on a GPU, which works beside the processor, the time that went by.
+    On a CPU it takes the processor's time, so that neighbours do not count; a GPU works beside the
+    processor, there it takes the time that goes by.
     """
 
     def __init__(self, device: torch.device) -> None:
-        self._clock = time.process_time if device.type == "cpu" else time.monotonic
-        self._started = self._ended = self._clock()
+        self._clock: Clock = "processor" if device.type == "cpu" else "elapsed"
+        self._started = self._ended = self._now()
         self._epochs = 0
 
     def step(self, epoch: int, done: int, steps: int) -> None:
@@ -28,14 +32,18 @@ class Stopwatch:
     def epoch(self, epoch: Epoch) -> None:
         """Take the time at the end of an epoch."""
         del epoch
-        self._ended = self._clock()
+        self._ended = self._now()
         self._epochs += 1
 
-    def seconds(self, history: Sequence[Epoch]) -> float:
-        """Of all epochs in ``history``, of which an earlier process may have done the first ones.
+    def read(self, history: Sequence[Epoch]) -> tuple[float, Clock]:
+        """Seconds of all epochs in ``history``, and by which clock.
 
-        If it did them all, the time that went by in them.
+        An earlier process may have done the first ones; if it did them all, only the time that went
+        by in them is known.
         """
         if self._epochs == 0:
-            return sum(epoch.seconds for epoch in history)
-        return (self._ended - self._started) / self._epochs * len(history)
+            return sum(epoch.seconds for epoch in history), "elapsed"
+        return (self._ended - self._started) / self._epochs * len(history), self._clock
+
+    def _now(self) -> float:
+        return time.process_time() if self._clock == "processor" else time.monotonic()
