@@ -25,6 +25,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -306,10 +307,8 @@ def soak(
 
     warm, done = 0.0, 0
     while done < captures:
-        jump = random.uniform(-YEAR, YEAR)
-        rig = Rig(
-            key, directory, now=lambda jump=jump: time.time() + jump, granted=granted, tell=tell
-        )
+        now = partial(_jumped, random.uniform(-YEAR, YEAR))
+        rig = Rig(key, directory, now=now, granted=granted, tell=tell)
         try:
             rig.camera.rotate()
             for _ in range(min(restart_every, captures - done)):
@@ -325,6 +324,11 @@ def soak(
             rig.camera.stop()
     outcome.growth = resident() - warm
     return outcome
+
+
+def _jumped(jump: float) -> float:
+    """The wall clock, elsewhere [s]."""
+    return time.time() + jump
 
 
 def kill(directory: Path, lives: int, advance: Callable[[], None] = lambda: None) -> list[str]:
@@ -385,9 +389,11 @@ def main(
         killed.mkdir()
         shown = kill(killed, kills)
         steps = iter(track(range(captures), "captures"))
-        outcome = soak(
-            Path(temporary) / "soaked", captures, faults=faults, advance=lambda: next(steps, None)
-        )
+
+        def advance() -> None:
+            next(steps, None)
+
+        outcome = soak(Path(temporary) / "soaked", captures, faults=faults, advance=advance)
     again = len(shown) - len(set(shown))
     print(f"kills: {kills}, {len(shown)} masks shown, {again} of them again")
     print(
