@@ -32,7 +32,7 @@ _NOP, _SWRESET, _SLPIN, _SLPOUT = 0x00, 0x01, 0x10, 0x11
 _INVOFF, _INVON, _DISPOFF, _DISPON = 0x20, 0x21, 0x28, 0x29
 _CASET, _RASET, _RAMWR, _MADCTL, _COLMOD = 0x2A, 0x2B, 0x2C, 0x36, 0x3A
 _MY, _MX, _MV, _BGR = 0x80, 0x40, 0x20, 0x08
-_VISIBLE_BY_DATA = {_RAMWR, _MADCTL, _CASET, _RASET, _COLMOD}
+_VISIBLE_BY_DATA = frozenset({_RAMWR, _MADCTL, _CASET, _RASET, _COLMOD})
 """Commands that change nothing by themselves; all others change nothing by their parameters."""
 _BITS_PER_PIXEL = {0x03: 12, 0x05: 16, 0x06: 18}
 
@@ -115,10 +115,12 @@ class PanelEmulator:
             return
         if self._is_data:
             self._take_data(received)
-        else:
-            for code in received.tolist():
-                self._take_command(code)
-        if self._is_data == (self._command in _VISIBLE_BY_DATA):
+            if self._command in _VISIBLE_BY_DATA:
+                self._changed()
+            return
+        for code in received.tolist():
+            self._take_command(code)
+        if not _VISIBLE_BY_DATA.issuperset(received.tolist()):
             self._changed()
 
     def data(self, value: bool, /) -> None:

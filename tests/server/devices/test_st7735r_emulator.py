@@ -75,6 +75,12 @@ def test_asleep_or_off_it_is_transparent(host: Host) -> None:
         assert not host.panel.framebuffer().any()
 
 
+def test_commands_in_one_write_all_count(host: Host) -> None:
+    host.panel.data(False)
+    host.panel.write(b"\x28\x2a")  # DISPOFF, CASET
+    assert (host.panel.visible(host.clock.now) == 63).all()
+
+
 def test_both_resets_switch_it_off_and_keep_the_memory(host: Host) -> None:
     host.window(5, 5, 6, 6)
     host.send(0x2C, 4, 8, 12)
