@@ -15,7 +15,7 @@ from veilcam_training.tables.summary import Entry, Summary
 POINT_EDGE, EDGE = "#d1495b", "#333333"
 LEAST_ERROR = 0.05
 """Percent: less has no place on a logarithmic axis."""
-ACCURACIES = (10, 50, 80, 90, 95, 98, 99, 99.5, 99.8)
+ACCURACIES = (10, 30, 50, 60, 70, 80, 90, 95, 98, 99, 99.5, 99.8)
 
 
 def draw_cost(summary: Summary) -> Figure:
