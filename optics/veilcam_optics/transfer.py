@@ -161,6 +161,7 @@ class TransferOperator(nn.Module):
         variables: tensors to differentiate with respect to.
         beams: what each channel adds up; by default its one wavelength.
         approximation: what is left out.
+        centre: where the middle of the scene is, from the optical axis along y and x [m].
         rotation: angle by which the mask is turned around its middle, from x towards y [rad];
             to first order, so small.
 
@@ -181,6 +182,7 @@ class TransferOperator(nn.Module):
         variables: Variables = Variables(),
         beams: Sequence[Beam] | None = None,
         approximation: Approximation = EXACT,
+        centre: tuple[float, float] = (0.0, 0.0),
         rotation: float = 0.0,
     ) -> None:
         super().__init__()
@@ -206,6 +208,7 @@ class TransferOperator(nn.Module):
                 step=step,
                 variables=variables,
                 approximation=approximation,
+                centre=centre,
             )
             for distance in {beam.scene_distance for beam in beams}
         }
@@ -331,9 +334,12 @@ def make_axes(
     step: float,
     variables: Variables = Variables(),
     approximation: Approximation = EXACT,
+    centre: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Axis, Axis]:
     """The two axes (y, x) of a camera, a scene and an embedding; arguments as for the operator."""
     distance = camera.distance if variables.distance is None else variables.distance
+    # A scene moved by s is a mask moved by -s d2/(d1+d2): shadows fall where they would have.
+    share = distance / (scene.distance + distance)
     y = Axis(
         length=camera.sensor.height,
         pixels=embedding.rows,
@@ -344,7 +350,7 @@ def make_axes(
         apertures=camera.window.rows,
         pitch=camera.panel.pitch_y if variables.pitch_y is None else variables.pitch_y,
         width=camera.panel.aperture_y,
-        shift=0.0 if variables.shift_y is None else variables.shift_y,
+        shift=(0.0 if variables.shift_y is None else variables.shift_y) - centre[0] * share,
         step=step,
         approximation=approximation,
     )
@@ -358,7 +364,7 @@ def make_axes(
         apertures=camera.window.columns,
         pitch=camera.panel.pitch_x if variables.pitch_x is None else variables.pitch_x,
         width=camera.panel.aperture_x,
-        shift=0.0 if variables.shift_x is None else variables.shift_x,
+        shift=(0.0 if variables.shift_x is None else variables.shift_x) - centre[1] * share,
         step=step,
         approximation=approximation,
     )

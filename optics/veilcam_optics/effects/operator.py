@@ -201,11 +201,7 @@ def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
 
 
 def _zone(model: Model, zone: Zone) -> TransferOperator:
-    """The operator of one zone: that of a smaller scene, off the axis.
-
-    A scene moved by s is the same as a mask moved by ``-s d2/(d1+d2)``, seen from where the scene's
-    image went.
-    """
+    """The operator of one zone: that of a smaller scene, off the axis."""
     camera, scene = model.actual_camera, model.scene
     part = replace(
         scene,
@@ -213,14 +209,10 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
         columns=zone.columns.stop - zone.columns.start,
         height=scene.pixel * (zone.rows.stop - zone.rows.start),
     )
-    shifts = []
-    for shift, used, count in (
-        (model.conditions.shift_y, zone.rows, scene.rows),
-        (model.conditions.shift_x, zone.columns, scene.columns),
-    ):
-        centre = ((used.start + used.stop - 1) / 2 - (count - 1) / 2) * scene.pixel
-        moved = shift - centre * camera.distance / (scene.distance + camera.distance)
-        shifts.append(torch.tensor(moved, dtype=torch.float64))
+    centre_y, centre_x = (
+        ((used.start + used.stop - 1) / 2 - (count - 1) / 2) * scene.pixel
+        for used, count in ((zone.rows, scene.rows), (zone.columns, scene.columns))
+    )
     area = part.rows * part.columns / (scene.rows * scene.columns)
     return TransferOperator(
         camera,
@@ -231,7 +223,11 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
         step=model.dials.step,
         colour=model.conditions.bayer,
         dtype=model.dials.dtype,
-        variables=Variables(shift_y=shifts[0], shift_x=shifts[1]),
+        variables=Variables(
+            shift_y=torch.tensor(model.conditions.shift_y, dtype=torch.float64),
+            shift_x=torch.tensor(model.conditions.shift_x, dtype=torch.float64),
+        ),
+        centre=(centre_y, centre_x),
         beams=[replace(beam, share=beam.share * area) for beam in model.beams(zone)],
         approximation=model.approximation,
         rotation=model.conditions.rotation,
