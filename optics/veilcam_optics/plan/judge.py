@@ -84,7 +84,9 @@ class Judge:
         enough = self._small
         while True:
             used = model.with_dials(reach=reach, step=fringe_step(model, reach))
-            shells = self._probe.shells(used)
+            # Light of several colours or distances blurs the fringes of one another: two samples of
+            # each show how much.
+            shells = self._probe.shells(used.with_dials(wavelengths=2, layers=2))
             size = float(shells.sum((0, 1)).norm()) or 1.0
             down = float(shells[-unit:].sum((0, 1)).norm()) / size if reach.rows else 0.0
             across = float(shells[:, -1].sum(0).norm()) / size if reach.columns else 0.0
