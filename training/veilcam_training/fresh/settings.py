@@ -149,8 +149,9 @@ TASKS: Mapping[str, Mapping[str, Any]] = {
     },
     "fashion_24x32": {
         "data": "fashion",
-        "epochs": 8,
-        "augmentation": Augmentation(rotation=5, scale=0.08, shear=0.05, shift=1.5, mirror=True),
+        "exponent": 4.0,
+        "epochs": 10,
+        "augmentation": Augmentation(rotation=3, scale=0.05, shear=0.03, shift=1.0, mirror=True),
     },
     "faces_gender_24x32": {
         "data": "faces-gender",
