@@ -57,6 +57,16 @@ README: Figures = {
         "a plan's time over the fastest setting's, at worst",
         "{:.2f} x",
     ),
+    "plan_step_ms_ordinary_scene_1e-3": (
+        "optics",
+        "64 scenes behind a new mask, by the plan of an ordinary scene, 1e-3",
+        "{:.1f} ms",
+    ),
+    "plan_step_ms_every_effect_1e-3": (
+        "optics",
+        "the same where every effect is there",
+        "{:.1f} ms",
+    ),
     "fresh_mnist_24x32": (
         "fresh-masks",
         "MNIST behind masks never used before, one for each of 10,000 captures, 24 x 32",
