@@ -220,7 +220,7 @@ def dials(
     masks: int = 40,
     figures: Figures = None,
 ) -> None:
-    """Chart accuracy against preparation time over rank, precision and interfering terms.
+    """Chart errors against preparation time over rank, precision and interfering terms.
 
     The camera that reads has all the terms; on the validation images, behind masks never seen.
     """
@@ -228,6 +228,7 @@ def dials(
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt  # noqa: PLC0415
+    from matplotlib import ticker  # noqa: PLC0415
 
     contents = read_bundle(bundle)
     fresh = contents.fresh
@@ -281,13 +282,18 @@ def dials(
             key = name.replace(",", "").replace(" ", "_")
             values[f"dial_{key}_rank{rank}_ms"] = round(milliseconds, 2)
             values[f"dial_{key}_rank{rank}_accuracy"] = round(100 * accuracy, 2)
-        axes.plot(times, accuracies, "o-", label=name)
-        for rank, x, y in zip(ranks, times, accuracies, strict=True):
-            axes.annotate(str(rank), (x, y), textcoords="offset points", xytext=(4, -10))
+        axes.plot(times, [100 - value for value in accuracies], "o-", label=name)
     axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+        axis.set_minor_locator(ticker.NullLocator())
+    axes.grid(alpha=0.3)
     axes.set_xlabel("preparation of one mask [ms], one core")
-    axes.set_ylabel("accuracy behind unseen masks [%]")
-    axes.set_title("Rank (at the points), precision and terms of the decoder, 24x32")
+    axes.set_ylabel("errors behind unseen masks [%]")
+    axes.set_title("Dials of the decoder, 24 x 32; from left to right: rank 32, 64, 128, 256, 384")
     axes.legend()
     figure.tight_layout()
     figure.savefig(picture, dpi=120)
