@@ -19,8 +19,8 @@ _NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}
 _CALL_MS = 0.013
 _FIXED_MS = 0.12
 _FIELD_VALUES_PER_MS = 3e3
-_BUILDS_PER_STEP = 1e-3
-"""A model is made once and used for many steps: a thousand, to have a number."""
+_BUILDS_PER_STEP = 1e-4
+"""A model is made once and used for many steps: ten thousand, as in a training run."""
 
 
 @dataclass(frozen=True, slots=True)
