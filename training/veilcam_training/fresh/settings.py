@@ -150,7 +150,7 @@ TASKS: Mapping[str, Mapping[str, Any]] = {
     "fashion_24x32": {
         "data": "fashion",
         "exponent": 4.0,
-        "epochs": 10,
+        "epochs": 16,
         "augmentation": Augmentation(rotation=3, scale=0.05, shear=0.03, shift=1.0, mirror=True),
     },
     "faces_gender_24x32": {
