@@ -39,6 +39,8 @@ def cluster(importable: None) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.setenv("RAY_AUTH_TOKEN", os.urandom(32).hex())  # Ray would write one to the home
+        # Else its workers stand behind all others, and on a busy machine never come to work.
+        patch.setenv("RAY_worker_niceness", "0")
         import ray
         from ray.cluster_utils import Cluster
 
