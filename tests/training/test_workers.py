@@ -121,11 +121,14 @@ def test_gpus(cluster: str) -> None:
 
 
 PARENT = """
+import signal
 import sys
 from pathlib import Path
 from tests.training.tasks import linger
 from veilcam_training.workers import LocalWorkers
 
+# A shell's background jobs ignore Ctrl-C, and what they start does, too.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 if __name__ == "__main__":
     list(LocalWorkers(2).run(linger, [Path(sys.argv[1])]))
 """
