@@ -35,17 +35,19 @@ class Answer(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class _Question(BaseModel):
+class Question(BaseModel):
+    """What a client asks: checked strictly, and closed to what is not known."""
+
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class RotationOff(_Question):
+class RotationOff(Question):
     """The mask stays until it is changed by hand."""
 
     mode: Literal["off"] = "off"
 
 
-class EverySeconds(_Question):
+class EverySeconds(Question):
     """A new mask once the present one has been shown for ``seconds`` [s], or a little less."""
 
     mode: Literal["seconds"] = "seconds"
@@ -64,7 +66,7 @@ class EverySeconds(_Question):
         return self
 
 
-class EveryCaptures(_Question):
+class EveryCaptures(Question):
     """A new mask once the present one has served ``captures`` captures."""
 
     mode: Literal["captures"] = "captures"
@@ -76,7 +78,7 @@ class EveryCaptures(_Question):
 RotationPolicy = Annotated[RotationOff | EverySeconds | EveryCaptures, Field(discriminator="mode")]
 
 
-class ClassificationRequest(_Question):
+class ClassificationRequest(Question):
     """What to send back beside the label."""
 
     include_embedding: bool = False

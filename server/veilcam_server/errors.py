@@ -37,3 +37,10 @@ class QueueFullError(Exception):
 
 class IdempotencyError(Exception):
     """An idempotency key that came before with another request."""
+
+
+class ForbiddenError(Exception):
+    """The caller's token lacks a scope."""
+
+    def __init__(self, scope: str) -> None:
+        super().__init__(f"this token lacks the scope {scope}: ask for one that has it")

@@ -16,6 +16,7 @@ from veilcam_server.devices.errors import DisplayError, SensorError, SensorTimeo
 from veilcam_server.errors import (
     EpochError,
     FenceError,
+    ForbiddenError,
     IdempotencyError,
     NotReadyError,
     QueueFullError,
@@ -35,6 +36,7 @@ class ProblemType:
 
 PROBLEMS: Mapping[str, ProblemType] = {
     "bad_request": ProblemType(400, "The request cannot be read"),
+    "forbidden": ProblemType(403, "The token does not allow this"),
     "embedding_withheld": ProblemType(403, "Embeddings are not released"),
     "not_found": ProblemType(404, "There is nothing at this path"),
     "method_not_allowed": ProblemType(405, "This path does not take this method"),
@@ -55,6 +57,7 @@ PROBLEMS: Mapping[str, ProblemType] = {
 }
 
 _CODES: tuple[tuple[type[Exception], str], ...] = (
+    (ForbiddenError, "forbidden"),
     (RotationImpossibleError, "rotation_impossible"),
     (WithheldError, "embedding_withheld"),
     (IdempotencyError, "idempotency_key_reused"),

@@ -24,6 +24,7 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_server.access import requires
 from veilcam_server.idempotency import IdempotencyKeys
 from veilcam_server.negotiation import preferred
 from veilcam_server.problems import PROBLEMS
@@ -67,7 +68,7 @@ def _problems(*codes: str) -> dict[int | str, dict[str, object]]:
     return answers
 
 
-_ANY = ("bad_request", "host_refused", "internal_error")
+_ANY = ("bad_request", "forbidden", "host_refused", "internal_error")
 _BODY = ("body_too_large", "invalid_request")
 _DEVICE = (
     "queue_full",
@@ -84,7 +85,7 @@ _DEVICE = (
 router = APIRouter(prefix="/v1", redirect_slashes=False)
 
 
-@router.get("/status", responses=_problems(*_ANY))
+@router.get("/status", dependencies=[requires("read:status")], responses=_problems(*_ANY))
 async def status(service: ServiceDep) -> Status:
     """State, device, bundle, rotation and queue."""
     return service.status()
@@ -92,6 +93,7 @@ async def status(service: ServiceDep) -> Status:
 
 @router.post(
     "/captures",
+    dependencies=[requires("read:embedding")],
     response_model=Capture,
     responses={
         200: {"content": {NPY_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}},
@@ -122,7 +124,11 @@ async def capture(
     return Response(taken.model_dump_json(), media_type="application/json")
 
 
-@router.post("/classifications", responses=_problems(*_ANY, *_BODY, *_DEVICE, "embedding_withheld"))
+@router.post(
+    "/classifications",
+    dependencies=[requires("classify")],
+    responses=_problems(*_ANY, *_BODY, *_DEVICE, "embedding_withheld"),
+)
 async def classify(
     service: ServiceDep,
     keys: KeysDep,
@@ -139,19 +145,27 @@ async def classify(
     )
 
 
-@router.get("/rotation", responses=_problems(*_ANY))
+@router.get("/rotation", dependencies=[requires("read:status")], responses=_problems(*_ANY))
 async def rotation(service: ServiceDep) -> Rotation:
     """When masks change, and the present epoch."""
     return service.rotation()
 
 
-@router.put("/rotation", responses=_problems(*_ANY, *_BODY, "rotation_impossible"))
+@router.put(
+    "/rotation",
+    dependencies=[requires("mask:rotate")],
+    responses=_problems(*_ANY, *_BODY, "rotation_impossible"),
+)
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     """Change when masks change: off, every N seconds, or every N captures."""
     return service.set_policy(policy)
 
 
-@router.post("/rotation/advance", responses=_problems(*_ANY, *_BODY, *_DEVICE))
+@router.post(
+    "/rotation/advance",
+    dependencies=[requires("mask:rotate")],
+    responses=_problems(*_ANY, *_BODY, *_DEVICE),
+)
 async def advance(
     service: ServiceDep,
     keys: KeysDep,
@@ -164,6 +178,7 @@ async def advance(
 
 @router.get(
     "/events",
+    dependencies=[requires("read:status")],
     response_class=EventSourceResponse,
     responses=_problems(*_ANY, "invalid_request"),
 )

@@ -1,0 +1,59 @@
+"""Who may do what: scopes, and the tokens that carry them."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Literal, get_args
+
+from pydantic import Field
+
+from veilcam_client.models import Answer, Question
+
+Scope = Literal[
+    "read:status",
+    "classify",
+    "read:embedding",
+    "read:embedding:raw",
+    "mask:rotate",
+    "calibrate",
+    "admin:keyring",
+    "admin:tokens",
+    "metrics",
+]
+"""One thing that a token allows. None contains another."""
+SCOPES: tuple[Scope, ...] = get_args(Scope)
+
+
+class TokenRequest(Question):
+    """A token to be made."""
+
+    label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
+    """For whom or what it is; it stands in the audit log."""
+    scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES))
+    seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)
+    """How long it is valid [s]; None: until it is revoked."""
+
+
+class Token(Answer):
+    """What the daemon knows of a token; its secret is not among it."""
+
+    id: str
+    label: str
+    scopes: tuple[str, ...]
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+    last_used_on: str | None
+    """Day of the last request with it, as YYYY-MM-DD in UTC."""
+
+
+class NewToken(Token):
+    """A token just made; ``secret`` is shown this once."""
+
+    secret: str = Field(repr=False)
+
+
+class Tokens(Answer):
+    """Every token, the oldest first, revoked and expired ones included."""
+
+    tokens: tuple[Token, ...]

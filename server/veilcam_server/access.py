@@ -1,0 +1,68 @@
+"""Who asks, and what for: every route names the scope that it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import Depends, Request, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
+
+from veilcam_client.tokens import SCOPES, Scope
+from veilcam_server.errors import ForbiddenError
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who asks.
+
+    Attributes:
+        id: of the token; where none is wanted, a name for the peer.
+        label: of the token, for people.
+        scopes: what the caller may do.
+    """
+
+    id: str
+    label: str
+    scopes: frozenset[str]
+
+    def require(self, scope: Scope) -> None:
+        """Raise :class:`ForbiddenError` unless the caller has this scope."""
+        if scope not in self.scopes:
+            raise ForbiddenError(scope)
+
+
+ANYONE = Caller("anyone", "no token wanted", frozenset(SCOPES))
+"""Where the daemon wants no tokens: whoever reaches it may do everything."""
+
+# What this finds is not used: the middleware has looked at the token before a byte of the body was
+# read. It stands here so that the OpenAPI document names the scheme and each route's scope.
+_BEARER = HTTPBearer(
+    scheme_name="token",
+    description="A token from `veilcamd token create`, as `Authorization: Bearer vc_...`.",
+    auto_error=False,
+)
+
+
+def caller_of(request: Request) -> Caller:
+    """Who asks, as the middleware found out."""
+    caller: Caller = request.state.caller
+    return caller
+
+
+CallerDep = Annotated[Caller, Depends(caller_of)]
+
+
+def _allowed(
+    needed: SecurityScopes,
+    caller: CallerDep,
+    _: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)],
+) -> None:
+    for scope in SCOPES:
+        if scope in needed.scopes:
+            caller.require(scope)
+
+
+def requires(scope: Scope) -> Any:
+    """For ``dependencies=[requires("classify")]``: 403 unless the caller has this scope."""
+    return Security(_allowed, scopes=[scope])
