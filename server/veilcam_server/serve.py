@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import errno
 import signal
 import socket
-import stat
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 
 import structlog
 import torch
@@ -27,10 +24,12 @@ from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import EpochError, RotationImpossibleError, StartError
 from veilcam_server.fence import Fence
 from veilcam_server.identity import Identity
+from veilcam_server.listeners import Listener, open_listeners
 from veilcam_server.preparation import Preparation
 from veilcam_server.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.sources import open_source, release_form, rotation_policy
+from veilcam_server.systemd import notify
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 log = structlog.get_logger()
@@ -119,62 +118,6 @@ def _identity(settings: Settings, bundle: Bundle, device: Device) -> Identity:
     )
 
 
-def bind(settings: Settings) -> tuple[socket.socket, str]:
-    """Return a listening socket and its URL.
-
-    Raises:
-        StartError: somebody else listens there, or it is not allowed.
-    """
-    try:
-        if settings.socket is not None:
-            return _bind_unix(settings.socket), f"unix://{settings.socket.resolve()}"
-        family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-        # The protocol is named: asyncio turns Nagle's algorithm off only where it is, and with it
-        # on every answer waits 40 ms for an acknowledgement.
-        listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        try:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind((settings.host, settings.port))
-            listener.listen(128)
-        except BaseException:
-            listener.close()
-            raise
-    except OSError as error:
-        where, option = (
-            (f"port {settings.port}", "--port")
-            if settings.socket is None
-            else (f"socket {settings.socket}", "--socket")
-        )
-        if error.errno == errno.EADDRINUSE:
-            raise StartError(
-                f"{where} is occupied: stop what listens there, or give another {option}"
-            ) from None
-        raise StartError(
-            f"cannot listen on {where} ({error.strerror or error}): give another {option}"
-        ) from None
-    host = f"[{settings.host}]" if family == socket.AF_INET6 else settings.host
-    return listener, f"http://{host}:{listener.getsockname()[1]}"
-
-
-def _bind_unix(path: Path) -> socket.socket:
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        if path.exists():
-            if not stat.S_ISSOCK(path.stat().st_mode):
-                raise OSError(errno.EEXIST, "there is a file of that name")
-            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-                if probe.connect_ex(str(path)) == 0:
-                    raise OSError(errno.EADDRINUSE, "occupied")
-            path.unlink()  # left behind by a daemon that was killed
-        listener.bind(str(path))
-        path.chmod(0o600)
-        listener.listen()
-    except BaseException:
-        listener.close()
-        raise
-    return listener
-
-
 class _Server(uvicorn.Server):
     """Says when it listens, and ends event streams before it waits for its connections."""
 
@@ -190,6 +133,7 @@ class _Server(uvicorn.Server):
             self._on_listening()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        notify("STOPPING=1")
         self._service.end_streams()
         await super().shutdown(sockets)
 
@@ -199,19 +143,34 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
 
     Args:
         settings: checked.
-        on_listening: called with the URL once requests are answered.
+        on_listening: called with every URL once requests are answered.
 
     Raises:
         StartError: the daemon cannot start; nothing else on this machine was disturbed.
     """
     # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
     torch.set_num_threads(1)
-    listener, url = bind(settings)
     # The default would end the process at once and leave the mask on the panel.
     default = signal.signal(signal.SIGTERM, _exit)
-    service = None
     try:
-        service = build_service(settings)
+        with open_listeners(settings) as listeners:
+            _serve(settings, listeners, on_listening)
+    finally:
+        signal.signal(signal.SIGTERM, default)
+
+
+def _serve(
+    settings: Settings, listeners: list[Listener], on_listening: Callable[[str], None]
+) -> None:
+    urls = [listener.url for listener in listeners]
+
+    def listening() -> None:
+        notify("READY=1")
+        for url in urls:
+            on_listening(url)
+
+    service = build_service(settings)
+    try:
         config = uvicorn.Config(
             create_app(service),
             log_config=None,
@@ -219,16 +178,11 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
             server_header=False,
             timeout_graceful_shutdown=10,
         )
-        server = _Server(config, service, lambda: on_listening(url))
-        log.info("start", url=url, device=settings.device)
-        server.run([listener])
+        server = _Server(config, service, listening)
+        log.info("start", urls=urls, device=settings.device)
+        server.run([listener.socket for listener in listeners])
     finally:
-        if service is not None:
-            service.stop()
-        signal.signal(signal.SIGTERM, default)
-        listener.close()
-        if settings.socket is not None:
-            settings.socket.unlink(missing_ok=True)
+        service.stop()
 
 
 def _exit(*_: object) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
 import shutil
 import signal
@@ -36,7 +37,7 @@ from veilcam_server.cli import app
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import StartError
-from veilcam_server.serve import bind, build_service
+from veilcam_server.serve import build_service
 from veilcam_server.settings import Settings
 from veilcam_server.sources import release_form, rotation_policy
 
@@ -175,6 +176,42 @@ def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 0
     assert not path.exists()
+
+
+def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "api.sock"
+    serve = [sys.executable, "-m", "veilcam_server", "serve", "--simulate", *options]
+    with (
+        socket.create_server(("127.0.0.1", 0)) as tcp,
+        socket.socket(socket.AF_UNIX) as unix,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
+        (tmp_path / "log").open("w") as log,
+    ):
+        unix.bind(str(path))
+        unix.listen()
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(60)
+        # From 3 on, and for the process that LISTEN_PID names.
+        shell = f'LISTEN_PID=$$ exec "$@" 3<&{tcp.fileno()} 4<&{unix.fileno()}'
+        process = subprocess.Popen(
+            ["bash", "-c", shell, "serve", *serve, "--port", "1"],
+            pass_fds=[tcp.fileno(), unix.fileno()],
+            env={**os.environ, "LISTEN_FDS": "2", "NOTIFY_SOCKET": str(tmp_path / "notify")},
+            stderr=log,
+        )
+        try:
+            assert systemd.recv(100) == b"READY=1", (tmp_path / "log").read_text()
+            for url in (f"http://127.0.0.1:{tcp.getsockname()[1]}", f"unix://{path}"):
+                with Camera(url) as camera:
+                    assert camera.status().state == "ready"
+            process.send_signal(signal.SIGTERM)
+            while (told := systemd.recv(100)) != b"STOPPING=1":
+                assert told == b"WATCHDOG=1"
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+            process.wait()
+    assert path.exists()  # systemd goes on listening there
 
 
 def test_a_journey_through_fresh_masks(
@@ -374,34 +411,6 @@ def test_a_start_that_fails_leaves_nothing_locked(
         with pytest.raises(StartError, match="there is no scene file"):
             build_service(settings(tmp_path, bundle_file, missing))
     build_service(settings(tmp_path, bundle_file, scene_file)).stop()
-
-
-def test_what_listens_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        with pytest.raises(StartError, match=f"port {port} is occupied: .* --port"):
-            bind(Settings(bundle=bundle_file, port=port))
-    path = tmp_path / "v.sock"
-    with socket.socket(socket.AF_UNIX) as unix:
-        unix.bind(str(path))
-        unix.listen()
-        with pytest.raises(StartError, match=r"is occupied: .* --socket"):
-            bind(Settings(bundle=bundle_file, socket=path))
-        assert path.exists()
-    path.unlink()
-    path.write_text("a file")
-    with pytest.raises(StartError, match="there is a file of that name"):
-        bind(Settings(bundle=bundle_file, socket=path))
-    assert path.read_text() == "a file"
-    with pytest.raises(StartError, match="cannot listen"):
-        bind(Settings(bundle=bundle_file, socket=tmp_path / "no" / "folder"))
-
-
-def test_answers_do_not_wait_for_acknowledgements(bundle_file: Path) -> None:
-    listener, _ = bind(Settings(bundle=bundle_file, port=0))
-    with listener:
-        # asyncio sets TCP_NODELAY on accepted sockets of exactly this protocol.
-        assert listener.proto == socket.IPPROTO_TCP
 
 
 def test_show_holds_a_digit_up(tmp_path: Path) -> None:

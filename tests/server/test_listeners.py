@@ -1,0 +1,74 @@
+"""Where the daemon listens, and what it leaves alone."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from veilcam_server import listeners
+from veilcam_server.errors import StartError
+from veilcam_server.listeners import open_listeners
+from veilcam_server.settings import Settings
+
+
+def test_what_listens_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
+    def refused(reason: str, **more: object) -> None:
+        settings = Settings(bundle=bundle_file, **more)  # type: ignore[arg-type]
+        with pytest.raises(StartError, match=reason), open_listeners(settings):
+            pass
+
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        refused(f"port {port} is occupied: .* --port", port=port)
+    path = tmp_path / "v.sock"
+    with socket.socket(socket.AF_UNIX) as unix:
+        unix.bind(str(path))
+        unix.listen()
+        refused(r"is occupied: .* --socket", socket=path)
+        assert path.exists()
+    path.unlink()
+    path.write_text("a file")
+    refused("there is a file of that name", socket=path)
+    assert path.read_text() == "a file"
+    refused("cannot listen", socket=tmp_path / "no" / "folder")
+
+
+def test_answers_do_not_wait_for_acknowledgements(bundle_file: Path) -> None:
+    with open_listeners(Settings(bundle=bundle_file, port=0)) as [listener]:
+        # asyncio sets TCP_NODELAY on accepted sockets of exactly this protocol.
+        assert listener.socket.proto == socket.IPPROTO_TCP
+        assert listener.url == f"http://127.0.0.1:{listener.socket.getsockname()[1]}"
+
+
+def test_a_socket_of_its_own_is_removed(bundle_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "v.sock"
+    with open_listeners(Settings(bundle=bundle_file, socket=path)) as [listener]:
+        assert listener.url == f"unix://{path}"
+        assert path.exists()
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("family", "address", "reason"),
+    [
+        (socket.AF_INET, ("0.0.0.0", 0), r"a socket on 0\.0\.0\.0, and other machines"),
+        (socket.AF_UNIX, f"\0veilcam-test-{os.getpid()}", "which any user may open"),
+    ],
+)
+def test_systemd_may_not_open_the_camera_to_others(
+    family: int,
+    address: str | tuple[str, int],
+    reason: str,
+    bundle_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    passed = socket.socket(family)
+    passed.bind(address)
+    passed.listen()
+    monkeypatch.setattr(listeners, "take_sockets", lambda: [passed])
+    with pytest.raises(StartError, match=reason), open_listeners(Settings(bundle=bundle_file)):
+        pass
+    assert passed.fileno() == -1  # closed
