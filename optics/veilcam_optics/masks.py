@@ -44,6 +44,23 @@ def to_weights(levels: npt.NDArray[np.uint8], panel: Panel) -> Tensor:
     return torch.from_numpy(levels.astype(np.float32)) / (panel.levels - 1)
 
 
+def respond(weights: Tensor, *, gamma: float = 1.0, contrast_floor: float = 0.0) -> Tensor:
+    """Amplitudes of a panel that is not linear, or not quite dark; same shape, differentiable.
+
+    Args:
+        weights: amplitudes asked of the panel, in [0, 1].
+        gamma: the panel shows the power ``gamma`` of what it is told.
+        contrast_floor: amplitude of a sub-pixel that is told to be dark.
+    """
+    if gamma != 1:
+        # The slope at zero may be infinite, and a weight without a slope never opens again: it
+        # is that of a small weight.
+        weights = (weights + (weights.clamp_min(1e-6) - weights).detach()) ** gamma
+    if contrast_floor:
+        weights = contrast_floor + (1 - contrast_floor) * weights
+    return weights
+
+
 def quantise(weights: Tensor, panel: Panel) -> Tensor:
     """Weights rounded to the panel's levels, with the gradient of the identity (straight-through).
 

@@ -24,7 +24,6 @@ from veilcam_optics.decoding import Decoder, SceneFrame
 from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys import KeyStream, Secret, epoch_levels
-from veilcam_optics.masks import to_weights
 
 CONTEXT = b"veilcam release rotation, version 1"
 
@@ -197,6 +196,6 @@ def decode_released(
     levels = epoch_levels(
         secret, device, number, camera=frame.camera, distribution=frame.distribution
     )
-    decoder = frame.decoding().prepare(to_weights(levels, frame.camera.panel), gain=gain)
+    decoder = frame.decoding().prepare(frame.shown(levels), gain=gain)
     whitening = Whitening(decoder, levels) if form is ReleaseForm.WHITE else None
     return decoder(recover(released, form, decoder, whitening))

@@ -163,7 +163,7 @@ class TransferOperator(nn.Module):
         approximation: what is left out.
         centre: where the middle of the scene is, from the optical axis along y and x [m].
         rotation: angle by which the mask is turned around its middle, from x towards y [rad];
-            to first order, so small.
+            to first order, so small. A float64 scalar tensor lets gradients reach it.
 
     Raises:
         OpticsError: a negative reach or step, or beams that miss a channel.
@@ -183,7 +183,7 @@ class TransferOperator(nn.Module):
         beams: Sequence[Beam] | None = None,
         approximation: Approximation = EXACT,
         centre: tuple[float, float] = (0.0, 0.0),
-        rotation: float = 0.0,
+        rotation: float | Tensor = 0.0,
     ) -> None:
         super().__init__()
         require_count("reach.rows", reach.rows, least=0)
@@ -372,7 +372,11 @@ def make_axes(
 
 
 def _pairs(
-    camera: Camera, axes: tuple[Axis, Axis], beam: Beam, reach: Reach, rotation: float
+    camera: Camera,
+    axes: tuple[Axis, Axis],
+    beam: Beam,
+    reach: Reach,
+    rotation: float | Tensor,
 ) -> Iterator[tuple[_Group, Tensor]]:
     """All groups of interfering pairs of one beam, each with its row kernels.
 
@@ -383,6 +387,8 @@ def _pairs(
     along y by ``angle x_c``. To first order that adds two products of kernels and slopes.
     """
     y, x = axes
+    # At an angle of zero, too, a gradient needs the slopes.
+    turned = isinstance(rotation, Tensor) or rotation != 0
     amplitudes = torch.tensor(camera.row_amplitudes(beam.channel), dtype=torch.float64)
     # A row that its filter closes needs no field.
     fields_y = y.fields(beam.wavelength * beam.stretch[0], of=amplitudes.nonzero().flatten())
@@ -394,13 +400,13 @@ def _pairs(
         first = product.nonzero().flatten()
         down = y.kernel(fields_y, first, first + dr) * product[first]
         # Without a rotation nothing asks for the slopes.
-        slope = y.slope(fields_y, first, first + dr) * product[first] if rotation else down
+        slope = y.slope(fields_y, first, first + dr) * product[first] if turned else down
         below.append((first, first + dr, down, slope))
     beside = []
     for dc in range(min(reach.columns, columns - 1) + 1):
         column = torch.arange(columns - dc)
         across = x.kernel(fields_x, column, column + dc)
-        slope = x.slope(fields_x, column, column + dc) if rotation else across
+        slope = x.slope(fields_x, column, column + dc) if turned else across
         beside.append((column, column + dc, across, slope))
     for dc in range(1 - len(beside), len(beside)):
         used = [pair for pair in below[1 if dc < 0 else 0 :] if len(pair[0])]
@@ -414,7 +420,7 @@ def _pairs(
         if dc < 0:  # the same pairs, the other way round
             across, slope_x = across.conj(), slope_x.conj()
         terms = [(down, across)]
-        if rotation:
+        if turned:
             slope_y = torch.cat([pair[3] for pair in used], dim=1) * twice
             terms += [
                 (slope_y * (-rotation * y.magnification), across * x.middles(column, other)),

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 
 from veilcam_client.models import Form, Release
-from veilcam_optics.decoding import Decoder
+from veilcam_optics.decoding import AS_DRAWN, Calibration, Decoder
 from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys import Secret, epoch_levels
-from veilcam_optics.masks import to_weights
 from veilcam_optics.release import ReleaseForm, Whitening, release
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.devices.protocols import Levels, Reading
@@ -67,9 +66,10 @@ class FreshSource:
         form: in which embeddings leave.
         wrong_decoder: read every mask with the decoder of another one, to show that labels come
             from the mask and not in spite of it.
+        calibration: how the camera departs from the bundle's; decoders are prepared for it.
 
     Raises:
-        StartError: the label is not valid.
+        StartError: the label is not valid, or the calibration is of another panel.
     """
 
     def __init__(
@@ -80,6 +80,7 @@ class FreshSource:
         device: str | None = None,
         form: Release = "none",
         wrong_decoder: bool = False,
+        calibration: Calibration = AS_DRAWN,
     ) -> None:
         if bundle.fresh is None:
             raise ValueError(f"a bundle of mode {bundle.mode!r} has no key policy")
@@ -88,12 +89,13 @@ class FreshSource:
         self._whiten = form == "white"
         self._other = Secret.generate() if wrong_decoder else None
         frame = bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
-        self._decoding = frame.decoding()
+        self._frame = replace(frame, calibration=calibration)
         self._classifier = Classifier.load(
             bundle.fresh.layers, bundle.fresh.weights, labels=bundle.labels, inputs=bundle.inputs
         )
         try:
-            self._levels(self._secret, 0)
+            self._decoding = self._frame.decoding()
+            self._frame.shown(self._levels(self._secret, 0))
         except OpticsError as error:
             raise StartError(str(error)) from None
         self._names = EpochNames(secret, self._device)
@@ -112,7 +114,7 @@ class FreshSource:
         levels = self._levels(self._secret, counter)
         read = levels if self._other is None else self._levels(self._other, counter)
         with torch.inference_mode():
-            decoder = self._decoding.prepare(to_weights(read, self._camera.panel))
+            decoder = self._decoding.prepare(self._frame.shown(read))
             whitening = Whitening(decoder, read) if self._whiten else None
         return Mask(levels, FreshReader(self._fresh, self._classifier, decoder, whitening))
 

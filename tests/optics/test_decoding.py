@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
+from veilcam_optics.conditions import Conditions
 from veilcam_optics.decoding import (
+    AS_DRAWN,
     DEFAULT_NOISE,
+    Calibration,
     Decoder,
     Precision,
     ReadingNoise,
@@ -26,6 +30,7 @@ from veilcam_optics.decoding import (
     write_frame,
 )
 from veilcam_optics.decoding.file import dump_frame
+from veilcam_optics.effects import Dials, LightOperator, Model
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.keys import MaskDistribution
@@ -360,3 +365,75 @@ def test_frame_file_is_refused_whole(tmp_path: Path) -> None:
     path.write_bytes(dump_frame(other))
     with pytest.raises(OpticsError, match="another panel"):
         read_frame(path)
+
+
+def test_a_calibration_is_what_conditions_describe() -> None:
+    """The decoder's camera as it was built is the one that the effects compute."""
+    camera = Camera(window=Window(rows=9, columns=5))
+    scene, embedding = Scene(rows=6, columns=6), Embedding(4, 5)
+    amounts: dict[str, Any] = {
+        "shift_y": 20e-6,
+        "shift_x": -30e-6,
+        "rotation": 2e-3,
+        "distance_error": 50e-6,
+        "gamma": 1.4,
+        "contrast_floor": 0.1,
+    }
+    calibration = Calibration(**amounts)
+    weights = random_mask(camera, torch.Generator().manual_seed(2))
+    model = Model(camera, scene, embedding, Conditions(**amounts), Dials("transfer"))
+    expected = LightOperator(model)(weights)
+    found = calibration.operator(camera, scene, embedding)(calibration.shown(weights))
+    assert float((found - expected).norm() / expected.norm()) < 1e-6
+    drawn = AS_DRAWN.operator(camera, scene, embedding)(AS_DRAWN.shown(weights))
+    assert float((drawn - expected).norm() / expected.norm()) > 0.05
+    assert torch.equal(drawn, TransferOperator(camera, scene, embedding)(weights))
+
+
+def test_dead_lines_show_what_they_are_stuck_at() -> None:
+    weights = torch.full((4, 3), 0.5)
+    shown = Calibration(dead_rows=(1,), dead_columns=(2,), dead_transmittance=0.25).shown(weights)
+    assert shown.tolist() == [
+        [0.5, 0.5, 0.25],
+        [0.25, 0.25, 0.25],
+        [0.5, 0.5, 0.25],
+        [0.5, 0.5, 0.25],
+    ]
+    with pytest.raises(OpticsError, match="rows"):
+        Calibration(dead_columns=(3,)).shown(weights)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("dead_transmittance", 1.5), ("contrast_floor", 1.0), ("shift_y", float("nan"))],
+)
+def test_impossible_calibrations_are_refused(name: str, value: float) -> None:
+    given: dict[str, Any] = {name: value}
+    with pytest.raises(OpticsError, match=name):
+        Calibration(**given)
+
+
+def test_a_frame_file_holds_the_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "scene.safetensors"
+    calibration = Calibration(shift_y=1e-6, gamma=1.2, dead_rows=(0, 3))
+    write_frame(path, replace(make_frame(), calibration=calibration))
+    assert read_frame(path).calibration == calibration
+
+
+def test_the_rotation_has_a_gradient_also_at_zero() -> None:
+    camera = Camera(window=Window(rows=5, columns=3))
+    scene, embedding = Scene(rows=3, columns=3), Embedding(2, 3)
+    weights = random_mask(camera, torch.Generator().manual_seed(4)).double()
+
+    def total(rotation: float | torch.Tensor) -> torch.Tensor:
+        operator = TransferOperator(
+            camera, scene, embedding, dtype=torch.float64, rotation=rotation
+        )
+        transfer: torch.Tensor = operator(weights)
+        return transfer[0].dot(torch.arange(6, dtype=torch.float64))
+
+    angle = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(total(angle), angle)
+    assert float(slope) == pytest.approx(
+        (float(total(1e-4)) - float(total(-1e-4))) / 2e-4, rel=1e-6
+    )

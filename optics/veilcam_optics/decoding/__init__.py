@@ -5,6 +5,7 @@ of scenes, the linear minimum-mean-square-error estimate takes the mask out agai
 classifier serves all masks.
 """
 
+from veilcam_optics.decoding.calibration import AS_DRAWN, Calibration
 from veilcam_optics.decoding.decoder import Decoder, Precision, SceneDecoding
 from veilcam_optics.decoding.file import SceneFrame, read_frame, write_frame
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
@@ -12,7 +13,9 @@ from veilcam_optics.decoding.panel import with_dead_rows
 from veilcam_optics.decoding.statistics import SceneStatistics, fit_statistics
 
 __all__ = [
+    "AS_DRAWN",
     "DEFAULT_NOISE",
+    "Calibration",
     "Decoder",
     "Precision",
     "ReadingNoise",

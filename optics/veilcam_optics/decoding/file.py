@@ -16,14 +16,17 @@ import safetensors.torch
 import torch
 from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError, safe_open
+from torch import Tensor
 
+from veilcam_optics.decoding.calibration import AS_DRAWN, Calibration
 from veilcam_optics.decoding.decoder import Precision, SceneDecoding
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.keys import MaskDistribution
-from veilcam_optics.transfer import Reach, TransferOperator
+from veilcam_optics.keys import Levels, MaskDistribution
+from veilcam_optics.masks import to_weights
+from veilcam_optics.transfer import Reach
 
 KEY = "veilcam"
 STATISTICS = ("mean", "basis", "residual")
@@ -40,6 +43,7 @@ class _Header(BaseModel):
     embedding: Embedding
     reach: Reach
     noise: ReadingNoise
+    calibration: Calibration = AS_DRAWN
 
 
 @dataclass(frozen=True)
@@ -54,12 +58,18 @@ class SceneFrame:
     reach: Reach = field(default_factory=Reach)
     distribution: MaskDistribution | None = None
     """What masks are drawn from; None is uniform over all that the panel can show."""
+    calibration: Calibration = AS_DRAWN
+    """How the camera departs from its drawing."""
+
+    def shown(self, levels: Levels) -> Tensor:
+        """Weights that the panel shows for ``levels``: what decoders are prepared for."""
+        return self.calibration.shown(to_weights(levels, self.camera.panel))
 
     def decoding(
         self, *, rank: int | None = None, precision: Precision = Precision.MIXED
     ) -> SceneDecoding:
         """What prepares decoders, with fewer components of the statistics if ``rank`` says so."""
-        operator = TransferOperator(
+        operator = self.calibration.operator(
             self.camera, self.scene, self.embedding, reach=self.reach, dtype=precision.products
         )
         statistics = self.statistics if rank is None else self.statistics.truncate(rank)
@@ -128,6 +138,7 @@ def read_frame(path: Path) -> SceneFrame:
         header.noise,
         header.reach,
         distribution,
+        header.calibration,
     )
 
 
@@ -139,6 +150,7 @@ def dump_frame(frame: SceneFrame) -> bytes:
         embedding=frame.embedding,
         reach=frame.reach,
         noise=frame.noise,
+        calibration=frame.calibration,
     )
     statistics = frame.statistics.to(torch.float32)
     tensors = {name: getattr(statistics, name).contiguous() for name in STATISTICS}

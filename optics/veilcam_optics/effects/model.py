@@ -16,7 +16,7 @@ from veilcam_optics.conditions import IDEAL, Conditions
 from veilcam_optics.errors import invalid, require_count, require_positive
 from veilcam_optics.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.kernels import Approximation
-from veilcam_optics.masks import quantise
+from veilcam_optics.masks import quantise, respond
 from veilcam_optics.transfer import Beam, Reach
 
 Method = Literal["transfer", "factors", "grid"]
@@ -173,13 +173,7 @@ class Model:
         conditions = self.conditions
         if conditions.levels:
             weights = quantise(weights, replace(self.camera.panel, levels=conditions.levels))
-        if conditions.gamma != 1:
-            # The slope at zero may be infinite, and a weight without a slope never opens again: it
-            # is that of a small weight.
-            weights = (weights + (weights.clamp_min(1e-6) - weights).detach()) ** conditions.gamma
-        if conditions.contrast_floor:
-            weights = conditions.contrast_floor + (1 - conditions.contrast_floor) * weights
-        return weights
+        return respond(weights, gamma=conditions.gamma, contrast_floor=conditions.contrast_floor)
 
     def beams(self, zone: Zone | None = None) -> list[Beam]:
         """What each channel adds up: samples of its spectrum times samples of the depth."""

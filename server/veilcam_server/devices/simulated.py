@@ -101,6 +101,12 @@ class Conditions:
     """Share of the light that is missing at first."""
     warm_up_time: float = 60.0
     """After which 37 % of that is still missing [s]."""
+    dead_rows: tuple[int, ...] = ()
+    """Rows of the mask that do not obey."""
+    dead_columns: tuple[int, ...] = ()
+    """Columns of the mask that do not obey."""
+    dead_level: int = 0
+    """What those show, 0 (opaque) to 63 (open)."""
 
     def __post_init__(self) -> None:
         for name in ("settle", "exposure", "scan"):
@@ -187,7 +193,11 @@ class SimulatedLight:
         """The part of the whole panel that is the mask."""
         window = self._camera.window
         rows = slice(window.first_row, window.first_row + window.rows)
-        return shown[rows, window.first_column : window.first_column + window.columns]
+        mask = shown[rows, window.first_column : window.first_column + window.columns].copy()
+        conditions = self._conditions
+        mask[list(conditions.dead_rows)] = conditions.dead_level
+        mask[:, list(conditions.dead_columns)] = conditions.dead_level
+        return mask
 
 
 @dataclass

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -220,6 +221,15 @@ def test_what_a_decoder_need_not_know_changes_the_light(light: Light) -> None:
     assert difference(other.capture(), ideal.capture()) > 0.01
 
 
+def test_dead_lines_do_not_obey(light: Light) -> None:
+    dead = Simulation(light, replace(QUIET, dead_rows=(2,), dead_columns=(4,), dead_level=63))
+    dead.display.show(NEW)
+    shown = NEW.copy()
+    shown[2], shown[:, 4] = 63, 63
+    assert difference(dead.capture(), dead.seen(shown)) < ROUNDING
+    assert difference(dead.capture(), dead.seen(NEW)) > 0.02
+
+
 def test_an_exposure_longer_than_the_timeout_is_a_timeout() -> None:
     simulation = Simulation(SHADOW, replace(QUIET, exposure=2.0))
     with pytest.raises(SensorTimeoutError):
@@ -242,8 +252,9 @@ def test_the_panel_refuses_what_it_cannot_show(levels: np.ndarray) -> None:
 @pytest.mark.parametrize("name", ["settle", "exposure", "scan", "warm_up", "warm_up_time"])
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
 def test_impossible_conditions_are_refused(name: str, value: float) -> None:
+    given: dict[str, Any] = {name: value}
     with pytest.raises(ValueError, match=name):
-        Conditions(**{name: value})
+        Conditions(**given)
 
 
 def test_the_scene_is_what_the_file_holds_now(tmp_path: Path) -> None:
