@@ -1,7 +1,8 @@
 """A camera in the shape of picamera2's, with raw frames made of whatever light it is given.
 
 It has what makes a real one hard to use: frames at its own pace, a frame from before in the queue,
-controls that come into force some frames late, padded lines. It also fails on demand.
+controls that come into force some frames late, padded lines. It also fails on demand. What it has
+in common with the real picamera2 is held by ``tests/libcamera``, which both pass.
 """
 
 from __future__ import annotations
@@ -24,6 +25,15 @@ Light = Callable[[float, float], Raw]
 _NANO = 1_000_000_000
 _ALIGNED = 64
 """Bytes to a multiple of which lines are padded."""
+_ADAPTING = {
+    "AeEnable": True,
+    "AnalogueGain": 1.0,
+    "AwbEnable": True,
+    "ExposureTime": 10_000,
+    "FrameDurationLimits": (33_333, 33_333),
+    "NoiseReductionMode": 1,
+}
+"""Controls there are, and what they come to while nobody sets them."""
 
 
 @dataclass(slots=True)
@@ -74,7 +84,7 @@ class FakePicamera2:
         if self.faults.opening is not None:
             raise self.faults.opening
         self._configuration: dict[str, Any] = {}
-        self._controls: list[tuple[int, dict[str, Any]]] = []
+        self._controls: list[tuple[int, dict[str, Any]]] = [(-1, dict(_ADAPTING))]
         self._number, self._started_at = -1, math.inf
         self._before: FakeRequest | None = None
         self.frames = 0
@@ -86,7 +96,6 @@ class FakePicamera2:
         main: dict[str, Any],
         raw: dict[str, Any],
         sensor: dict[str, Any],
-        controls: dict[str, Any],
         buffer_count: int,
         queue: bool,
     ) -> dict[str, Any]:
@@ -95,13 +104,14 @@ class FakePicamera2:
             "main": main,
             "raw": raw,
             "sensor": sensor,
-            "controls": controls,
             "buffer_count": buffer_count,
             "queue": queue,
         }
 
     def configure(self, camera_config: dict[str, Any]) -> None:
         """Take what was asked as far as there is such a mode."""
+        if self.started:
+            raise RuntimeError("Camera must be stopped before configuring")
         line = 2 * self._mode.columns
         raw = {
             "format": self.faults.format or camera_config["raw"]["format"],
@@ -110,29 +120,31 @@ class FakePicamera2:
         }
         sensor = {"output_size": self._mode.size, "bit_depth": self._mode.bit_depth}
         self._configuration = {**camera_config, "raw": raw, "sensor": sensor}
-        # What is configured is in force from the first frame on.
-        self._controls = [(-1, dict(camera_config["controls"]))]
+        self._controls = [(-1, dict(_ADAPTING))]
 
     def camera_configuration(self) -> Mapping[str, Any]:
         """Return what was given."""
         return self._configuration
 
     def set_controls(self, controls: dict[str, Any]) -> None:
-        """Change controls, some frames from now."""
+        """Change controls, some frames from now; from the first one on if it is not started."""
+        for name in controls:
+            if name not in _ADAPTING:
+                raise RuntimeError(f"Control {name} is not advertised by libcamera")
+        since = self._running() + self._delay if self.started else -1
         if not self.faults.deaf:
-            self._controls.append((self._running() + self._delay, dict(controls)))
+            self._controls.append((since, {**self._controls[-1][1], **controls}))
 
     def start(self) -> None:
         """Begin to take frames."""
-        self.started, self._started_at, self._number = True, self._clock(), -1
-
-    def stop(self) -> None:
-        """Take no more frames."""
-        self.started = False
+        if not self._configuration:
+            raise RuntimeError("Camera has not been configured")
+        if not self.started:
+            self.started, self._started_at, self._number = True, self._clock(), -1
 
     def close(self) -> None:
-        """Let go."""
-        self.closed = True
+        """Stop, and let go."""
+        self.started, self.closed, self._configuration = False, True, {}
 
     def cancel_all_and_flush(self) -> None:
         """Nothing is pending: every request was waited for."""
@@ -141,10 +153,8 @@ class FakePicamera2:
     def captured_request(self, *, wait: float, flush: int) -> Iterator[FakeRequest]:
         """Wait for a frame that began at ``flush`` [ns] or later."""
         faults, until = self.faults, self._clock() + wait
-        if not self.started:
-            raise RuntimeError("Camera is not started")
-        if faults.hangs > 0:
-            faults.hangs -= 1
+        if faults.hangs > 0 or not self.started:
+            faults.hangs -= self.started
             self._sleep_until(until)
             raise TimeoutError
         if self._before is not None and faults.stuck:
@@ -162,7 +172,10 @@ class FakePicamera2:
         self._number = number
         self.frames += 1
         self._before = self._take(begin, end, self._in_force(number))
-        yield self._before
+        try:
+            yield self._before
+        finally:
+            self._before.release()
 
     def _next(self, flush: int) -> tuple[int, int, int]:
         """Number of the next frame that will do, and when its first row begins and ends [ns]."""
@@ -190,9 +203,10 @@ class FakePicamera2:
         return next(controls for since, controls in reversed(self._controls) if since <= number)
 
     def _exposure(self, number: int) -> int:
-        """Of a frame, in whole lines, told in whole microseconds [ns]."""
+        """Of a frame, in whole lines that do not exceed it, told in whole microseconds [ns]."""
         asked, line = int(self._in_force(number)["ExposureTime"]), self._mode.line_time * 1e6
-        return 1000 * (round(round(asked / line) * line) if line > 0 else asked)
+        # As much more than asked as makes 100 lines of 0.1 ms out of 10 ms.
+        return 1000 * (int(math.floor(asked / line + 1e-6) * line) if line > 0 else asked)
 
     def _take(self, begin: int, end: int, controls: Mapping[str, Any]) -> FakeRequest:
         mode = self._mode
@@ -213,7 +227,8 @@ class FakePicamera2:
                 "SensorTimestamp": end,
                 "ExposureTime": round((end - begin) / 1000),
                 "AnalogueGain": self.faults.gain * controls["AnalogueGain"],
-                "DigitalGain": 1.0,
+                # Of images alone: makes up for an exposure of whole lines.
+                "DigitalGain": max(1.0, 1000 * controls["ExposureTime"] / max(end - begin, 1)),
                 "FrameDuration": controls["FrameDurationLimits"][0],
             },
         )
@@ -227,14 +242,19 @@ class FakeRequest:
     """A frame."""
 
     def __init__(self, buffer: npt.NDArray[np.uint8], metadata: dict[str, Any]) -> None:
-        self._buffer, self._metadata = buffer, metadata
+        self._buffer: npt.NDArray[np.uint8] | None = buffer
+        self._metadata = metadata
 
     def make_array(self, name: str) -> npt.NDArray[np.uint8]:
         """Return a copy of the buffer."""
-        if name != "raw":
+        if name != "raw" or self._buffer is None:
             raise RuntimeError(f"Stream {name!r} is not defined")
         return self._buffer.copy()
 
     def get_metadata(self) -> dict[str, Any]:
         """Return what is known of the frame."""
         return dict(self._metadata)
+
+    def release(self) -> None:
+        """Give the buffer back."""
+        self._buffer = None

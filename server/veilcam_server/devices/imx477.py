@@ -103,6 +103,11 @@ class IMX477:
         self._format: RawFormat
         self._start()
 
+    @property
+    def full_scale(self) -> float:
+        """Reading of saturated pixels at the exposure to begin with."""
+        return self._full_scale
+
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """Wait for a frame that was exposed wholly after ``not_before``, and bin it.
 
@@ -111,15 +116,12 @@ class IMX477:
         """
         deadline = max(not_before, self._clock()) + timeout
         try:
-            return self._capture(self._camera or self._start(), not_before, deadline)
+            return self._capture(self._camera or self._reopen(), not_before, deadline)
         except _Failure as failure:
             self._recover()
             raise failure.error from None
         except SensorError:
             raise
-        except DeviceError as error:
-            self._recover()
-            raise SensorError(str(error)) from None
         except Exception as error:  # picamera2 raises whatever it likes
             self._recover()
             raise SensorError(
@@ -237,7 +239,6 @@ class IMX477:
                     main={"size": (64, 64)},
                     raw={"format": f"SRGGB{self._mode.bit_depth}", "size": self._mode.size},
                     sensor=sensor,
-                    controls=self._controls(),
                     buffer_count=4,
                     queue=False,
                 )
@@ -249,14 +250,34 @@ class IMX477:
                     f"the camera did not take the mode {self._mode.columns} x {self._mode.rows}, "
                     f"{self._mode.bit_depth} bit: use a Raspberry Pi HQ camera"
                 )
+            # Not before it is known to be such a camera: others do not know all of these. Until it
+            # is started they are in force from the first frame on.
+            camera.set_controls(self._controls())
             camera.start()
+        except DeviceError:
+            self._let_go()
+            raise
+        except Exception as error:  # picamera2 raises whatever it likes
+            self._let_go()
+            raise SensorError(
+                f"the camera cannot be set up ({type(error).__name__}): use a Raspberry Pi HQ "
+                "camera, and see rpicam-hello --list-cameras"
+            ) from None
         except BaseException:
             self._let_go()
             raise
         return camera
 
+    def _reopen(self) -> Picamera:
+        try:
+            return self._start()
+        except SensorError as error:
+            raise _Failure(error) from None
+        except DeviceError as error:
+            raise _Failure(SensorError(str(error))) from None
+
     def _recover(self) -> None:
-        """After a failure: cancel, stop and close. The next capture opens the camera again."""
+        """After a failure: cancel and close. The next capture opens the camera again."""
         self._failures += 1
         let_go = self._let_go()
         if not let_go or self._failures >= self._most_failures:
@@ -271,11 +292,12 @@ class IMX477:
             return True
 
         def close() -> None:
-            for step in (camera.cancel_all_and_flush, camera.stop, camera.close):
+            # Not stop(): that waits for picamera2's own thread, for ever if it has died. close()
+            # ends that thread first, and then stops the camera by itself.
+            for step in (camera.cancel_all_and_flush, camera.close):
                 with suppress(Exception):
                     step()
 
-        # If picamera2's own thread has died, its stop() waits for ever.
         closing = threading.Thread(target=close, daemon=True)
         closing.start()
         closing.join(_CLOSING)
@@ -302,5 +324,7 @@ class _Frame:
         return cls(
             int(metadata["SensorTimestamp"]),
             round(float(metadata["ExposureTime"]) * 1000),
-            float(metadata["AnalogueGain"]) * float(metadata.get("DigitalGain", 1.0)),
+            # Not DigitalGain: the image processor makes up with it for an exposure of whole lines,
+            # after the raw plane was written (libcamera, src/ipa/rpi).
+            float(metadata["AnalogueGain"]),
         )

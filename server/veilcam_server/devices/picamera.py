@@ -32,7 +32,6 @@ class Picamera(Protocol):
         main: dict[str, Any],
         raw: dict[str, Any],
         sensor: dict[str, Any],
-        controls: dict[str, Any],
         buffer_count: int,
         queue: bool,
     ) -> dict[str, Any]:
@@ -42,10 +41,10 @@ class Picamera(Protocol):
         """Ask for a configuration; what is given may differ."""
 
     def camera_configuration(self) -> Mapping[str, Any]:
-        """Return what was given."""
+        """Return what was given; ``raw`` is None if the camera gives no raw frames."""
 
     def set_controls(self, controls: dict[str, Any]) -> None:
-        """Change controls, some frames from now."""
+        """Change controls, some frames from now; from the first one on if it is not started."""
 
     def start(self) -> object:
         """Begin to take frames."""
@@ -60,34 +59,38 @@ class Picamera(Protocol):
     def cancel_all_and_flush(self) -> None:
         """Drop requests that were not answered."""
 
-    def stop(self) -> object:
-        """Take no more frames."""
-
     def close(self) -> object:
-        """Let go of the camera."""
+        """Stop, and let go of the camera."""
 
 
 def open_picamera2(number: int = 0) -> Picamera:
     """Open a camera of a Raspberry Pi.
 
     Raises:
-        DeviceMissingError: it is not there, somebody else has it, or picamera2 is not installed.
+        DeviceMissingError: it is not there or not to be had, or picamera2 is not installed.
     """
     try:
         picamera2 = importlib.import_module("picamera2")
-    except ImportError:
+    except ImportError as error:
+        if error.name == "picamera2":
+            raise DeviceMissingError(
+                "the package picamera2 is not installed: run pip install 'veilcam[server,pi]'"
+            ) from None
+        # pip brings picamera2 alone; these come with the system.
         raise DeviceMissingError(
-            "the package picamera2 is not installed: run pip install 'veilcam[server,pi]'"
+            f"picamera2 needs the module {error.name}: run apt install python3-picamera2, and make "
+            "the environment with --system-site-packages"
         ) from None
     try:
         camera: Picamera = picamera2.Picamera2(number)
-    except (RuntimeError, IndexError) as error:
-        if "did not complete" in str(error):
+    except (RuntimeError, IndexError, OSError) as error:
+        if isinstance(error, OSError) or "dmaHeap" in str(error):
+            reason = "its memory /dev/dma_heap cannot be opened: be in the group video"
+        elif "did not complete" in str(error):
+            reason = "end whatever else uses it, and be in the group video"
+        else:
             raise DeviceMissingError(
-                f"camera {number} cannot be opened: end whatever else uses it, and be in the group "
-                "video"
+                f"there is no camera {number}: check its cable, and see rpicam-hello --list-cameras"
             ) from None
-        raise DeviceMissingError(
-            f"there is no camera {number}: check its cable, and see rpicam-hello --list-cameras"
-        ) from None
+        raise DeviceMissingError(f"camera {number} cannot be opened: {reason}") from None
     return camera

@@ -53,12 +53,14 @@ class RawFormat:
     white: int
 
     @classmethod
-    def of(cls, given: Mapping[str, Any], mode: SensorMode) -> RawFormat:
-        """From what picamera2 says of its raw stream.
+    def of(cls, given: Mapping[str, Any] | None, mode: SensorMode) -> RawFormat:
+        """From what picamera2 says of its raw stream, if there is one.
 
         Raises:
-            SensorError: it is packed, compressed or of another size.
+            SensorError: there is none, or it is packed, compressed or of another size.
         """
+        if given is None:
+            raise SensorError("the camera gives no raw frames: use a Raspberry Pi HQ camera")
         name, size = str(given["format"]), tuple(given["size"])
         # 12 bits in the low end of 16 (Raspberry Pi 4), or in the high end (5).
         shifts = {str(mode.bit_depth): 0, "16": 16 - mode.bit_depth}

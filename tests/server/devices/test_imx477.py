@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_the_mode_is_pinned_and_all_that_adapts_is_off() -> None:
     assert asked["raw"]["size"] == asked["sensor"]["output_size"] == (41, 30)
     assert asked["sensor"]["bit_depth"] == 12
     assert not asked["queue"]
-    controls = asked["controls"]
+    _, controls = bench.cameras[0]._controls[-1]
     assert not controls["AeEnable"]
     assert not controls["AwbEnable"]
     assert controls["NoiseReductionMode"] == 0
@@ -141,6 +142,50 @@ def test_compressed_and_packed_frames_are_refused(layout: str) -> None:
     faults = CameraFaults(format=layout)
     with pytest.raises(SensorError, match=f"{layout}.*uncompressed"):
         Bench(faults=faults)
+
+
+def test_a_camera_without_raw_frames_is_refused() -> None:
+    clock = Clock()
+
+    class Webcam(FakePicamera2):
+        def configure(self, camera_config: dict[str, Any]) -> None:
+            super().configure(camera_config)
+            self._configuration |= {"raw": None, "sensor": None}
+
+        def set_controls(self, controls: dict[str, Any]) -> None:
+            raise RuntimeError("Control AnalogueGain is not advertised by libcamera")
+
+    with pytest.raises(SensorError, match=r"gives no raw frames: use a Raspberry Pi HQ camera"):
+        IMX477(
+            lambda: Webcam(lambda *_: np.zeros((30, 41), np.uint16), mode=MODE, clock=clock),
+            shape=SHAPE,
+            mode=MODE,
+            clock=clock,
+        )
+
+
+def test_a_camera_that_cannot_be_set_up_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(camera: FakePicamera2, controls: object) -> None:
+        refused.append(camera)
+        raise RuntimeError("Control AnalogueGain is not advertised by libcamera")
+
+    refused: list[FakePicamera2] = []
+    monkeypatch.setattr(FakePicamera2, "set_controls", refuse)
+    with pytest.raises(SensorError, match=r"cannot be set up \(RuntimeError\)"):
+        Bench()
+    assert refused[0].closed
+
+
+@pytest.mark.parametrize("exposure", [0.0001, 0.001, 0.01])
+def test_an_exposure_of_whole_lines_is_taken_though_images_were_amplified(exposure: float) -> None:
+    mode = replace(MODE, line_time=15.17e-6)
+    bench = Bench(mode=mode, exposures=ExposureRange(exposure))
+    reading = bench.capture()
+    assert bench.cameras[0]._before is not None
+    assert bench.cameras[0]._before.get_metadata()["DigitalGain"] != 1
+    assert reading.integration == pytest.approx(exposure, abs=mode.line_time)
+    expected = 100_000 * exposure / (4095 - 256)
+    np.testing.assert_allclose(reading.embedding, expected, rtol=0.1)
 
 
 def test_another_mode_is_refused_and_the_camera_let_go() -> None:
@@ -264,6 +309,18 @@ def test_a_camera_that_does_not_come_back_is_an_error_and_then_lost() -> None:
         bench.capture()
 
 
+def test_a_camera_that_comes_back_as_another_one_is_lost_too() -> None:
+    bench = Bench(failures=3)
+    bench.faults.hangs = 1
+    with pytest.raises(SensorTimeoutError):
+        bench.capture(timeout=0.1)
+    bench.faults.format = "SRGGB12_CSI2P"
+    with pytest.raises(SensorError, match="uncompressed"):
+        bench.capture()
+    with pytest.raises(SensorLostError):
+        bench.capture()
+
+
 def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
     bench = Bench()
 
@@ -280,7 +337,7 @@ def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
 def test_a_camera_that_cannot_even_be_closed_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("veilcam_server.devices.imx477._CLOSING", 0.01)
     bench, let_go = Bench(), threading.Event()
-    bench.cameras[0].stop = let_go.wait  # type: ignore[method-assign, assignment]
+    bench.cameras[0].close = let_go.wait  # type: ignore[method-assign, assignment]
     bench.faults.hangs = 1
     with pytest.raises(SensorLostError):
         bench.capture(timeout=0.1)
@@ -328,6 +385,8 @@ def test_impossible_exposures_are_refused(values: tuple[float, float]) -> None:
         (RuntimeError("Camera __init__ sequence did not complete."), "whatever else uses it"),
         (RuntimeError("No camera number 0 found - use ..."), "no camera 0.*cable"),
         (IndexError("list index out of range"), "no camera 0.*cable"),
+        (RuntimeError("Could not open any dmaHeap device"), "dma_heap.*group video"),
+        (PermissionError(13, "Permission denied"), "dma_heap.*group video"),
     ],
 )
 def test_a_camera_that_cannot_be_opened_says_what_to_do(
@@ -339,6 +398,21 @@ def test_a_camera_that_cannot_be_opened_says_what_to_do(
     monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=fail))
     with pytest.raises(DeviceMissingError, match=message):
         open_picamera2()
-    monkeypatch.setitem(sys.modules, "picamera2", None)
-    with pytest.raises(DeviceMissingError, match=r"veilcam\[server,pi\]"):
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [
+        ("picamera2", r"run pip install 'veilcam\[server,pi\]'"),
+        ("libcamera", "the module libcamera: run apt install python3-picamera2"),
+    ],
+)
+def test_what_is_not_installed_is_named(
+    missing: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: str) -> None:
+        raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+
+    monkeypatch.setattr("veilcam_server.devices.picamera.importlib.import_module", fail)
+    with pytest.raises(DeviceMissingError, match=message):
         open_picamera2()
