@@ -1,8 +1,10 @@
 """The engine: one panel, one sensor, one lock, and the rule that no reading mixes two masks.
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
-checked before and after (the fence), or it is an error. When the panel fails, the mask shown
-before is put back; when that fails too, the panel is made opaque and captures stop: state ``safe``.
+checked before and after (the fence), or it is an error. No capture is taken unless a self test has
+proven that the panel hides the scene. When the panel fails, the mask shown before is put back; when
+that fails too, or the test does, the panel is made opaque and captures stop: state ``safe``, or
+``degraded`` where nothing says that the panel is at fault.
 """
 
 from __future__ import annotations
@@ -15,13 +17,25 @@ from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 
 from veilcam_client.models import RotationOff, RotationPolicy, State
-from veilcam_server.devices.errors import DeviceError, DisplayError
+from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.devices.protocols import Device
-from veilcam_server.errors import EpochError, FenceError, NotReadyError, RotationImpossibleError
+from veilcam_server.errors import (
+    EpochError,
+    FenceError,
+    NotReadyError,
+    RotationImpossibleError,
+    UndecidedError,
+)
 from veilcam_server.fence import Fence, check_exposure
+from veilcam_server.health import Health, stamped
 from veilcam_server.preparation import Preparation
+from veilcam_server.proof import EVERY, Proof
 from veilcam_server.rotation import due_in, reusable
+from veilcam_server.self_test import SelfTest
 from veilcam_server.showing import Captured, Lateness, Showing
+
+_MARGIN = 15.0
+"""What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
 
 
 class MaskedCamera:
@@ -31,8 +45,10 @@ class MaskedCamera:
         device: panel and sensor.
         preparation: makes epochs ready; closed with this.
         shape: of an embedding.
+        test: proves that the panel hides the scene.
         fence: times to keep.
         policy: when masks change.
+        test_every: longest time from one test to the next [s].
 
     Raises:
         RotationImpossibleError: the policy needs another mask, and there is none.
@@ -43,12 +59,16 @@ class MaskedCamera:
         device: Device,
         preparation: Preparation,
         shape: tuple[int, ...],
+        test: SelfTest,
         *,
         fence: Fence = Fence(),  # noqa: B008 - immutable
         policy: RotationPolicy = RotationOff(),  # noqa: B008 - immutable
+        test_every: float = EVERY,
     ) -> None:
-        self._device, self._preparation = device, preparation
+        self._health = Health(fence.settle + fence.timeout + _MARGIN)
+        self._device, self._preparation = stamped(device, self._health), preparation
         self._shape, self._fence = shape, fence
+        self._proof = Proof(test, self._device, fence, every=test_every)
         self._on_mask: Callable[[str], None] = _ignore
         self._on_state: Callable[[State, str | None], None] = _ignore
         self._lock = threading.Lock()
@@ -80,6 +100,10 @@ class MaskedCamera:
     def state(self) -> tuple[State, str | None]:
         """What the camera is doing, and why it is not ready."""
         return self._state, self._detail
+
+    def healthy(self) -> bool:
+        """Whether panel and camera still answer."""
+        return self._health.healthy()
 
     @property
     def preparation(self) -> Preparation:
@@ -115,12 +139,31 @@ class MaskedCamera:
             chance=showing.chance,
         )
 
-    def rotate(self) -> None:
-        """Show the first mask, or another one now; from the state ``safe`` this is the way back.
+    def test_due_in(self) -> float:
+        """Seconds until the panel must be tested, or tested again after a test that failed."""
+        if self._state == "stopping":
+            return math.inf
+        return 0.0 if self._showing is None else self._proof.holds_for()
 
-        Waits for the next mask to be ready.
+    def test_if_due(self) -> None:
+        """Test the panel if that is due, and show the mask again; raises as :meth:`rotate`.
+
+        From the states ``safe`` and ``degraded`` this is the way back, and shows another mask.
+        """
+        with self._lock:
+            if self._showing is None:
+                self._rotate()
+            else:
+                self._test_again()
+
+    def rotate(self) -> None:
+        """Show the first mask, or another one now; from any state this is the way to ``ready``.
+
+        Waits for the next mask to be ready, and tests the panel first if that is due.
 
         Raises:
+            SelfTestError: the panel is not proven to hide the scene, and was made opaque.
+            SensorError, FenceError: the sensor did not see whether it does.
             RotationImpossibleError: there is no other mask.
             EpochError: its epoch could not be recorded.
             DisplayError: the panel did not take it; the mask shown before is back if possible,
@@ -142,7 +185,7 @@ class MaskedCamera:
         reuses the mask, or it waits.
 
         Raises:
-            NotReadyError: no mask is shown.
+            NotReadyError: no mask is shown, or the panel is not proven to hide the scene.
             SensorError: the sensor gave no reading.
             FenceError: it gave one that cannot be trusted.
             RotationImpossibleError, EpochError, DisplayError: the mask was due to change and
@@ -152,6 +195,7 @@ class MaskedCamera:
             begun = time.monotonic()
             if self.due_in() <= 0 and not self._may_reuse():
                 self._rotate()
+            self._test_again()
             showing = self._showing
             if showing is None:
                 raise NotReadyError(self._detail or "no mask is shown yet: try again")
@@ -180,7 +224,7 @@ class MaskedCamera:
             )
 
     def stop(self) -> None:
-        """Show opaque and let go of the device; waits for a capture that is under way.
+        """Stop the sensor, show opaque and let go; waits for a capture that is under way.
 
         Raises:
             DisplayError: the panel could not be made opaque; the device is let go all the same.
@@ -192,22 +236,16 @@ class MaskedCamera:
             self._showing = None
             with ExitStack() as stack:
                 stack.callback(self._preparation.close)
-                stack.callback(self._device.close)
-                self._device.display.blank()
+                stack.callback(self._device.display.close)
+                stack.callback(self._device.display.blank)
+                self._device.sensor.close()
 
     def _may_reuse(self) -> bool:
-        """Whether a mask that is due may serve this capture, too, which is then counted."""
+        """Whether a mask that is due may serve this capture, too."""
         showing = self._showing
         if showing is None or not self._preparation.under_way:
             return False
-        if not showing.late:
-            showing.late = True
-            self.lateness.late += 1
-        if showing.overdue >= reusable(self._policy):
-            return False
-        showing.overdue += 1
-        self.lateness.reused += 1
-        return True
+        return showing.reuse(reusable(self._policy), self.lateness)
 
     def _rotate(self) -> None:
         if self._state == "stopping":
@@ -218,6 +256,7 @@ class MaskedCamera:
         # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
         prepared = self._preparation.take()
         self._preparation.record(prepared.mask)
+        self._prove()
         # From here on no mask counts as shown until the panel has confirmed one.
         self._showing = None
         try:
@@ -236,6 +275,30 @@ class MaskedCamera:
         if self._preparation.renewable:
             self._preparation.begin()
 
+    def _prove(self) -> None:
+        """Test the panel if that is due; it then shows opaque, also after a test that failed."""
+        if self._proof.holds_for() > 0:
+            return
+        self._showing = None
+        if self._state in ("starting", "ready"):
+            self._enter("self-test", "the panel is being tested")
+        try:
+            self._proof.renew()
+        except BaseException as error:
+            # What the panel cannot be blamed for is not called its failure.
+            blameless = isinstance(error, (UndecidedError, SensorError, FenceError))
+            known = isinstance(error, (NotReadyError, DeviceError, FenceError))
+            reason = str(error) if known else "the self test broke off"
+            self._make_opaque("degraded" if blameless else "safe", reason)
+            raise
+
+    def _test_again(self) -> None:
+        """Test the panel if that is due and a mask is shown, and put that back."""
+        showing = self._showing
+        if showing is not None and self._proof.holds_for() <= 0:
+            self._prove()
+            self._put_back(showing)
+
     def _require_another(self) -> None:
         if not self._preparation.renewable:
             raise RotationImpossibleError(
@@ -243,7 +306,7 @@ class MaskedCamera:
             )
 
     def _put_back(self, previous: Showing | None) -> None:
-        """After a failed write: the mask from before, or else opaque."""
+        """After a failed write, or a test: the mask from before, or else opaque."""
         if previous is not None:
             try:
                 shown = self._device.display.show(previous.mask.levels)
@@ -255,15 +318,20 @@ class MaskedCamera:
                 # Should it not be recorded, another mask than the next is left out: no harm.
                 with suppress(EpochError):
                     self._preparation.record(previous.mask)
-                self._preparation.begin()
+                if self._preparation.renewable:
+                    self._preparation.begin()
+                self._enter("ready", None)
                 return
+        self._make_opaque("safe", "the panel failed and was made opaque: it is tried again")
+
+    def _make_opaque(self, state: State, reason: str) -> None:
+        """Captures stop."""
         try:
             self._device.display.blank()
         except DeviceError:
-            detail = "the panel failed and cannot be made opaque: check its power and wiring"
-        else:
-            detail = "the panel failed and was made opaque: rotate to try again"
-        self._enter("safe", detail)
+            state = "safe"
+            reason = "the panel failed and cannot be made opaque: check its power and wiring"
+        self._enter(state, reason)
 
     def _enter(self, state: State, detail: str | None) -> None:
         if (state, detail) != (self._state, self._detail):

@@ -6,24 +6,27 @@ import secrets
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
 
 from veilcam_client import VeilcamError
 from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
-from veilcam_server import logs
+from veilcam_server import audit_command, logs, token_command
 from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, Digits, load_digits
 from veilcam_server.devices.scene import write_scene
-from veilcam_server.errors import StartError
+from veilcam_server.errors import StartError, StoppedError
 from veilcam_server.settings import SCENE_NAME, Settings, default_state_dir
+from veilcam_server.terminal import fail, one_line
 
 app = typer.Typer(
     no_args_is_help=True,
     # Local variables hold masks: they must not end up in a terminal.
     pretty_exceptions_enable=False,
 )
+app.add_typer(token_command.app, name="token")
+app.command("audit")(audit_command.audit)
 
 
 @app.callback()
@@ -50,7 +53,9 @@ def serve(
             "Default: one that 'veilcamd show' writes."
         ),
     ] = None,
-    host: Annotated[str | None, typer.Option(help="Loopback address to listen on.")] = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on; others than loopback need TLS.")
+    ] = None,
     port: Annotated[int | None, typer.Option(help="Port; 0 takes a free one.")] = None,
     socket: Annotated[Path | None, typer.Option(help="Listen on a unix socket instead.")] = None,
     state_dir: Annotated[Path | None, typer.Option(help="Where mask epochs are recorded.")] = None,
@@ -90,7 +95,21 @@ def serve(
     snr_db: Annotated[
         float | None, typer.Option(help="Simulated signal-to-noise ratio [dB].")
     ] = None,
+    self_test_every: Annotated[
+        float | None, typer.Option(help="Longest time between two self tests of the panel [s].")
+    ] = None,
     queue_limit: Annotated[int | None, typer.Option(help="Captures that may wait.")] = None,
+    auth: Annotated[
+        str | None,
+        typer.Option(
+            help="tokens, or none: whoever reaches the daemon may use it. Default: tokens, "
+            "none when simulated."
+        ),
+    ] = None,
+    tls_certificate: Annotated[
+        Path | None, typer.Option(help="Serve TLS with this certificate, a PEM file.")
+    ] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Its private key, a PEM file.")] = None,
     wrong_classifier: Annotated[
         bool,
         typer.Option(
@@ -121,7 +140,11 @@ def serve(
         "settle": settle,
         "exposure": exposure,
         "snr_db": snr_db,
+        "self_test_every": self_test_every,
         "queue_limit": queue_limit,
+        "auth": auth,
+        "tls_certificate": tls_certificate,
+        "tls_key": tls_key,
         "wrong_classifier": wrong_classifier or None,
         "log_level": log_level,
     }
@@ -134,7 +157,7 @@ def serve(
         run(settings, lambda url: print(f"veilcamd listening on {url}", flush=True))  # noqa: T201
     except ValidationError as error:
         fail(one_line(error))
-    except StartError as error:
+    except (StartError, StoppedError) as error:
         fail(str(error))
     except KeyboardInterrupt:
         pass
@@ -255,29 +278,6 @@ def demo(
         fail(str(error))
     except KeyboardInterrupt:
         raise SystemExit(130) from None
-
-
-_OPTIONS = {"seconds": "every-seconds", "captures": "every-captures"}
-
-
-def one_line(error: ValidationError) -> str:
-    """Name every setting at fault as it is written on the command line."""
-    parts = []
-    for item in error.errors(include_url=False, include_input=False):
-        names = [_OPTIONS.get(str(part), str(part)) for part in item["loc"][:1]]
-        name = "".join(f"--{part}".replace("_", "-") for part in names)
-        if item["type"] == "missing":
-            parts.append(f"{name} is missing: give it, or set it in the environment")
-        else:
-            message = item["msg"].removeprefix("Value error, ")
-            parts.append(f"{name}: {message}" if name else message)
-    return "; ".join(parts)
-
-
-def fail(message: str) -> NoReturn:
-    """Say why, and exit with 1."""
-    typer.echo(f"veilcamd: error: {message}", err=True)
-    raise SystemExit(1)
 
 
 def main() -> None:

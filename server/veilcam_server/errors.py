@@ -7,6 +7,10 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
+class StoppedError(Exception):
+    """The daemon cannot go on and ended; one line that says what to do."""
+
+
 class EpochError(Exception):
     """A mask epoch could not be recorded, so no mask may be shown under it."""
 
@@ -17,6 +21,14 @@ class FenceError(Exception):
 
 class NotReadyError(Exception):
     """The camera is in no state to take a capture."""
+
+
+class SelfTestError(NotReadyError):
+    """The panel does not hide the scene, or does not show what it is told."""
+
+
+class UndecidedError(SelfTestError):
+    """The self test cannot tell, for want of light or of steady light."""
 
 
 class RotationImpossibleError(Exception):
@@ -39,8 +51,69 @@ class IdempotencyError(Exception):
     """An idempotency key that came before with another request."""
 
 
-class ForbiddenError(Exception):
-    """The caller's token lacks a scope."""
+class HostRefusedError(Exception):
+    """The ``Host`` of a request is not this machine."""
 
-    def __init__(self, scope: str) -> None:
-        super().__init__(f"this token lacks the scope {scope}: ask for one that has it")
+    def __init__(self) -> None:
+        super().__init__("this daemon answers to localhost only: use http://localhost:PORT")
+
+
+class UnauthorizedError(Exception):
+    """No valid token came with the request; why it is not valid stays here."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "this daemon wants a valid token: make one with 'veilcamd token create' and send it "
+            "as Authorization: Bearer"
+        )
+
+
+class ForbiddenError(Exception):
+    """The caller may not do this."""
+
+
+class UnknownTokenError(Exception):
+    """There is no token of this id."""
+
+
+class TokenStoreError(Exception):
+    """The tokens cannot be read or written."""
+
+
+class TokensOffError(Exception):
+    """Tokens are asked about, and this daemon wants none."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "this daemon wants no tokens: start it with --auth tokens, or use 'veilcamd token'"
+        )
+
+
+class RateLimitError(Exception):
+    """A caller asks too often; ``retry_after`` [s]."""
+
+    def __init__(self, rate: float, retry_after: int) -> None:
+        super().__init__(f"more than {rate:g} requests a second: try again in {retry_after} s")
+        self.retry_after = retry_after
+
+
+class TooManyRequestsError(Exception):
+    """A caller has too many requests under way."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"{limit} of your requests are under way: wait for one of them to end")
+
+
+class TooManyStreamsError(Exception):
+    """Too many event streams are open."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"{limit} event streams are open: close one that nobody reads")
+
+
+class LeasedError(Exception):
+    """Somebody else holds the camera; ``retry_after`` [s]."""
+
+    def __init__(self, owner: str, retry_after: int) -> None:
+        super().__init__(f"the camera is leased to {owner!r} for another {retry_after} s")
+        self.retry_after = retry_after

@@ -15,21 +15,36 @@ from veilcam_client.models import BundleInfo
 from veilcam_client.models import Device as DeviceInfo
 from veilcam_server.app import create_app
 from veilcam_server.camera import MaskedCamera
-from veilcam_server.devices.errors import DeviceError, DeviceMissingError
+from veilcam_server.devices.errors import (
+    DeviceError,
+    DeviceMissingError,
+    SensorError,
+    SensorLostError,
+)
 from veilcam_server.devices.protocols import Device
 from veilcam_server.devices.scene import FileScene
 from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
 from veilcam_server.devices.st7735r_emulator import REFRESH
 from veilcam_server.epochs import EpochStore
-from veilcam_server.errors import EpochError, RotationImpossibleError, StartError
+from veilcam_server.errors import (
+    EpochError,
+    FenceError,
+    RotationImpossibleError,
+    SelfTestError,
+    StartError,
+    StoppedError,
+)
 from veilcam_server.fence import Fence
+from veilcam_server.gateway import open_gateway
 from veilcam_server.identity import Identity
 from veilcam_server.listeners import Listener, open_listeners
 from veilcam_server.preparation import Preparation
+from veilcam_server.self_test import OpticalSelfTest
 from veilcam_server.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.sources import open_source, release_form, rotation_policy
 from veilcam_server.systemd import notify
+from veilcam_server.tls import server_context
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 log = structlog.get_logger()
@@ -85,10 +100,14 @@ def build_service(settings: Settings) -> Service:
                 device,
                 preparation,
                 bundle.embedding.shape,
+                OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
                 fence=Fence(settings.settle, settings.capture_timeout),
                 policy=rotation_policy(settings, bundle),
+                test_every=settings.self_test_every,
             )
-            camera.rotate()
+            undo.pop_all()
+            undo.callback(camera.stop)
+            _begin(camera)
             undo.pop_all()
     except (BundleError, DeviceError, EpochError, RotationImpossibleError) as error:
         raise StartError(str(error)) from error
@@ -99,6 +118,20 @@ def build_service(settings: Settings) -> Service:
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
     )
+
+
+def _begin(camera: MaskedCamera) -> None:
+    """Test the panel and show the first mask.
+
+    A test that is not passed is no reason to end: in a dark room nothing can be told before there
+    is light. The state says why no capture is taken, and the test is tried again.
+    """
+    try:
+        camera.rotate()
+    except SensorLostError:
+        raise
+    except (SelfTestError, SensorError, FenceError) as error:
+        log.warning("no capture yet", reason=str(error))
 
 
 def _identity(settings: Settings, bundle: Bundle, device: Device) -> Identity:
@@ -131,6 +164,10 @@ class _Server(uvicorn.Server):
         await super().startup(sockets)
         if self.started:
             self._on_listening()
+
+    def end(self) -> None:
+        """Shut down as if told by a signal."""
+        self.should_exit = True
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         notify("STOPPING=1")
@@ -169,18 +206,28 @@ def _serve(
         for url in urls:
             on_listening(url)
 
+    tls = None
+    if settings.tls_certificate is not None and settings.tls_key is not None:
+        tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        config = uvicorn.Config(
-            create_app(service),
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=10,
-        )
-        server = _Server(config, service, listening)
-        log.info("start", urls=urls, device=settings.device)
-        server.run([listener.socket for listener in listeners])
+        with open_gateway(settings) as gateway:
+            config = uvicorn.Config(
+                create_app(service, gateway),
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                timeout_graceful_shutdown=10,
+                ssl_context_factory=None if tls is None else lambda *_: tls,
+            )
+            server = _Server(config, service, listening)
+            log.info("start", urls=urls, device=settings.device, auth=settings.auth)
+            if settings.auth == "none":
+                log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
+            service.on_lost(server.end)
+            server.run([listener.socket for listener in listeners])
+            if service.lost is not None:
+                raise StoppedError(str(service.lost))
     finally:
         service.stop()
 

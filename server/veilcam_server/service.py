@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from datetime import datetime
 from typing import TypeVar
 
@@ -45,12 +44,15 @@ from veilcam_server.answers import (
 )
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.device_queue import DeviceQueue
+from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.errors import RotationImpossibleError, WithheldError
 from veilcam_server.events import EventLog
 from veilcam_server.identity import Identity
 from veilcam_server.inference import Verdict
 from veilcam_server.problems import code_of
 from veilcam_server.showing import Captured
+from veilcam_server.systemd import notify
+from veilcam_server.upkeep import Upkeep
 
 log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
@@ -79,7 +81,9 @@ class Service:
         self._camera, self._identity, self._form = camera, identity, form
         self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
         self._events = EventLog()
-        self._changed = asyncio.Event()
+        self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
+        self._on_lost: Callable[[], None] = _ignore
+        self._lost: SensorLostError | None = None
         self._captures = 0
         self._since = time.monotonic()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -88,14 +92,13 @@ class Service:
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
-        """Rotate masks as long as the context lasts; then show opaque and let go of the device."""
+        """Keep the camera ready within; then show opaque and let go of the device."""
         self._loop = asyncio.get_running_loop()
-        rotating = asyncio.create_task(self._rotate_when_due())
+        self._tell_state(*self._camera.state)
         try:
-            yield
+            async with self._upkeep.running():
+                yield
         finally:
-            rotating.cancel()
-            await asyncio.wait([rotating])
             self.end_streams()
             try:
                 await self._queue.run(self._camera.stop)
@@ -103,6 +106,15 @@ class Service:
                 self._loop = None
                 self._queue.close()
                 self._inference_thread.shutdown()
+
+    @property
+    def lost(self) -> SensorLostError | None:
+        """Why the daemon has to be started again; None if it need not."""
+        return self._lost
+
+    def on_lost(self, act: Callable[[], None]) -> None:
+        """Call ``act``, on the event loop, when the daemon has to be started again."""
+        self._on_lost = act
 
     def stop(self) -> None:
         """Show opaque and let go of the device, without an event loop; twice does no harm."""
@@ -130,6 +142,11 @@ class Service:
             queue=Queue(waiting=self._queue.waiting, limit=self._queue.limit),
         )
 
+    @property
+    def release(self) -> Release:
+        """In which form embeddings leave."""
+        return self._form
+
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
         return rotation_answer(self._camera)
@@ -138,14 +155,14 @@ class Service:
         """Change when masks change; raises :class:`RotationImpossibleError`."""
         self._camera.policy = policy
         self._publish(lambda id_, at: RotationChanged(id=id_, at=at, policy=policy))
-        self._changed.set()
+        self._upkeep.wake()
         return self.rotation()
 
     async def rotate(self) -> Rotation:
         """Show another mask now; raises as :meth:`MaskedCamera.rotate`, or the queue is full."""
         with self._queue.admitted():
             await self._on_device(self._camera.rotate)
-        self._changed.set()
+        self._upkeep.wake()
         return self.rotation()
 
     async def capture(self) -> Capture:
@@ -203,13 +220,18 @@ class Service:
         self._publish_from_thread(lambda id_, at: MaskChanged(id=id_, at=at, epoch=epoch))
 
     def _state_changed(self, state: State, detail: str | None) -> None:
-        log.info("state", state=state, detail=detail)
+        self._tell_state(state, detail)
         self._publish_from_thread(
             lambda id_, at: StateChanged(id=id_, at=at, state=state, detail=detail)
         )
+        self._from_thread(self._upkeep.wake)
+
+    def _tell_state(self, state: State, detail: str | None) -> None:
+        log.info("state", state=state, detail=detail)
+        notify(f"STATUS={state}" if detail is None else f"STATUS={state}: {detail}")
 
     def _next_ready(self) -> None:
-        self._from_thread(self._changed.set)
+        self._from_thread(self._upkeep.wake)
 
     async def _take(self, begun: float) -> tuple[Captured, float]:
         def work() -> tuple[Captured, float]:
@@ -219,7 +241,7 @@ class Service:
         try:
             return await self._on_device(work)
         finally:
-            self._changed.set()
+            self._upkeep.wake()
 
     def _require_released(self) -> Form:
         if self._form == "none":
@@ -244,7 +266,7 @@ class Service:
 
     async def _on_device(self, work: Callable[[], ResultT]) -> ResultT:
         try:
-            return await self._queue.run(work)
+            return await self._watched(work)
         except RotationImpossibleError:
             raise
         except Exception as error:
@@ -255,29 +277,13 @@ class Service:
                 self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
             raise
 
-    async def _rotate_when_due(self) -> None:
-        """Change masks when the policy says so, also while nobody captures."""
-        pause = 1.0
-        while True:
-            self._changed.clear()
-            due = self._camera.due_in()
-            if due > 0 or self._camera.preparation.under_way:
-                # A mask that is due waits for the next one here, where it keeps no capture waiting.
-                wait = due if due > 0 and math.isfinite(due) else None
-                # Not wait_for: in Python 3.11 it loses a cancellation that comes as the wait ends,
-                # and the daemon would never stop.
-                with suppress(TimeoutError):
-                    async with asyncio.timeout(wait):
-                        await self._changed.wait()
-                continue
-            try:
-                await self._on_device(self._camera.rotate_if_due)
-                pause = 1.0
-            except Exception as error:
-                if code_of(error) is None:
-                    log.error("defect", error=type(error).__name__, during="rotation")
-                await asyncio.sleep(pause)
-                pause = min(2 * pause, 60.0)
+    async def _watched(self, work: Callable[[], ResultT]) -> ResultT:
+        try:
+            return await self._queue.run(work)
+        except SensorLostError as error:
+            self._lost = error
+            self._on_lost()
+            raise
 
     def _publish(self, make: Callable[[str, datetime], Event]) -> None:
         self._events.publish(make)
@@ -289,6 +295,10 @@ class Service:
         loop = self._loop
         if loop is not None:
             loop.call_soon_threadsafe(act)
+
+
+def _ignore() -> None:
+    """Nobody wants to know."""
 
 
 def _released(captured: Captured, form: Form) -> Embedding:

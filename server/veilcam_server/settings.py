@@ -47,26 +47,39 @@ class Settings(BaseSettings):
     exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)
     snr_db: float = Field(default=40.0)
     capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
+    self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
+    """Longest time from one self test of the panel to the next; there is no way around it [s]."""
     queue_limit: int = Field(default=8, ge=1, le=1024)
+    auth: Literal["tokens", "none"] = "tokens"
+    tls_certificate: Path | None = None
+    tls_key: Path | None = None
+    rate_limit: float = Field(default=100.0, gt=0, le=1e6, allow_inf_nan=False)
+    """Requests of one caller, in the long run [1/s]."""
+    rate_burst: int = Field(default=200, ge=1, le=1_000_000)
+    """Requests of one caller that may come at once after a quiet time."""
+    concurrency_limit: int = Field(default=64, ge=1, le=1024)
+    """Requests of one caller that may be under way at once, event streams included."""
+    stream_limit: int = Field(default=64, ge=1, le=1024)
+    """Event streams that may be open, all callers together."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
     wrong_classifier: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     @field_validator("host")
     @classmethod
-    def _loopback_only(cls, host: str) -> str:
+    def _an_address(cls, host: str) -> str:
         if host == "localhost":
             return "127.0.0.1"
         try:
-            loopback = ipaddress.ip_address(host).is_loopback
+            ipaddress.ip_address(host)
         except ValueError:
-            loopback = False
-        if not loopback:
-            raise ValueError(
-                "other machines cannot be served yet, for want of TLS and tokens: "
-                "use 127.0.0.1, ::1 or --socket"
-            )
+            raise ValueError(f"{host!r} is no IP address: use 127.0.0.1 or ::1") from None
         return host
+
+    @model_validator(mode="before")
+    @classmethod
+    def _tokens_unless_simulated(cls, given: dict[str, Any]) -> dict[str, Any]:
+        return {"auth": "none" if given.get("device") == "simulated" else "tokens", **given}
 
     @model_validator(mode="before")
     @classmethod
@@ -82,7 +95,22 @@ class Settings(BaseSettings):
             raise ValueError("only a simulated camera has a --scene: add --simulate")
         if self.wrong_classifier and self.device != "simulated":
             raise ValueError("--wrong-classifier is an experiment: it needs --simulate")
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("--tls-certificate and --tls-key go together: give both")
+        if self.tls_certificate is not None and self.socket is not None:
+            raise ValueError("a unix socket needs no TLS: leave --tls-certificate out")
+        loopback = ipaddress.ip_address(self.host).is_loopback
+        if self.socket is None and not loopback and not self.serves_others:
+            raise ValueError(
+                f"--host {self.host}: other machines are served with TLS and tokens only: give "
+                "--tls-certificate, --tls-key and --auth tokens, or use 127.0.0.1, ::1 or --socket"
+            )
         return self
+
+    @property
+    def serves_others(self) -> bool:
+        """Whether it may listen where other machines reach it."""
+        return self.tls_certificate is not None and self.auth == "tokens"
 
     @property
     def scene_file(self) -> Path:

@@ -31,6 +31,22 @@ class Showing:
     late: bool = False
     """Whether a capture was due before the next mask was ready."""
 
+    def reuse(self, limit: int, lateness: Lateness) -> bool:
+        """Whether it may serve one more capture although it is due, which is then counted.
+
+        Args:
+            limit: how often it may.
+            lateness: where that is counted, too.
+        """
+        if not self.late:
+            self.late = True
+            lateness.late += 1
+        if self.overdue >= limit:
+            return False
+        self.overdue += 1
+        lateness.reused += 1
+        return True
+
 
 @dataclass(frozen=True, slots=True)
 class Captured:

@@ -29,6 +29,7 @@ from veilcam_server.devices.scene import write_scene
 from veilcam_server.epochs import EpochStore
 from veilcam_server.fence import Fence
 from veilcam_server.fresh import FreshSource
+from veilcam_server.gateway import Gateway
 from veilcam_server.identity import Identity
 from veilcam_server.masks import MaskSource
 from veilcam_server.pairs import load_pairs
@@ -121,6 +122,7 @@ class FakeDisplay:
     name = "fake panel"
 
     def __init__(self) -> None:
+        self.resets = 1
         self.shown: list[npt.NDArray[np.uint8]] = []
         self.faults: list[Exception | None] = []
         self.closed = False
@@ -139,10 +141,25 @@ class FakeDisplay:
         self.closed = True
 
 
+class FakeTest:
+    """A self test that was passed, unless ``faults`` say what came of it instead."""
+
+    def __init__(self) -> None:
+        self.faults: list[BaseException | None] = []
+        self.runs = 0
+
+    def run(self, device: Device, fence: Fence) -> None:
+        self.runs += 1
+        fault = self.faults.pop(0) if self.faults else None
+        if fault is not None:
+            raise fault
+
+
 class FakeSensor:
     """Reads ones at once; ``early`` [s] makes it start before it may, ``before`` runs first."""
 
     name = "fake sensor"
+    full_scale = 1.0
 
     def __init__(self) -> None:
         self.reading = np.ones(EMBEDDING.shape, np.float32)
@@ -173,6 +190,7 @@ class Bench:
     release: Release = "raw"
     display: FakeDisplay = field(default_factory=FakeDisplay)
     sensor: FakeSensor = field(default_factory=FakeSensor)
+    test: FakeTest = field(default_factory=FakeTest)
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
 
@@ -181,6 +199,7 @@ class Bench:
             Device(self.display, self.sensor, simulated=True),
             Preparation(self.source, EpochStore(self.state_dir)),
             self.bundle.embedding.shape,
+            self.test,
             fence=Fence(settle=settle),
             policy=policy,
         )
@@ -285,12 +304,13 @@ def running(bench: Bench) -> Running:
         settle: float = 0.0,
         raising: bool = True,
         on: Bench | None = None,
+        gateway: Gateway | None = None,
     ) -> AsyncIterator[httpx.AsyncClient]:
         chosen = on or bench
         service = chosen.service(
             chosen.camera(policy=policy, settle=settle), queue_limit=queue_limit
         )
-        app = create_app(service)
+        app = create_app(service, gateway)
         transport = httpx.ASGITransport(app, raise_app_exceptions=raising)
         async with (
             service.open(),

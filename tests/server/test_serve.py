@@ -200,13 +200,14 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
             stderr=log,
         )
         try:
-            assert systemd.recv(100) == b"READY=1", (tmp_path / "log").read_text()
+            assert systemd.recv(100) == b"STATUS=ready", (tmp_path / "log").read_text()
+            assert systemd.recv(100) == b"READY=1"
             for url in (f"http://127.0.0.1:{tcp.getsockname()[1]}", f"unix://{path}"):
                 with Camera(url) as camera:
                     assert camera.status().state == "ready"
             process.send_signal(signal.SIGTERM)
             while (told := systemd.recv(100)) != b"STOPPING=1":
-                assert told == b"WATCHDOG=1"
+                assert told == b"STATUS=stopping: the daemon is stopping"
             assert process.wait(30) == 0
         finally:
             process.kill()

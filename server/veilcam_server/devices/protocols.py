@@ -46,6 +46,10 @@ class Display(Protocol):
     def name(self) -> str:
         """What it is, e.g. ``ST7735R``."""
 
+    @property
+    def resets(self) -> int:
+        """How often it was set up: what a self test found holds until it is set up anew."""
+
     def show(self, levels: Levels) -> Shown:
         """Write a mask and return once its last byte is out.
 
@@ -73,6 +77,10 @@ class Sensor(Protocol):
     @property
     def name(self) -> str:
         """What it is, e.g. ``IMX477``."""
+
+    @property
+    def full_scale(self) -> float:
+        """Reading of saturated pixels."""
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """Expose once, starting no earlier than ``not_before``, and bin on the device.
