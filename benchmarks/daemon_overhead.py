@@ -1,0 +1,124 @@
+"""What the daemon adds to the device's own time, as eight clients see it.
+
+    nice -n -10 python benchmarks/daemon_overhead.py --figures benchmarks/results/daemon.json
+
+A real daemon serves a simulated device that settles and exposes in no time, over TCP on loopback.
+Clients of the SDK, each with a connection of its own, ask for one classification after the other.
+The *overhead* of a request is what its client waited, less what the device was at work meanwhile,
+for this request and for those before it in the queue: ``queue_s + rotation_s + settle_s +
+capture_s`` of its timing. Inference, the queue's own delays, threads, JSON, HTTP and both ends of
+the SDK count as overhead. The simulator's light takes a few ms for a capture; that is device time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from veilcam_client import AsyncCamera
+from veilcam_client.models import Timing
+from veilcam_server.demo.daemon import running
+from veilcam_server.demo_data import KEYRING, load_digits
+from veilcam_server.devices.scene import write_scene
+from veilcam_training.figures import record_figures
+
+WARM_UP = 5
+"""Requests of each client that do not count."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One classification: what its client waited [s], and where the daemon says it went."""
+
+    waited: float
+    timing: Timing
+
+    @property
+    def device(self) -> float:
+        """The device at work, for this request and for those before it [s]."""
+        timing = self.timing
+        return timing.queue_s + timing.rotation_s + timing.settle_s + timing.capture_s
+
+    @property
+    def overhead(self) -> float:
+        """What the daemon, the network and the SDK add to that [s]."""
+        return self.waited - self.device
+
+
+async def ask(url: str, count: int) -> list[Request]:
+    """Classify ``count`` times, one after the other, as one client."""
+    requests = []
+    async with AsyncCamera(url) as camera:
+        for _ in range(WARM_UP + count):
+            begun = time.perf_counter()
+            answer = await camera.classify()
+            requests.append(Request(time.perf_counter() - begun, answer.timing))
+    return requests[WARM_UP:]
+
+
+async def ask_at_once(url: str, clients: int, count: int) -> list[Request]:
+    """Ask as many clients at the same time, ``count`` requests each."""
+    asked = await asyncio.gather(*(ask(url, count) for _ in range(clients)))
+    return [request for requests in asked for request in requests]
+
+
+def describe(requests: Sequence[Request]) -> None:
+    """Print median, 95 % and 99 % of every part."""
+
+    def inference(timing: Timing) -> float:
+        return timing.inference_s or 0.0
+
+    parts: dict[str, Callable[[Request], float]] = {
+        "overhead": lambda request: request.overhead,
+        "  of it inference": lambda request: inference(request.timing),
+        "  of it in the daemon": lambda request: request.timing.total_s - request.device,
+        "device": lambda request: request.device,
+        "  of it queue": lambda request: request.timing.queue_s,
+        "  of it capture": lambda request: request.timing.capture_s,
+        "client waited": lambda request: request.waited,
+    }
+    print(f"{'[ms]':24}{'median':>9}{'95 %':>9}{'99 %':>9}")
+    for name, part in parts.items():
+        found = np.percentile([1e3 * part(request) for request in requests], (50, 95, 99))
+        print(f"{name:24}" + "".join(f"{value:9.2f}" for value in found))
+
+
+def main(
+    *,
+    clients: Annotated[int, typer.Option(min=1, help="At the same time.")] = 8,
+    count: Annotated[int, typer.Option(min=1, help="Requests of each client.")] = 500,
+    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+) -> None:
+    """Measure what a classification costs beyond the device's own time."""
+    with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
+        directory = Path(temporary)
+        scene = directory / "scene.npy"
+        write_scene(scene, load_digits().images[0])
+        # One more than there are clients: none is turned away, whatever the order of things.
+        options = ("--settle", "0", "--exposure", "0", "--queue-limit", str(clients + 1))
+        with running(KEYRING, scene, directory, *options) as url:
+            begun = time.perf_counter()
+            requests = asyncio.run(ask_at_once(url, clients, count))
+            took = time.perf_counter() - begun
+    rate = clients * (WARM_UP + count) / took
+    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    print(f"{len(requests)} requests of {clients} clients, {rate:.0f} a second; load {load}")
+    describe(requests)
+    if figures is not None:
+        median, last = np.percentile([1e3 * request.overhead for request in requests], (50, 99))
+        record_figures(
+            figures, {"overhead_median_ms": float(median), "overhead_p99_ms": float(last)}
+        )
+
+
+if __name__ == "__main__":
+    typer.run(main)
