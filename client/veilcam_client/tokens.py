@@ -29,7 +29,7 @@ class TokenRequest(Question):
 
     label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
     """For whom or what it is; it stands in the audit log."""
-    scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES))
+    scopes: tuple[Scope, ...] = Field(min_length=1, max_length=len(SCOPES), strict=False)
     seconds: int | None = Field(default=None, ge=1, le=10 * 366 * 86_400)
     """How long it is valid [s]; None: until it is revoked."""
 

@@ -20,16 +20,18 @@ class Caller:
         id: of the token; where none is wanted, a name for the peer.
         label: of the token, for people.
         scopes: what the caller may do.
+        expires: when the token ends, seconds since 1970; None: never.
     """
 
     id: str
     label: str
     scopes: frozenset[str]
+    expires: float | None = None
 
     def require(self, scope: Scope) -> None:
         """Raise :class:`ForbiddenError` unless the caller has this scope."""
         if scope not in self.scopes:
-            raise ForbiddenError(scope)
+            raise ForbiddenError(f"this token lacks the scope {scope}: ask for one that has it")
 
 
 ANYONE = Caller("anyone", "no token wanted", frozenset(SCOPES))
@@ -44,7 +46,7 @@ _BEARER = HTTPBearer(
 )
 
 
-def caller_of(request: Request) -> Caller:
+async def caller_of(request: Request) -> Caller:
     """Who asks, as the middleware found out."""
     caller: Caller = request.state.caller
     return caller
@@ -53,7 +55,7 @@ def caller_of(request: Request) -> Caller:
 CallerDep = Annotated[Caller, Depends(caller_of)]
 
 
-def _allowed(
+async def _allowed(
     needed: SecurityScopes,
     caller: CallerDep,
     _: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)],

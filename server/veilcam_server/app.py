@@ -9,17 +9,25 @@ from fastapi import FastAPI
 
 from veilcam_client import __version__
 from veilcam_server import problems
+from veilcam_server.gateway import Gateway
 from veilcam_server.idempotency import IdempotencyKeys
 from veilcam_server.middleware import RequestContext
 from veilcam_server.routes import router
 from veilcam_server.service import Service
+from veilcam_server.token_routes import router as token_router
 
 MAX_BODY = 16 * 1024
 """No request needs more than a few hundred bytes [bytes]."""
 
 
-def create_app(service: Service) -> FastAPI:
-    """Return the API of ``service``; its lifespan opens and closes the service."""
+def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
+    """Return the API of ``service``; its lifespan opens and closes the service.
+
+    Args:
+        service: what the API does.
+        gateway: who may ask; without one everybody on this machine may, as tests want it.
+    """
+    gateway = gateway or Gateway()
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -31,7 +39,8 @@ def create_app(service: Service) -> FastAPI:
         summary="A privacy camera without a lens.",
         version=__version__,
         lifespan=lifespan,
-        openapi_url="/v1/openapi.json",
+        # Served by a route of our own, which wants a scope like every other.
+        openapi_url=None,
         # Interactive pages load scripts from elsewhere; a camera calls nobody.
         docs_url=None,
         redoc_url=None,
@@ -45,8 +54,10 @@ def create_app(service: Service) -> FastAPI:
         },
     )
     app.state.service = service
+    app.state.gateway = gateway
     app.state.idempotency = IdempotencyKeys()
     app.include_router(router)
+    app.include_router(token_router)
     problems.install(app)
-    app.add_middleware(RequestContext, max_body=MAX_BODY)
+    app.add_middleware(RequestContext, gateway=gateway, max_body=MAX_BODY)
     return app

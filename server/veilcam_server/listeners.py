@@ -37,17 +37,17 @@ def open_listeners(settings: Settings) -> Iterator[list[Listener]]:
         passed = [stack.enter_context(one) for one in take_sockets()]
         if passed:
             for one in passed:
-                _require_private(one)
-            yield [Listener(one, _url(one)) for one in passed]
+                _require_private(one, settings)
+            yield [Listener(one, _url(one, settings)) for one in passed]
             return
         listener = stack.enter_context(_bind(settings))
         if settings.socket is not None:
             # What systemd opened is systemd's to remove.
             stack.callback(settings.socket.unlink, missing_ok=True)
-        yield [Listener(listener, _url(listener))]
+        yield [Listener(listener, _url(listener, settings))]
 
 
-def _require_private(passed: socket.socket) -> None:
+def _require_private(passed: socket.socket, settings: Settings) -> None:
     """A socket unit can name any address; what the settings refuse is refused here too."""
     address = passed.getsockname()
     if passed.family == socket.AF_UNIX:
@@ -58,20 +58,21 @@ def _require_private(passed: socket.socket) -> None:
             )
         return
     host = address[0]
-    if not ipaddress.ip_address(host).is_loopback:
+    if not ipaddress.ip_address(host).is_loopback and not settings.serves_others:
         raise StartError(
-            f"systemd passed a socket on {host}, and other machines cannot be served yet, for want "
-            "of TLS and tokens: use ListenStream=127.0.0.1:PORT, [::1]:PORT or a path"
+            f"systemd passed a socket on {host}, and other machines are served with TLS and tokens "
+            "only: give --tls-certificate, --tls-key and --auth tokens, or use "
+            "ListenStream=127.0.0.1:PORT, [::1]:PORT or a path"
         )
 
 
-def _url(listener: socket.socket) -> str:
+def _url(listener: socket.socket, settings: Settings) -> str:
     if listener.family == socket.AF_UNIX:
         return f"unix://{Path(listener.getsockname()).resolve()}"
     host, port = listener.getsockname()[:2]
-    return (
-        f"http://[{host}]:{port}" if listener.family == socket.AF_INET6 else f"http://{host}:{port}"
-    )
+    scheme = "http" if settings.tls_certificate is None else "https"
+    name = f"[{host}]" if listener.family == socket.AF_INET6 else host
+    return f"{scheme}://{name}:{port}"
 
 
 def _bind(settings: Settings) -> socket.socket:

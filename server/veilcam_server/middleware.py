@@ -1,4 +1,4 @@
-"""Around every request: its id, host check, body limit, log line, and the last resort."""
+"""Around every request: its id, who asks, body limit, audit, log line, and the last resort."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ import re
 import secrets
 import time
 import traceback
+from contextlib import ExitStack
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from veilcam_server.access import ANYONE
-from veilcam_server.problems import problem_response
+from veilcam_server.gateway import Gateway
+from veilcam_server.problems import code_of, error_response, problem_response
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
-_LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d{1,5})?", re.IGNORECASE)
+MAX_PATH = 128
+"""Longest path that the audit log repeats."""
 
 log = structlog.get_logger()
 
@@ -24,8 +26,8 @@ log = structlog.get_logger()
 class RequestContext:
     """Pure ASGI, so that event streams pass through unbuffered."""
 
-    def __init__(self, app: ASGIApp, max_body: int) -> None:
-        self._app, self._max_body = app, max_body
+    def __init__(self, app: ASGIApp, gateway: Gateway, max_body: int) -> None:
+        self._app, self._gateway, self._max_body = app, gateway, max_body
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -35,10 +37,10 @@ class RequestContext:
         headers = Headers(scope=scope)
         asked = headers.get("x-request-id", "")
         request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
-        scope.setdefault("state", {})["request_id"] = request_id
-        scope["state"]["caller"] = ANYONE
-        status = 0
-        begun = time.monotonic()
+        state = scope.setdefault("state", {})
+        state.update(request_id=request_id, caller=None, problem=None)
+        peer = scope["client"][0] if scope.get("client") else "local socket"
+        begun, status = time.monotonic(), 0
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
@@ -47,21 +49,21 @@ class RequestContext:
                 answer = MutableHeaders(scope=message)
                 answer["X-Request-Id"] = request_id
                 answer["Cache-Control"] = "no-store"
+                self._audit(scope, status, peer)
             await send(message)
 
         try:
-            # A page in a browser can make its own name resolve to this machine (DNS rebinding);
-            # the Host header then betrays it.
-            if not _LOOPBACK.fullmatch(headers.get("host", "")):
-                response = problem_response(
-                    code="host_refused",
-                    detail="this daemon answers to localhost only: use http://localhost:PORT",
-                    instance=scope["path"],
-                    request_id=request_id,
-                )
-                await response(scope, receive, send_with_id)
-                return
-            await self._app(scope, self._limited(receive), send_with_id)
+            with ExitStack() as stack:
+                try:
+                    state["caller"] = stack.enter_context(self._gateway.admitted(headers, peer))
+                except Exception as error:
+                    state["problem"] = code_of(error)
+                    if state["problem"] is None:
+                        raise
+                    response = error_response(error, instance=scope["path"], request_id=request_id)
+                    await response(scope, receive, send_with_id)
+                    return
+                await self._app(scope, self._limited(receive), send_with_id)
         except Exception as error:
             # The text of an error that nobody foresaw may hold anything, so it is not logged.
             log.error(
@@ -75,6 +77,7 @@ class RequestContext:
             )
             if status:
                 raise
+            state["problem"] = "internal_error"
             response = problem_response(
                 code="internal_error",
                 detail="the daemon has a defect: its log tells more under this request id",
@@ -91,6 +94,21 @@ class RequestContext:
                 status=status,
                 ms=round(1e3 * (time.monotonic() - begun), 1),
             )
+
+    def _audit(self, scope: Scope, status: int, peer: str) -> None:
+        """Note everything but what was only read; who watches the events learns what is seen."""
+        path, state = scope["path"], scope["state"]
+        only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
+        if only_read and status < 400:
+            return
+        self._gateway.note(
+            state["caller"],
+            f"{scope['method']} {path[:MAX_PATH]}",
+            code=state["problem"],
+            status=status,
+            request=state["request_id"],
+            peer=peer,
+        )
 
     def _limited(self, receive: Receive) -> Receive:
         """Stop reading a body that is too large, whatever length it claims to have."""

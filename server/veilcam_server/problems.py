@@ -17,10 +17,19 @@ from veilcam_server.errors import (
     EpochError,
     FenceError,
     ForbiddenError,
+    HostRefusedError,
     IdempotencyError,
+    LeasedError,
     NotReadyError,
     QueueFullError,
+    RateLimitError,
     RotationImpossibleError,
+    TokensOffError,
+    TokenStoreError,
+    TooManyRequestsError,
+    TooManyStreamsError,
+    UnauthorizedError,
+    UnknownTokenError,
     WithheldError,
 )
 
@@ -36,30 +45,47 @@ class ProblemType:
 
 PROBLEMS: Mapping[str, ProblemType] = {
     "bad_request": ProblemType(400, "The request cannot be read"),
+    "unauthorized": ProblemType(401, "A valid token is wanted"),
     "forbidden": ProblemType(403, "The token does not allow this"),
     "embedding_withheld": ProblemType(403, "Embeddings are not released"),
     "not_found": ProblemType(404, "There is nothing at this path"),
+    "unknown_token": ProblemType(404, "There is no such token"),
     "method_not_allowed": ProblemType(405, "This path does not take this method"),
     "not_acceptable": ProblemType(406, "None of the accepted media types can be given"),
     "rotation_impossible": ProblemType(409, "There is no other mask"),
+    "tokens_off": ProblemType(409, "This daemon wants no tokens"),
     "body_too_large": ProblemType(413, "The body is too large"),
     "host_refused": ProblemType(421, "This host name is not served"),
     "invalid_request": ProblemType(422, "The request is not valid"),
     "idempotency_key_reused": ProblemType(422, "The idempotency key belongs to another request"),
+    "leased": ProblemType(423, "Somebody else holds the camera", retryable=True),
     "queue_full": ProblemType(429, "Too many captures are waiting", retryable=True),
+    "rate_limited": ProblemType(429, "Too many requests in a short time", retryable=True),
+    "too_many_requests": ProblemType(429, "Too many requests at once", retryable=True),
+    "too_many_streams": ProblemType(429, "Too many event streams are open", retryable=True),
     "internal_error": ProblemType(500, "The daemon has a defect"),
     "not_ready": ProblemType(503, "The camera takes no captures now", retryable=True),
     "display_failed": ProblemType(503, "The panel failed", retryable=True),
     "sensor_failed": ProblemType(503, "The sensor failed", retryable=True),
     "sensor_timeout": ProblemType(503, "The sensor gave no reading in time", retryable=True),
     "fence_violated": ProblemType(503, "The reading could not be trusted", retryable=True),
+    "tokens_unavailable": ProblemType(503, "The tokens are out of reach", retryable=True),
     "epoch_not_recorded": ProblemType(503, "The mask epoch is not durable", retryable=True),
 }
 
 _CODES: tuple[tuple[type[Exception], str], ...] = (
+    (HostRefusedError, "host_refused"),
+    (UnauthorizedError, "unauthorized"),
     (ForbiddenError, "forbidden"),
+    (UnknownTokenError, "unknown_token"),
+    (TokensOffError, "tokens_off"),
+    (TokenStoreError, "tokens_unavailable"),
     (RotationImpossibleError, "rotation_impossible"),
     (WithheldError, "embedding_withheld"),
+    (RateLimitError, "rate_limited"),
+    (TooManyRequestsError, "too_many_requests"),
+    (TooManyStreamsError, "too_many_streams"),
+    (LeasedError, "leased"),
     (IdempotencyError, "idempotency_key_reused"),
     (QueueFullError, "queue_full"),
     (NotReadyError, "not_ready"),
@@ -77,7 +103,6 @@ _HTTP_CODES = {
         ("method_not_allowed", 405),
         ("not_acceptable", 406),
         ("body_too_large", 413),
-        ("host_refused", 421),
     )
 }
 _RETRY_AFTER = 1
@@ -127,24 +152,28 @@ def install(app: FastAPI) -> None:
         app.add_exception_handler(kind, _on_error)
 
 
-async def _on_error(request: Request, error: Exception) -> Response:
+def error_response(error: Exception, *, instance: str, request_id: str) -> Response:
+    """Return the answer for an error of the daemon."""
     code = code_of(error) or "internal_error"
     headers = {}
     if PROBLEMS[code].retryable:
-        wait = error.retry_after if isinstance(error, QueueFullError) else _RETRY_AFTER
-        headers["Retry-After"] = str(wait)
+        headers["Retry-After"] = str(getattr(error, "retry_after", _RETRY_AFTER))
+    if isinstance(error, UnauthorizedError):
+        headers["WWW-Authenticate"] = 'Bearer realm="veilcam"'
     return problem_response(
-        code=code,
-        detail=str(error),
-        instance=request.url.path,
-        request_id=request.state.request_id,
-        headers=headers,
+        code=code, detail=str(error), instance=instance, request_id=request_id, headers=headers
     )
+
+
+async def _on_error(request: Request, error: Exception) -> Response:
+    request.state.problem = code_of(error)
+    return error_response(error, instance=request.url.path, request_id=request.state.request_id)
 
 
 async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 - that is what it is registered for
     code = _HTTP_CODES.get(error.status_code, "bad_request")
+    request.state.problem = code
     detail = str(error.detail)
     if detail == HTTPStatus(error.status_code).phrase:
         detail = f"{request.method} {request.url.path}: {PROBLEMS[code].title.lower()}"
@@ -164,6 +193,7 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
         FieldError(location=".".join(str(part) for part in item["loc"]), message=str(item["msg"]))
         for item in error.errors()
     )
+    request.state.problem = "invalid_request"
     return problem_response(
         code="invalid_request",
         detail="; ".join(f"{item.location}: {item.message}" for item in errors),

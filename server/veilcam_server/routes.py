@@ -2,75 +2,42 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Header, Request
+from fastapi import APIRouter, Depends, FastAPI, Header, Request
 from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
 from veilcam_client.models import (
     NPY_MEDIA_TYPE,
-    PROBLEM_MEDIA_TYPE,
     Capture,
     Classification,
     ClassificationRequest,
-    Problem,
     Rotation,
     RotationPolicy,
     Status,
 )
-from veilcam_server.access import requires
-from veilcam_server.idempotency import IdempotencyKeys
+from veilcam_server.access import Caller, CallerDep, requires
+from veilcam_server.dependencies import (
+    BODY,
+    GatewayDep,
+    OnceDep,
+    ServiceDep,
+    problems,
+)
 from veilcam_server.negotiation import preferred
-from veilcam_server.problems import PROBLEMS
 from veilcam_server.service import Service
 
 RETRY_MS = 1000
 """What a browser waits before it reconnects to the events."""
 
 
-def _service(request: Request) -> Service:
-    service: Service = request.app.state.service
-    return service
-
-
-def _keys(request: Request) -> IdempotencyKeys:
-    keys: IdempotencyKeys = request.app.state.idempotency
-    return keys
-
-
-async def _fingerprint(request: Request) -> bytes:
-    head = f"{request.method} {request.url.path}\n".encode()
-    return hashlib.sha256(head + await request.body()).digest()
-
-
-ServiceDep = Annotated[Service, Depends(_service)]
-KeysDep = Annotated[IdempotencyKeys, Depends(_keys)]
-FingerprintDep = Annotated[bytes, Depends(_fingerprint)]
-IdempotencyKey = Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,128}$")]
 LastEventId = Annotated[str | None, Header(max_length=128)]
-
-
-def _problems(*codes: str) -> dict[int | str, dict[str, object]]:
-    """OpenAPI entries for the problems that a route can answer with."""
-    answers: dict[int | str, dict[str, object]] = {}
-    for status in sorted({PROBLEMS[code].status for code in codes}):
-        names = ", ".join(code for code in codes if PROBLEMS[code].status == status)
-        answers[status] = {
-            "description": names,
-            "content": {PROBLEM_MEDIA_TYPE: {"schema": Problem.model_json_schema()}},
-        }
-    return answers
-
-
-_ANY = ("bad_request", "forbidden", "host_refused", "internal_error")
-_BODY = ("body_too_large", "invalid_request")
-_DEVICE = (
+DEVICE = (
     "queue_full",
     "not_ready",
     "rotation_impossible",
@@ -79,13 +46,25 @@ _DEVICE = (
     "sensor_timeout",
     "fence_violated",
     "epoch_not_recorded",
-    "idempotency_key_reused",
 )
+"""What a route that needs the device can answer with besides."""
 
 router = APIRouter(prefix="/v1", redirect_slashes=False)
 
 
-@router.get("/status", dependencies=[requires("read:status")], responses=_problems(*_ANY))
+async def _stream_place(gateway: GatewayDep) -> AsyncIterator[None]:
+    with gateway.streams.held():
+        yield
+
+
+def _require_embedding(caller: Caller, service: Service) -> None:
+    """Before anything is captured: what leaves here must not leave for this caller otherwise."""
+    caller.require("read:embedding")
+    if service.release == "raw":
+        caller.require("read:embedding:raw")
+
+
+@router.get("/status", dependencies=[requires("read:status")], responses=problems())
 async def status(service: ServiceDep) -> Status:
     """State, device, bundle, rotation and queue."""
     return service.status()
@@ -97,21 +76,21 @@ async def status(service: ServiceDep) -> Status:
     response_model=Capture,
     responses={
         200: {"content": {NPY_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}},
-        **_problems(*_ANY, *_BODY, *_DEVICE, "embedding_withheld", "not_acceptable"),
+        **problems(*BODY, *DEVICE, "embedding_withheld", "not_acceptable"),
     },
 )
 async def capture(
     service: ServiceDep,
-    keys: KeysDep,
-    fingerprint: FingerprintDep,
+    caller: CallerDep,
+    once: OnceDep,
     accept: Annotated[str, Header()] = "*/*",
-    idempotency_key: IdempotencyKey = None,
 ) -> Response:
     """Take one embedding; ``Accept: application/x-npy`` gives the array alone, as float32."""
+    _require_embedding(caller, service)
     media_type = preferred(accept, ("application/json", NPY_MEDIA_TYPE))
     if media_type is None:
         raise HTTPException(406, f"captures come as application/json or {NPY_MEDIA_TYPE}")
-    taken = await keys.once(idempotency_key, fingerprint, service.capture)
+    taken = await once(service.capture)
     if media_type == NPY_MEDIA_TYPE:
         buffer = io.BytesIO()
         np.save(buffer, np.asarray(taken), allow_pickle=False)
@@ -127,25 +106,22 @@ async def capture(
 @router.post(
     "/classifications",
     dependencies=[requires("classify")],
-    responses=_problems(*_ANY, *_BODY, *_DEVICE, "embedding_withheld"),
+    responses=problems(*BODY, *DEVICE, "embedding_withheld"),
 )
 async def classify(
     service: ServiceDep,
-    keys: KeysDep,
-    fingerprint: FingerprintDep,
+    caller: CallerDep,
+    once: OnceDep,
     question: ClassificationRequest | None = None,
-    idempotency_key: IdempotencyKey = None,
 ) -> Classification:
     """Take one embedding and classify it with what reads behind its own mask."""
     include_embedding = question is not None and question.include_embedding
-    return await keys.once(
-        idempotency_key,
-        fingerprint,
-        lambda: service.classify(include_embedding=include_embedding),
-    )
+    if include_embedding:
+        _require_embedding(caller, service)
+    return await once(lambda: service.classify(include_embedding=include_embedding))
 
 
-@router.get("/rotation", dependencies=[requires("read:status")], responses=_problems(*_ANY))
+@router.get("/rotation", dependencies=[requires("read:status")], responses=problems())
 async def rotation(service: ServiceDep) -> Rotation:
     """When masks change, and the present epoch."""
     return service.rotation()
@@ -154,7 +130,7 @@ async def rotation(service: ServiceDep) -> Rotation:
 @router.put(
     "/rotation",
     dependencies=[requires("mask:rotate")],
-    responses=_problems(*_ANY, *_BODY, "rotation_impossible"),
+    responses=problems(*BODY, "rotation_impossible"),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     """Change when masks change: off, every N seconds, or every N captures."""
@@ -164,23 +140,21 @@ async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
 @router.post(
     "/rotation/advance",
     dependencies=[requires("mask:rotate")],
-    responses=_problems(*_ANY, *_BODY, *_DEVICE),
+    responses=problems(*BODY, *DEVICE),
 )
 async def advance(
     service: ServiceDep,
-    keys: KeysDep,
-    fingerprint: FingerprintDep,
-    idempotency_key: IdempotencyKey = None,
+    once: OnceDep,
 ) -> Rotation:
     """Show another mask now."""
-    return await keys.once(idempotency_key, fingerprint, service.rotate)
+    return await once(service.rotate)
 
 
 @router.get(
     "/events",
-    dependencies=[requires("read:status")],
+    dependencies=[requires("read:status"), Depends(_stream_place)],
     response_class=EventSourceResponse,
-    responses=_problems(*_ANY, "invalid_request"),
+    responses=problems("invalid_request", "too_many_streams"),
 )
 async def events(
     service: ServiceDep, last_event_id: LastEventId = None
@@ -192,3 +166,10 @@ async def events(
             yield ServerSentEvent(comment="heartbeat")
         else:
             yield ServerSentEvent(raw_data=event.model_dump_json(), event=event.kind, id=event.id)
+
+
+@router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())
+async def openapi(request: Request) -> dict[str, Any]:
+    """This document."""
+    app: FastAPI = request.app
+    return app.openapi()

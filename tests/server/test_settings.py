@@ -10,9 +10,10 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from veilcam_client.models import EveryCaptures
-from veilcam_server.cli import app, one_line
+from veilcam_server.cli import app
 from veilcam_server.demo_data import KEYRING
 from veilcam_server.settings import Settings, default_state_dir
+from veilcam_server.terminal import one_line
 
 runner = CliRunner()
 
@@ -23,9 +24,33 @@ def refused(**given: Any) -> str:
     return one_line(caught.value)
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "camera.example", ""])
-def test_other_machines_are_not_served(host: str) -> None:
-    assert "--host: other machines cannot be served yet" in refused(host=host)
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::"])
+def test_other_machines_are_served_with_tls_and_tokens_only(host: str) -> None:
+    tls = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
+    for given in ({}, {"auth": "tokens"}, {"auth": "none", **tls}):
+        assert f"--host {host}: other machines are served with TLS" in refused(host=host, **given)
+    made = Settings.model_validate({"bundle": Path("a.veilcam"), "host": host, **tls})
+    assert made.serves_others
+    assert made.auth == "tokens"
+
+
+@pytest.mark.parametrize("host", ["camera.example", ""])
+def test_a_host_is_an_address(host: str) -> None:
+    assert "is no IP address" in refused(host=host)
+
+
+def test_tokens_are_wanted_unless_the_camera_is_simulated() -> None:
+    assert Settings(bundle=Path("a.veilcam")).auth == "tokens"
+    assert Settings.model_validate({"device": "simulated"}).auth == "none"
+    assert Settings.model_validate({"device": "simulated", "auth": "tokens"}).auth == "tokens"
+    assert Settings(bundle=Path("a.veilcam"), auth="none").auth == "none"
+
+
+def test_certificate_and_key_go_together() -> None:
+    assert "give both" in refused(tls_certificate=Path("c.pem"))
+    assert "give both" in refused(tls_key=Path("k.pem"))
+    both = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
+    assert "needs no TLS" in refused(socket=Path("s"), **both)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])
@@ -52,6 +77,11 @@ def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
         ("capture_timeout", 0.0),
         ("queue_limit", 0),
         ("heartbeat", 0.0),
+        ("auth", "sometimes"),
+        ("rate_limit", 0.0),
+        ("rate_burst", 0),
+        ("concurrency_limit", 0),
+        ("stream_limit", 0),
         ("log_level", "loud"),
         ("device_label", ""),
         ("device_label", "x" * 256),
@@ -101,7 +131,7 @@ def test_state_goes_where_systemd_says(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--reuse", "2"], "--reuse goes with --every-seconds or --every-captures"),
         (["--every-captures", "2", "--reuse", "-1"], "--reuse: Input should be greater than"),
         (["--release", "everything"], "--release: Input should be 'none'"),
-        (["--host", "0.0.0.0"], "other machines cannot be served yet"),
+        (["--host", "0.0.0.0"], "other machines are served with TLS and tokens only"),
         (["--port", "-1"], "--port: "),
         (["--settle", "-1"], "--settle: "),
     ],

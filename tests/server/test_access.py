@@ -1,0 +1,334 @@
+"""Who gets in, for what, how often, and what is written down of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from veilcam_client.models import PROBLEM_MEDIA_TYPE
+from veilcam_client.tokens import SCOPES, NewToken, Scope
+from veilcam_server.app import create_app
+from veilcam_server.audit import DONE, REFUSED, AuditLog
+from veilcam_server.gateway import Gateway
+from veilcam_server.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.tokens import TokenStore
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[TokenStore]:
+    store = TokenStore(tmp_path / "state")
+    yield store
+    store.close()
+
+
+def bearer(store: TokenStore, *scopes: Scope) -> dict[str, str]:
+    return {"Authorization": f"Bearer {store.create('test', scopes, None).secret}"}
+
+
+def filled(path: str) -> str:
+    """A path with something in the place of its parameters."""
+    return "/".join("000000000000" if "{" in part else part for part in path.split("/"))
+
+
+def scopes_of(operation: dict[str, Any]) -> list[str]:
+    return [scope for each in operation.get("security", []) for scope in each.get("token", [])]
+
+
+async def test_every_route_wants_a_scope_and_lets_nobody_in_without(
+    running: Running, store: TokenStore, bench: Bench
+) -> None:
+    tokens = {scope: bearer(store, scope) for scope in SCOPES}
+    async with running(gateway=Gateway(tokens=store)) as client:
+        document = await client.get("/v1/openapi.json", headers=tokens["read:status"])
+        paths = document.json()["paths"]
+        assert len(paths) > 5
+        for path, operations in paths.items():
+            for method, operation in operations.items():
+                wanted = scopes_of(operation)
+                assert wanted, f"{method} {path} wants no scope"
+                assert set(wanted) <= set(SCOPES)
+                answer = await client.request(method, filled(path))
+                assert answer.status_code == 401, (method, path)
+                for scope, headers in tokens.items():
+                    if scope in wanted:
+                        continue
+                    answer = await client.request(method, filled(path), headers=headers, json={})
+                    assert answer.status_code == 403, (method, path, scope)
+                    assert answer.json()["code"] == "forbidden"
+                    assert f"the scope {wanted[0]}:" in answer.json()["detail"]
+    assert bench.sensor.captures == 0
+
+
+async def test_every_route_is_in_the_openapi_document(bench: Bench) -> None:
+    def walk(routes: Any) -> Iterator[tuple[str, str]]:
+        for route in routes:
+            inner = getattr(route, "original_router", None)
+            if inner is not None:
+                yield from walk(inner.routes)
+            else:
+                for method in route.methods - {"HEAD", "OPTIONS"}:
+                    yield method.lower(), route.path
+
+    app = create_app(bench.service(bench.camera()))
+    known = {
+        (method, path) for path, methods in app.openapi()["paths"].items() for method in methods
+    }
+    assert set(walk(app.routes)) == known
+
+
+async def test_all_ways_to_be_nobody_look_alike(running: Running, store: TokenStore) -> None:
+    expired = store.create("gone", ("read:status",), 1e-6)
+    revoked = store.create("revoked", ("read:status",), None)
+    store.revoke(revoked.id)
+    unknown = f"vc_{'0' * 12}_{'0' * 64}"
+    given: list[list[tuple[str, str]]] = [
+        [],
+        [("Authorization", "")],
+        [("Authorization", "nonsense")],
+        *(
+            [("Authorization", f"Bearer {token}")]
+            for token in (expired.secret, revoked.secret, unknown)
+        ),
+        [*bearer(store, "read:status").items()] * 2,
+    ]
+    answers = set()
+    async with running(gateway=Gateway(tokens=store)) as client:
+        for headers in given:
+            for path in ("/v1/status", "/v1/nothing"):
+                answer = await client.get(path, headers=[*headers, ("X-Request-Id", "same")])
+                assert answer.status_code == 401
+                assert answer.headers["content-type"] == PROBLEM_MEDIA_TYPE
+                assert answer.headers["www-authenticate"] == 'Bearer realm="veilcam"'
+                answers.add(answer.text.replace(path, ""))
+    assert len(answers) == 1
+
+
+async def test_nothing_of_a_body_is_read_without_a_token(
+    running: Running, store: TokenStore
+) -> None:
+    read = 0
+
+    async def body() -> Any:
+        nonlocal read
+        for _ in range(10):
+            read += 1
+            yield b"x"
+
+    async with running(gateway=Gateway(tokens=store)) as client:
+        answer = await client.put("/v1/rotation", content=body())
+    assert answer.status_code == 401
+    assert read == 0
+
+
+async def test_raw_embeddings_want_a_scope_more(
+    running: Running, bench: Bench, store: TokenStore
+) -> None:
+    ordinary = bearer(store, "read:embedding", "classify")
+    full = bearer(store, "read:embedding", "read:embedding:raw", "classify")
+    classify = bearer(store, "classify")
+    wanted = {"include_embedding": True}
+    async with running(gateway=Gateway(tokens=store)) as client:
+        for headers, scope in ((ordinary, "read:embedding:raw"), (classify, "read:embedding")):
+            refused = [
+                await client.post("/v1/captures", headers=headers),
+                await client.post("/v1/classifications", headers=headers, json=wanted),
+            ]
+            for answer in refused:
+                assert answer.json()["code"] == "forbidden"
+                assert f"the scope {scope}:" in answer.json()["detail"]
+        assert bench.sensor.captures == 0
+        assert (await client.post("/v1/classifications", headers=classify)).is_success
+        assert (await client.post("/v1/captures", headers=full)).is_success
+        answer = await client.post("/v1/classifications", headers=full, json=wanted)
+        assert answer.json()["embedding"]["form"] == "raw"
+
+
+async def test_white_embeddings_want_no_more(
+    running: Running, fresh_bench: Bench, store: TokenStore
+) -> None:
+    headers = bearer(store, "read:embedding")
+    async with running(gateway=Gateway(tokens=store), on=fresh_bench) as client:
+        answer = await client.post("/v1/captures", headers=headers)
+    assert answer.json()["embedding"]["form"] == "white"
+
+
+async def test_an_idempotency_key_is_a_caller_s_own(
+    running: Running, store: TokenStore, bench: Bench
+) -> None:
+    key = {"Idempotency-Key": "k"}
+    scopes: tuple[Scope, ...] = ("read:embedding", "read:embedding:raw")
+    first, second = bearer(store, *scopes), bearer(store, *scopes)
+    async with running(gateway=Gateway(tokens=store)) as client:
+        answers = [
+            await client.post("/v1/captures", headers={**key, **headers})
+            for headers in (first, second, first)
+        ]
+    assert bench.sensor.captures == 2
+    assert answers[0].content == answers[2].content != answers[1].content
+
+
+async def test_other_hosts_are_served_where_others_are(running: Running, store: TokenStore) -> None:
+    headers = {**bearer(store, "read:status"), "Host": "camera.example"}
+    for gateway, status in (
+        (Gateway(tokens=store), 421),
+        (Gateway(tokens=store, this_machine=False), 200),
+    ):
+        async with running(gateway=gateway) as client:
+            assert (await client.get("/v1/status", headers=headers)).status_code == status
+
+
+async def test_who_asks_too_often_waits_and_others_do_not(
+    running: Running, store: TokenStore
+) -> None:
+    now = 0.0
+    gateway = Gateway(tokens=store, rate=RateLimit(0.5, 2, lambda: now))
+    hasty, other = bearer(store, "read:status"), bearer(store, "read:status")
+    async with running(gateway=gateway) as client:
+
+        async def ask(headers: dict[str, str]) -> int:
+            return (await client.get("/v1/status", headers=headers)).status_code
+
+        assert [await ask(hasty) for _ in range(3)] == [200, 200, 429]
+        refused = await client.get("/v1/status", headers=hasty)
+        assert refused.json()["code"] == "rate_limited"
+        assert refused.headers["retry-after"] == "2"
+        assert await ask(other) == 200
+        # Who guesses is slowed down, and locks nobody out.
+        assert [await ask({}) for _ in range(3)] == [401, 401, 429]
+        assert await ask(other) == 200
+        now = 2.0
+        assert [await ask(hasty) for _ in range(2)] == [200, 429]
+
+
+def test_buckets_of_callers_are_bounded() -> None:
+    limit = RateLimit(1.0, 1, lambda: 0.0)
+    for number in range(5000):
+        limit.take(str(number))
+    assert len(limit._buckets) <= 1024
+
+
+async def test_so_many_requests_at_once(running: Running, store: TokenStore, bench: Bench) -> None:
+    import threading
+
+    go_on = threading.Event()
+    gateway = Gateway(tokens=store, concurrency=ConcurrencyLimit(1))
+    headers, other = bearer(store, "classify"), bearer(store, "read:status")
+    bench.sensor.before = lambda: (go_on.wait(10), None)[1]
+    async with running(gateway=gateway) as client:
+        first = asyncio.create_task(client.post("/v1/classifications", headers=headers))
+        while (await client.get("/v1/status", headers=other)).json()["queue"]["waiting"] == 0:
+            await asyncio.sleep(0.01)
+        refused = await client.post("/v1/classifications", headers=headers)
+        assert refused.json()["code"] == "too_many_requests"
+        assert int(refused.headers["retry-after"]) >= 1
+        go_on.set()
+        assert (await first).is_success
+        assert (await client.post("/v1/classifications", headers=headers)).is_success
+
+
+async def test_so_many_event_streams(running: Running) -> None:
+    async with running(gateway=Gateway(streams=StreamLimit(0))) as client:
+        refused = await client.get("/v1/events")
+    assert refused.json()["code"] == "too_many_streams"
+    limit = StreamLimit(1)
+    with limit.held(), pytest.raises(Exception, match="1 event streams are open"):
+        limit.held().__enter__()
+    with limit.held():
+        pass
+
+
+# The audit log.
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Iterator[tuple[AuditLog, AuditLog]]:
+    done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
+    yield done, refused
+    done.close()
+    refused.close()
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+async def test_the_audit_log_says_who_did_what(
+    running: Running, store: TokenStore, logs: tuple[AuditLog, AuditLog], tmp_path: Path
+) -> None:
+    token: NewToken = store.create("a lamp", ("classify", "read:status"), None)
+    gateway = Gateway(store, True, *logs, RateLimit(1e-9, 4))
+    async with running(gateway=gateway) as client:
+        await client.post("/v1/classifications", content=b"{}")
+        client.headers["Authorization"] = f"Bearer {token.secret}"
+        request = {"X-Request-Id": "r-1", "Content-Type": "application/json"}
+        await client.post("/v1/classifications", headers=request, content=b"{}")
+        await client.get("/v1/status")
+        await client.post("/v1/rotation/advance")
+        await client.get("/v1/nothing/" + "x" * 500)
+        for _ in range(5):
+            assert (await client.post("/v1/classifications")).status_code == 429
+    done, refused = lines(tmp_path / DONE), lines(tmp_path / REFUSED)
+    assert [(entry["action"][:30], entry["status"], entry.get("code")) for entry in done] == [
+        ("POST /v1/classifications", 200, None),
+        ("POST /v1/rotation/advance", 403, "forbidden"),
+        ("GET /v1/nothing/" + "x" * 14, 404, "not_found"),
+    ]
+    assert {(entry["caller"], entry["label"]) for entry in done} == {(token.id, "a lamp")}
+    assert done[0]["request"] == "r-1"
+    assert done[0]["at"] < done[1]["at"]
+    assert [entry["code"] for entry in refused] == ["unauthorized"]
+    assert "caller" not in refused[0]
+    text = (tmp_path / DONE).read_text() + (tmp_path / REFUSED).read_text()
+    assert token.secret.rpartition("_")[2] not in text
+    assert max(map(len, text.splitlines())) < 500
+
+
+async def test_full_files_are_numbered_and_the_oldest_go(tmp_path: Path) -> None:
+    from veilcam_server.audit import read_audit
+
+    log = AuditLog(tmp_path / "a.jsonl", limit=400, kept=2)
+    for number in range(40):
+        log.write("act", number=number)
+    log.close()
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["a.jsonl", "a.jsonl.1", "a.jsonl.2"]
+    assert all(path.stat().st_size <= 400 for path in tmp_path.iterdir())
+    numbers = [entry["number"] for entry in read_audit(tmp_path / "a.jsonl")]
+    assert numbers == list(range(numbers[0], 40))
+    assert len(numbers) > 10
+    again = AuditLog(tmp_path / "a.jsonl", limit=400, kept=2)
+    again.write("act", number=40)
+    again.close()
+    assert read_audit(tmp_path / "a.jsonl")[-1]["number"] == 40
+
+
+async def test_an_audit_log_that_cannot_be_written_is_told_once_and_stops_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import os
+
+    log = AuditLog(tmp_path / "a.jsonl")
+    file = log._file
+    full = os.open("/dev/full", os.O_WRONLY)
+    log._file = full
+    for _ in range(3):
+        log.write("act")
+    log._file = file
+    log.write("act")
+    log.close()
+    os.close(full)
+    assert log.lost == 3
+    printed = capsys.readouterr().out
+    assert printed.count("cannot be written") == 1
+    assert printed.count("can be written again") == 1
+    assert len(lines(tmp_path / "a.jsonl")) == 1

@@ -1,0 +1,337 @@
+"""Tokens: made, listed, revoked, expired, and what a daemon makes of them meanwhile."""
+
+from __future__ import annotations
+
+import itertools
+import sqlite3
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from typer.testing import CliRunner
+
+from veilcam_client.tokens import SCOPES, NewToken, Scope, Tokens
+from veilcam_server.access import Caller
+from veilcam_server.cli import app
+from veilcam_server.errors import (
+    StartError,
+    TokenStoreError,
+    UnauthorizedError,
+    UnknownTokenError,
+)
+from veilcam_server.gateway import Gateway
+from veilcam_server.tokens import TokenStore
+
+if TYPE_CHECKING:
+    import httpx
+    from tests.server.conftest import Running
+
+runner = CliRunner()
+DAY = 86_400.0
+
+
+class Clock:
+    """A wall clock that can be set, and a monotonic one that cannot."""
+
+    def __init__(self) -> None:
+        self.wall, self.elapsed = 1.8e9, 5.0
+
+    def sleep(self, seconds: float) -> None:
+        self.wall += seconds
+        self.elapsed += seconds
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def store(tmp_path: Path, clock: Clock) -> Iterator[TokenStore]:
+    store = TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+    yield store
+    store.close()
+
+
+def make(store: TokenStore, *scopes: Scope, lifetime: float | None = None) -> NewToken:
+    return store.create("for a test", scopes or ("classify",), lifetime)
+
+
+def who(store: TokenStore, token: str) -> Caller:
+    return store.caller(f"Bearer {token}")
+
+
+def test_a_token_is_its_label_and_scopes(store: TokenStore) -> None:
+    made = make(store, "mask:rotate", "classify", "classify")
+    caller = who(store, made.secret)
+    assert (caller.id, caller.label) == (made.id, "for a test")
+    assert caller.scopes == {"classify", "mask:rotate"}
+    assert made.scopes == ("classify", "mask:rotate")
+    assert made.secret.startswith(f"vc_{made.id}_")
+    assert len(made.secret.rpartition("_")[2]) == 64  # 256 bits
+    assert made.secret not in repr(made)
+
+
+def test_secrets_are_neither_on_the_disk_nor_readable_by_others(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    made = make(store)
+    who(store, made.secret)
+    secret = made.secret.rpartition("_")[2]
+    for path in (tmp_path / "state").iterdir():
+        content = path.read_bytes()
+        assert secret.encode() not in content
+        assert bytes.fromhex(secret) not in content
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600, path
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda header: "",
+        lambda header: header.removeprefix("Bearer "),
+        lambda header: header.replace("Bearer", "Basic"),
+        lambda header: header.replace("Bearer ", "Bearer  "),
+        lambda header: header + " ",
+        lambda header: header[:-1],
+        lambda header: header[:-1] + ("0" if header[-1] != "0" else "1"),
+        lambda header: header.upper(),
+        lambda header: header.replace("vc_", "vc_ffffffffffff"),
+        lambda header: "Bearer vc_" + 12 * "0" + "_" + 64 * "0",
+        lambda header: header + "\n",
+        lambda header: "Bearer vc_" + 12 * "٣" + "_" + 64 * "٣",
+    ],
+)
+def test_what_is_not_quite_a_token_is_refused(store: TokenStore, spoil: Any) -> None:
+    header = f"Bearer {make(store).secret}"
+    store.caller(header)
+    with pytest.raises(UnauthorizedError):
+        store.caller(spoil(header))
+
+
+def test_a_revoked_token_is_refused_and_stays_on_the_list(store: TokenStore) -> None:
+    first, second = make(store), make(store)
+    revoked = store.revoke(first.id)
+    assert revoked.revoked_at is not None
+    assert store.revoke(first.id) == revoked
+    with pytest.raises(UnauthorizedError):
+        who(store, first.secret)
+    who(store, second.secret)
+    assert {token.id for token in store.tokens()} == {first.id, second.id}
+    with pytest.raises(UnknownTokenError):
+        store.revoke("0" * 12)
+
+
+def test_a_token_ends_and_a_clock_set_back_does_not_bring_it_back(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    made = make(store, lifetime=60.0)
+    clock.sleep(59)
+    who(store, made.secret)
+    clock.sleep(1)
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    clock.wall -= 1e6
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    lasting = make(store, lifetime=60.0)
+    assert lasting.expires_at is not None
+    who(store, lasting.secret)
+    # After a restart, a clock that starts in the past goes on from what was written last.
+    clock.wall = 0.0
+    again = TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+    with pytest.raises(UnauthorizedError):
+        who(again, made.secret)
+    who(again, lasting.secret)
+    clock.elapsed += 61
+    with pytest.raises(UnauthorizedError):
+        who(again, lasting.secret)
+    again.close()
+
+
+def test_a_clock_set_forward_ends_tokens(store: TokenStore, clock: Clock) -> None:
+    ending, endless = make(store, lifetime=60.0), make(store)
+    clock.wall += 3600
+    with pytest.raises(UnauthorizedError):
+        who(store, ending.secret)
+    who(store, endless.secret)
+
+
+def test_what_another_process_changes_holds_from_the_next_request_on(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    other = TokenStore(tmp_path / "state")
+    made = make(other)
+    who(store, made.secret)
+    other.revoke(made.id)
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    other.close()
+
+
+def test_a_request_writes_nothing_but_once_a_day(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    made = make(store)
+    writes = sqlite3.connect(tmp_path / "state" / "tokens.sqlite3")
+
+    def version() -> int:
+        return int(writes.execute("PRAGMA data_version").fetchone()[0])
+
+    versions = [version()]
+    for _ in range(3):
+        for _ in range(50):
+            who(store, made.secret)
+        versions.append(version())
+        clock.sleep(DAY)
+    assert all(later > earlier for earlier, later in itertools.pairwise(versions))
+    before = version()
+    who(store, made.secret)
+    after = version()
+    for _ in range(50):
+        who(store, made.secret)
+    assert version() == after != before
+    used = store.tokens()[0].last_used_on
+    assert used == "2027-01-18"
+    writes.close()
+
+
+def test_a_disk_that_takes_nothing_refuses_no_request(
+    store: TokenStore, tmp_path: Path, clock: Clock
+) -> None:
+    made = make(store)
+    blocker = sqlite3.connect(tmp_path / "state" / "tokens.sqlite3", isolation_level=None)
+    blocker.execute("BEGIN IMMEDIATE")
+    store.patience = 0.0
+    assert who(store, made.secret).id == made.id
+    with pytest.raises(TokenStoreError, match="cannot be written"):
+        make(store)
+    blocker.close()
+
+
+def test_a_file_that_is_no_database_is_a_reason_not_to_start(tmp_path: Path) -> None:
+    (tmp_path / "tokens.sqlite3").write_bytes(b"no database" * 100)
+    with pytest.raises(StartError, match=r"tokens\.sqlite3 cannot be used .* --state-dir"):
+        TokenStore(tmp_path)
+
+
+# Over HTTP.
+
+
+def bearer(token: NewToken) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token.secret}"}
+
+
+@pytest.mark.anyio
+async def test_tokens_over_http(running: Running, store: TokenStore) -> None:
+    admin = make(store, "admin:tokens", "read:status")
+    async with running(gateway=Gateway(tokens=store)) as client:
+        client.headers.update(bearer(admin))
+        asked = {"label": "a lamp", "scopes": ["read:status"], "seconds": 60}
+        answer = await client.post("/v1/tokens", json=asked, headers={"Idempotency-Key": "k"})
+        again = await client.post("/v1/tokens", json=asked, headers={"Idempotency-Key": "k"})
+        assert answer.status_code == 201
+        made = NewToken.model_validate_json(answer.content)
+        assert again.content == answer.content
+        assert made.expires_at is not None
+        assert (await client.get("/v1/status", headers=bearer(made))).is_success
+
+        listed = await client.get("/v1/tokens")
+        tokens = Tokens.model_validate_json(listed.content).tokens
+        assert [token.id for token in tokens] == [admin.id, made.id]
+        assert made.secret not in listed.text
+
+        revoked = await client.delete(f"/v1/tokens/{made.id}")
+        assert revoked.is_success
+        assert (await client.get("/v1/status", headers=bearer(made))).status_code == 401
+        assert (await client.delete("/v1/tokens/000000000000")).json()["code"] == "unknown_token"
+        assert (await client.delete("/v1/tokens/x")).status_code == 422
+
+
+@pytest.mark.anyio
+async def test_nobody_makes_a_token_that_allows_more_or_lasts_longer(
+    running: Running, store: TokenStore
+) -> None:
+    admin = make(store, "admin:tokens", "read:status", lifetime=100.0)
+    async with running(gateway=Gateway(tokens=store)) as client:
+        client.headers.update(bearer(admin))
+
+        async def ask(seconds: int | None, *scopes: str) -> httpx.Response:
+            body = {"label": "more", "scopes": scopes, "seconds": seconds}
+            return await client.post("/v1/tokens", json=body)
+
+        refused = await ask(50, "read:status", "classify")
+        assert refused.status_code == 403
+        assert "the scope classify" in refused.json()["detail"]
+        for seconds in (None, 101):
+            assert (await ask(seconds, "read:status")).json()["code"] == "forbidden"
+        assert (await ask(50, "read:status", "admin:tokens")).status_code == 201
+        for scopes in ((), ("everything",)):
+            assert (await ask(50, *scopes)).status_code == 422
+        assert len(store.tokens()) == 2
+
+
+@pytest.mark.anyio
+async def test_where_no_tokens_are_wanted_none_are_made(running: Running) -> None:
+    async with running() as client:
+        for answer in (
+            await client.get("/v1/tokens"),
+            await client.post("/v1/tokens", json={"label": "x", "scopes": list(SCOPES)}),
+            await client.delete("/v1/tokens/000000000000"),
+        ):
+            assert answer.json()["code"] == "tokens_off"
+
+
+# From a terminal.
+
+
+def run(*arguments: str | Path) -> str:
+    result = runner.invoke(app, ["token", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_tokens_from_a_terminal(tmp_path: Path) -> None:
+    where = ("--state-dir", tmp_path / "state")
+    assert "no tokens" in run("list", *where)
+    secret = run(
+        "create", "--label", "lamp", "--scope", "classify", "--scope", "metrics", *where
+    ).strip()
+    run("create", "--label", "guest", "--scope", "read:status", "--days", "0.5", *where)
+    store = TokenStore(tmp_path / "state")
+    caller = who(store, secret)
+    assert caller.label == "lamp"
+    assert caller.scopes == {"classify", "metrics"}
+    listed = run("list", *where)
+    assert "lamp" in listed
+    assert "classify metrics" in listed
+    assert "never used" in listed
+    assert secret not in listed
+    assert len(Tokens.model_validate_json(run("list", "--json", *where)).tokens) == 2
+    assert run("revoke", caller.id, *where) == f"revoked {caller.id}\n"
+    with pytest.raises(UnauthorizedError):
+        who(store, secret)
+    store.close()
+    assert "revoked " in run("list", *where)
+    audited = runner.invoke(app, ["audit", *map(str, where)]).stdout
+    assert audited.count("token create") == 2
+    assert audited.count("token revoke") == 1
+    assert secret not in audited
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["create", "--label", "x", "--scope", "everything"], "--scopes: Input should be"),
+        (["create", "--label", "", "--scope", "classify"], "--label: "),
+        (["create", "--label", "x", "--scope", "classify", "--days", "0"], "--days: "),
+        (["revoke", "nothing"], "there is no token of this id"),
+    ],
+)
+def test_a_mistake_ends_with_one_line(tmp_path: Path, arguments: list[str], message: str) -> None:
+    result = runner.invoke(app, ["token", *arguments, "--state-dir", str(tmp_path)])
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
