@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from veilcam_client import VeilcamError
 from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
-from veilcam_server import audit_command, logs, token_command
+from veilcam_server import audit_command, calibration_command, logs, token_command
 from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, Digits, load_digits
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import StartError, StoppedError
@@ -27,6 +27,7 @@ app = typer.Typer(
 )
 app.add_typer(token_command.app, name="token")
 app.command("audit")(audit_command.audit)
+app.command()(calibration_command.calibrate)
 
 
 @app.callback()
@@ -90,7 +91,17 @@ def serve(
             "none for pairs (raw when simulated)."
         ),
     ] = None,
-    settle: Annotated[float | None, typer.Option(help="Time for the panel to settle [s].")] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="Record of 'veilcamd calibrate'; by default the one in the state directory, "
+            "if there is one."
+        ),
+    ] = None,
+    settle: Annotated[
+        float | None,
+        typer.Option(help="Time for the panel to settle, never less than was measured [s]."),
+    ] = None,
     exposure: Annotated[float | None, typer.Option(help="Simulated exposure [s].")] = None,
     snr_db: Annotated[
         float | None, typer.Option(help="Simulated signal-to-noise ratio [dB].")
@@ -137,6 +148,7 @@ def serve(
         "mask_secret": mask_secret,
         "device_label": device_label,
         "release": release,
+        "calibration": calibration,
         "settle": settle,
         "exposure": exposure,
         "snr_db": snr_db,
@@ -152,7 +164,8 @@ def serve(
         given["rotation"] = _policy(every_seconds, every_captures, jitter=jitter, reuse=reuse)
         settings = Settings(**{name: value for name, value in given.items() if value is not None})
         logs.configure(settings.log_level)
-        if simulate and settings.scene is None and not settings.scene_file.exists():
+        simulated = settings.device == "simulated"  # as the environment may say too
+        if simulated and settings.scene is None and not settings.scene_file.exists():
             hold_up(settings.scene_file, load_digits(), 0)
         run(settings, lambda url: print(f"veilcamd listening on {url}", flush=True))  # noqa: T201
     except ValidationError as error:

@@ -56,6 +56,11 @@ def _require_private(passed: socket.socket, settings: Settings) -> None:
                 "systemd passed a socket in the abstract name space, which any user may open: "
                 "use ListenStream= with a path"
             )
+        if settings.tls_certificate is not None:
+            raise StartError(
+                f"systemd passed {address}, and a unix socket needs no TLS: leave it out of the "
+                "socket unit, or leave --tls-certificate out"
+            )
         return
     host = address[0]
     if not ipaddress.ip_address(host).is_loopback and not settings.serves_others:

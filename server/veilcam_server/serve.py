@@ -11,9 +11,16 @@ import structlog
 import torch
 import uvicorn
 
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.models import BundleInfo
 from veilcam_client.models import Device as DeviceInfo
 from veilcam_server.app import create_app
+from veilcam_server.calibrated import (
+    calibrated,
+    decoder_calibration,
+    open_calibration,
+    settle_time,
+)
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices.errors import (
     DeviceError,
@@ -88,11 +95,12 @@ def build_service(settings: Settings) -> Service:
     try:
         bundle = read_bundle(settings.bundle)
         form = release_form(settings, bundle)
-        source = open_source(settings, bundle)
+        calibration = open_calibration(settings, bundle)
+        source = open_source(settings, bundle, decoder_calibration(calibration))
         with ExitStack() as undo:
             epochs = EpochStore(settings.state_dir)
             undo.callback(epochs.close)
-            device = open_device(settings, bundle)
+            device = calibrated(open_device(settings, bundle), calibration)
             undo.callback(device.close)
             preparation = Preparation(source, epochs)
             undo.callback(preparation.close)
@@ -101,7 +109,7 @@ def build_service(settings: Settings) -> Service:
                 preparation,
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
-                fence=Fence(settings.settle, settings.capture_timeout),
+                fence=Fence(settle_time(settings, calibration), settings.capture_timeout),
                 policy=rotation_policy(settings, bundle),
                 test_every=settings.self_test_every,
             )
@@ -113,7 +121,7 @@ def build_service(settings: Settings) -> Service:
         raise StartError(str(error)) from error
     return Service(
         camera,
-        _identity(settings, bundle, device),
+        _identity(settings, bundle, device, calibration),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
@@ -134,7 +142,9 @@ def _begin(camera: MaskedCamera) -> None:
         log.warning("no capture yet", reason=str(error))
 
 
-def _identity(settings: Settings, bundle: Bundle, device: Device) -> Identity:
+def _identity(
+    settings: Settings, bundle: Bundle, device: Device, calibration: SignedCalibration | None
+) -> Identity:
     return Identity(
         device=DeviceInfo(
             display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
@@ -148,6 +158,7 @@ def _identity(settings: Settings, bundle: Bundle, device: Device) -> Identity:
             pairs=len(bundle.pairs),
         ),
         experiment="wrong-classifier" if settings.wrong_classifier else None,
+        calibration=calibration,
     )
 
 
@@ -175,6 +186,15 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
+def configure_torch() -> None:
+    """Make inference fit for a small machine and a sandbox."""
+    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
+    torch.set_num_threads(1)
+    # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
+    # Torch's own are as fast for one embedding at a time (deploy/README.md).
+    torch.backends.mkldnn.enabled = False
+
+
 def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
     """Serve until told to stop, then show opaque.
 
@@ -185,8 +205,7 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
     Raises:
         StartError: the daemon cannot start; nothing else on this machine was disturbed.
     """
-    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
-    torch.set_num_threads(1)
+    configure_torch()
     # The default would end the process at once and leave the mask on the panel.
     default = signal.signal(signal.SIGTERM, _exit)
     try:

@@ -72,3 +72,15 @@ def test_systemd_may_not_open_the_camera_to_others(
     with pytest.raises(StartError, match=reason), open_listeners(Settings(bundle=bundle_file)):
         pass
     assert passed.fileno() == -1  # closed
+
+
+def test_no_tls_on_a_unix_socket(
+    bundle_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX) as passed:
+        passed.bind(str(tmp_path / "api.sock"))
+        passed.listen()
+        monkeypatch.setattr(listeners, "take_sockets", lambda: [passed])
+        settings = Settings(bundle=bundle_file, tls_certificate=Path("c"), tls_key=Path("k"))
+        with pytest.raises(StartError, match="needs no TLS"), open_listeners(settings):
+            pass

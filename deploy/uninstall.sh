@@ -1,0 +1,27 @@
+#!/bin/sh
+# Removes veilcamd: sudo deploy/uninstall.sh
+# State, settings and secrets stay, unless --purge is given: a secret that is gone decodes nothing.
+set -eu
+
+[ "$(id -u)" = 0 ] || { echo "uninstall.sh: error: run it as root: sudo $0" >&2; exit 1; }
+case ${1:-} in
+    '' | --purge) ;;
+    *) echo "uninstall.sh: error: $1: the only option is --purge" >&2; exit 1 ;;
+esac
+
+if [ -d /run/systemd/system ]; then
+    # The panel shows opaque from here on, as long as it has power.
+    systemctl stop veilcamd.socket veilcamd.service || true
+fi
+systemctl disable veilcamd.socket veilcamd.service || true
+rm -rf /opt/veilcam
+rm -f /etc/systemd/system/veilcamd.service /etc/systemd/system/veilcamd.socket \
+    /etc/udev/rules.d/60-veilcam.rules /etc/sysusers.d/veilcam.conf \
+    /etc/avahi/services/veilcam.service
+if [ -d /run/systemd/system ]; then systemctl daemon-reload; fi
+if [ "${1:-}" = --purge ]; then
+    rm -rf /var/lib/veilcam /etc/veilcam /etc/credstore.encrypted/veilcam.mask-key
+    echo "Removed, with state, settings and secrets."
+else
+    echo "Removed. Left: /var/lib/veilcam, /etc/veilcam, /etc/credstore.encrypted/veilcam.mask-key"
+fi
