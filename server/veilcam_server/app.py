@@ -9,6 +9,7 @@ from fastapi import FastAPI
 
 from veilcam_client import __version__
 from veilcam_server import problems
+from veilcam_server.calibration_routes import router as calibration_router
 from veilcam_server.gateway import Gateway
 from veilcam_server.idempotency import IdempotencyKeys
 from veilcam_server.middleware import RequestContext
@@ -58,6 +59,7 @@ def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
     app.state.idempotency = IdempotencyKeys()
     app.include_router(router)
     app.include_router(token_router)
+    app.include_router(calibration_router)
     problems.install(app)
     app.add_middleware(RequestContext, gateway=gateway, max_body=MAX_BODY)
     return app

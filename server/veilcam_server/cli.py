@@ -100,7 +100,7 @@ def serve(
     ] = None,
     settle: Annotated[
         float | None,
-        typer.Option(help="Time for the panel to settle, never less than was measured [s]."),
+        typer.Option(help="Seconds for the panel to settle, never less than was measured."),
     ] = None,
     exposure: Annotated[float | None, typer.Option(help="Simulated exposure [s].")] = None,
     snr_db: Annotated[

@@ -72,6 +72,13 @@ class ForbiddenError(Exception):
     """The caller may not do this."""
 
 
+class NotCalibratedError(Exception):
+    """There is no calibration."""
+
+    def __init__(self) -> None:
+        super().__init__("the camera was not calibrated: run 'veilcamd calibrate', then restart")
+
+
 class UnknownTokenError(Exception):
     """There is no token of this id."""
 

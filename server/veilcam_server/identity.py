@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.models import BundleInfo, Device
 
 
@@ -14,3 +15,4 @@ class Identity:
     device: Device
     bundle: BundleInfo
     experiment: str | None = None
+    calibration: SignedCalibration | None = None

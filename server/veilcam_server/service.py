@@ -14,6 +14,7 @@ from typing import TypeVar
 import structlog
 
 from veilcam_client import __version__
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.events import (
     CaptureTaken,
     Classified,
@@ -45,7 +46,7 @@ from veilcam_server.answers import (
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.device_queue import DeviceQueue
 from veilcam_server.devices.errors import SensorLostError
-from veilcam_server.errors import RotationImpossibleError, WithheldError
+from veilcam_server.errors import NotCalibratedError, RotationImpossibleError, WithheldError
 from veilcam_server.events import EventLog
 from veilcam_server.identity import Identity
 from veilcam_server.inference import Verdict
@@ -146,6 +147,13 @@ class Service:
     def release(self) -> Release:
         """In which form embeddings leave."""
         return self._form
+
+    def calibration(self) -> SignedCalibration:
+        """What the camera found out about itself; raises :class:`NotCalibratedError`."""
+        signed = self._identity.calibration
+        if signed is None:
+            raise NotCalibratedError
+        return signed
 
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""

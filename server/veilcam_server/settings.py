@@ -41,6 +41,8 @@ class Settings(BaseSettings):
     state_dir: Path = Field(default_factory=default_state_dir)
     rotation: RotationPolicy | None = None
     mask_secret: Path | None = None
+    calibration: Path | None = None
+    """Record of 'veilcamd calibrate'; the one in the state directory if None and there is one."""
     device_label: str | None = Field(default=None, min_length=1, max_length=255)
     release: Release | None = None
     settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)

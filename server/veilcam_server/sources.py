@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from veilcam_client.models import EveryCaptures, Release, RotationOff, RotationPolicy
+from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.errors import StartError
 from veilcam_server.fresh import FreshSource
 from veilcam_server.mask_secret import find_secret
@@ -12,8 +13,16 @@ from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
 
 
-def open_source(settings: Settings, bundle: Bundle) -> MaskSource:
+def open_source(
+    settings: Settings, bundle: Bundle, calibration: Calibration = AS_DRAWN
+) -> MaskSource:
     """Return what gives masks and their readers.
+
+    Args:
+        settings: checked.
+        bundle: to serve.
+        calibration: what decoders are prepared for. Stored pairs have none: what they read was
+            learned for the camera as drawn.
 
     Raises:
         StartError: the bundle cannot be served as it is, or the secret is missing.
@@ -25,6 +34,7 @@ def open_source(settings: Settings, bundle: Bundle) -> MaskSource:
             device=settings.device_label,
             form=release_form(settings, bundle),
             wrong_decoder=settings.wrong_classifier,
+            calibration=calibration,
         )
     for option, value in (
         ("--mask-secret", settings.mask_secret),

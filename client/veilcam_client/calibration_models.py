@@ -1,0 +1,80 @@
+"""What a camera found out about itself, as it goes over the wire and lies on its disk."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Literal
+
+from pydantic import Field
+
+from veilcam_client.models import Answer
+
+
+class Quantity(Answer):
+    """One measured number."""
+
+    value: float = Field(allow_inf_nan=False)
+    uncertainty: float = Field(ge=0, allow_inf_nan=False)
+    """Standard uncertainty, in the unit of the value."""
+    residual: float = Field(ge=0, allow_inf_nan=False)
+    """Root mean square of what the fit left, relative to the readings it was made from."""
+
+
+class CalibrationRecord(Answer):
+    """A camera measured with itself. No mask and no reading is in it."""
+
+    version: Literal[1] = 1
+    taken_at: datetime
+    temperature_c: float | None = None
+    """Of the panel [degree Celsius]; None: there is no thermometer."""
+    display: str
+    """Name of the panel."""
+    sensor: str
+    """Name of the sensor."""
+    simulated: bool
+    tab: str | None = None
+    """How the panel's glass sits in its controller's memory, where that was told."""
+    exposure_s: float
+    """That readings are given for [s]."""
+    geometry: str = Field(pattern=r"^[0-9a-f]{64}$")
+    """SHA-256 digest of camera, scene and embedding as they were drawn."""
+    settling_s: Quantity
+    """After a change, until readings stay within 2 % of the step [s]."""
+    black_level: Quantity
+    """Reading without light."""
+    gain: Quantity
+    """Reading where a decoder expects 1: a white scene, no mask."""
+    full_scale: Quantity
+    """What saturated pixels are worth to a decoder."""
+    gamma: Quantity
+    """A sub-pixel told ``w`` passes the amplitude ``floor + (1 - floor) w^gamma``."""
+    contrast_floor: Quantity
+    """Amplitude of a sub-pixel that is told to be dark."""
+    dead_rows: tuple[int, ...] = ()
+    """Rows of the mask that do not obey, from 0."""
+    dead_columns: tuple[int, ...] = ()
+    """Columns of the mask that do not obey, from 0."""
+    dead_transmittance: Quantity
+    """Amplitude that those pass."""
+    shift_y_m: Quantity
+    """Displacement of the mask along y, against the middle of the scene [m]."""
+    shift_x_m: Quantity
+    """Displacement of the mask along x [m]."""
+    rotation_rad: Quantity
+    """Of the mask around the axis, from x towards y [rad]."""
+    distance_error_m: Quantity
+    """How much farther from the mask the sensor is than drawn [m]."""
+    psf_residual: float = Field(ge=0, allow_inf_nan=False)
+    """Relative error of the predicted response to a point behind masks that no fit has seen."""
+    drift: float = Field(allow_inf_nan=False)
+    """Relative change of the light while it was measured."""
+
+
+class SignedCalibration(Answer):
+    """A record and who vouches for it."""
+
+    record: CalibrationRecord
+    public_key: str = Field(pattern=r"^[0-9a-f]{64}$")
+    """Ed25519, of the daemon that measured."""
+    signature: str = Field(pattern=r"^[0-9a-f]{128}$")
+    """Ed25519, of the record as compact JSON in the order of its fields."""

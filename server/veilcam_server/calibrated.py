@@ -1,0 +1,78 @@
+"""What a daemon makes of its calibration: which record it is, and what it changes."""
+
+from __future__ import annotations
+
+from veilcam_client.calibration_models import SignedCalibration
+from veilcam_optics.decoding import AS_DRAWN, Calibration
+from veilcam_server.calibration import (
+    CalibratedSensor,
+    CalibrationError,
+    Geometry,
+    SigningKey,
+    correction,
+    read_record,
+)
+from veilcam_server.calibration.record import RECORD_NAME, check_fits
+from veilcam_server.devices.imx477 import IMX477
+from veilcam_server.devices.protocols import Device
+from veilcam_server.devices.st7735r import ST7735R
+from veilcam_server.errors import StartError
+from veilcam_server.settings import Settings
+from veilcam_training.bundle import Bundle
+
+
+def open_calibration(settings: Settings, bundle: Bundle) -> SignedCalibration | None:
+    """Return the record that the settings name, or the one in the state directory, or none.
+
+    Raises:
+        StartError: it cannot be read or trusted, or is of another camera.
+    """
+    path = settings.calibration or settings.state_dir / RECORD_NAME
+    if settings.calibration is None and not path.exists():
+        return None
+    try:
+        signed = read_record(path, SigningKey.open(settings.state_dir))
+        check_fits(
+            signed.record,
+            display=ST7735R.name,
+            sensor=IMX477.name,
+            simulated=settings.device == "simulated",
+            tab=panel_tab(settings),
+            exposure=settings.exposure,
+            geometry=Geometry(bundle.camera, bundle.scene, bundle.embedding).digest,
+        )
+    except CalibrationError as error:
+        raise StartError(str(error)) from None
+    return signed
+
+
+def panel_tab(settings: Settings) -> str | None:
+    """Of the panel that the settings name; the simulated one has no film."""
+    tab: str | None = getattr(settings, "panel_tab", None)
+    return None if settings.device == "simulated" else tab
+
+
+def decoder_calibration(signed: SignedCalibration | None) -> Calibration:
+    """What decoders are prepared for."""
+    return AS_DRAWN if signed is None else correction(signed.record)
+
+
+def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
+    """The device with readings as decoders expect them."""
+    if signed is None:
+        return device
+    record = signed.record
+    sensor = CalibratedSensor(
+        device.sensor, black_level=record.black_level.value, gain=record.gain.value
+    )
+    return Device(device.display, sensor, simulated=device.simulated)
+
+
+def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:
+    """What the fence grants the panel [s]: what was measured, or more where more was asked for."""
+    if signed is None:
+        return settings.settle
+    settling = signed.record.settling_s
+    measured = settling.value + settling.uncertainty
+    # The default is a guess from before anything was measured.
+    return max(measured, settings.settle) if "settle" in settings.model_fields_set else measured

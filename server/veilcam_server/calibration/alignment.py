@@ -1,0 +1,174 @@
+"""Where the mask is: shift, rotation and distance, fitted through the differentiable optics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from veilcam_optics.decoding import Calibration
+from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_server.calibration.bench import Values
+from veilcam_server.calibration.geometry import Geometry
+from veilcam_server.calibration.response import uncertainties
+
+NAMES = ("shift_y", "shift_x", "rotation", "distance_error")
+_UNITS = np.array([1e-6, 1e-6, 1e-3, 1e-5])
+"""Of the numbers that the fit moves: um, um, mrad, 10 um."""
+_STEP = 6.2e-6
+"""Distance of integration nodes [m]: four times the operator's own, which changes the shift found
+by less than 0.1 um."""
+_EVALUATIONS = 12
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Sight:
+    """One known scene, seen behind several patterns."""
+
+    image: Values = field(repr=False)
+    """(rows, columns) of the scene."""
+    readings: Values = field(repr=False)
+    """(patterns, rows, columns) of the embedding, without the black level."""
+
+    @property
+    def scale(self) -> float:
+        """Root mean square of the readings."""
+        return float(np.sqrt(np.mean(self.readings**2)))
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The fit; uncertainties are standard ones, in the order of :data:`NAMES`."""
+
+    calibration: Calibration
+    uncertainties: tuple[float, float, float, float]
+    gains: tuple[float, ...]
+    """Reading per predicted reading, of each sight."""
+    gain_uncertainties: tuple[float, ...]
+    residuals: tuple[float, ...]
+    """Of each sight: root mean square, relative to its readings."""
+
+
+class Optics:
+    """Predicted readings as a function of where the mask is; float64.
+
+    Args:
+        geometry: the camera as drawn.
+        weights: (patterns, rows, columns), amplitudes as the panel shows them.
+        images: known scenes.
+        reach: which sub-pixels interfere.
+    """
+
+    def __init__(
+        self, geometry: Geometry, weights: Tensor, images: Sequence[Values], reach: Reach
+    ) -> None:
+        self._geometry, self._reach = geometry, reach
+        self._weights = weights.double()
+        self._scenes = torch.from_numpy(np.stack([image.ravel() for image in images])).double()
+
+    def predict(self, place: Tensor) -> Tensor:
+        """(sights, patterns x embedding pixels) for :data:`NAMES` in SI units; differentiable."""
+        camera, scene, embedding = (
+            self._geometry.camera,
+            self._geometry.scene,
+            self._geometry.embedding,
+        )
+        operator = TransferOperator(
+            camera,
+            scene,
+            embedding,
+            reach=self._reach,
+            step=_STEP,
+            dtype=torch.float64,
+            variables=Variables(
+                distance=camera.distance + place[3], shift_y=place[0], shift_x=place[1]
+            ),
+            rotation=place[2],
+        )
+        readings = [self._scenes @ operator(weights) for weights in self._weights]
+        return torch.stack(readings, dim=1).flatten(1)
+
+    def linearise(self, place: Tensor) -> tuple[Tensor, Tensor]:
+        """Prediction and its derivatives, (sights, values) and (4, sights, values).
+
+        A column of the Jacobian is the derivative of the gradient in a direction with respect to
+        that direction: four of them for one pass through the optics and back.
+        """
+        place = place.detach().requires_grad_()
+        predicted = self.predict(place)
+        direction = torch.zeros_like(predicted, requires_grad=True)
+        (slope,) = torch.autograd.grad(predicted, place, direction, create_graph=True)
+        columns = [
+            torch.autograd.grad(each, direction, retain_graph=True)[0] for each in slope.unbind()
+        ]
+        return predicted.detach(), torch.stack(columns)
+
+
+def align(
+    geometry: Geometry,
+    weights: Tensor,
+    sights: Sequence[Sight],
+    start: Calibration,
+    *,
+    reach: Reach,
+) -> Alignment:
+    """Fit shift, rotation and distance, and a gain for each sight.
+
+    Args:
+        geometry: the camera as drawn.
+        weights: (patterns, rows, columns), amplitudes as the panel shows them.
+        sights: the same patterns before several known scenes.
+        start: where to begin, and what else is known.
+        reach: which sub-pixels interfere.
+    """
+    optics = Optics(geometry, weights, [sight.image for sight in sights], reach)
+    scales = np.array([sight.scale for sight in sights])
+    observed = np.stack(
+        [sight.readings.ravel() / scale for sight, scale in zip(sights, scales, strict=True)]
+    )
+    begin = np.array([getattr(start, name) for name in NAMES]) / _UNITS
+    gains = _gains(optics.predict(torch.tensor(begin * _UNITS)).numpy(), observed)
+
+    def residuals(values: Values) -> Values:
+        predicted = optics.predict(torch.tensor(values[:4] * _UNITS)).numpy()
+        difference: Values = (values[4:, None] * predicted - observed).ravel()
+        return difference
+
+    def jacobian(values: Values) -> Values:
+        predicted, slopes = optics.linearise(torch.tensor(values[:4] * _UNITS))
+        columns = np.zeros((len(values), *observed.shape))
+        columns[:4] = slopes.numpy() * values[4:, None] * _UNITS[:, None, None]
+        for index, row in enumerate(predicted.numpy()):
+            columns[4 + index, index] = row
+        flat: Values = columns.reshape(len(values), -1).T
+        return flat
+
+    found = least_squares(
+        residuals,
+        np.concatenate([begin, gains]),
+        jac=jacobian,
+        x_scale="jac",
+        xtol=1e-6,
+        ftol=1e-6,
+        max_nfev=_EVALUATIONS,
+    )
+    spread = uncertainties(np.asarray(found.jac), found.fun)
+    place = found.x[:4] * _UNITS
+    spread_y, spread_x, spread_angle, spread_distance = (spread[:4] * _UNITS).tolist()
+    return Alignment(
+        calibration=replace(start, **dict(zip(NAMES, place.tolist(), strict=True))),
+        uncertainties=(spread_y, spread_x, spread_angle, spread_distance),
+        gains=tuple((found.x[4:] * scales).tolist()),
+        gain_uncertainties=tuple((spread[4:] * scales).tolist()),
+        residuals=tuple(np.sqrt(np.mean(found.fun.reshape(observed.shape) ** 2, axis=1)).tolist()),
+    )
+
+
+def _gains(predicted: Values, observed: Values) -> Values:
+    """Best gain of each sight on its own."""
+    gains: Values = (predicted * observed).sum(1) / (predicted**2).sum(1)
+    return gains

@@ -1,0 +1,90 @@
+"""Rows and columns of the mask that do not obey: each is opened alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from veilcam_optics.transfer import TransferOperator
+from veilcam_server.calibration.bench import Bench, Values
+from veilcam_server.calibration.errors import CalibrationError
+from veilcam_server.calibration.geometry import Geometry
+
+_DEAD = 0.5
+"""A line with less than this share of the light that its neighbours let through is dead."""
+_MOST = 0.25
+"""Largest share of dead lines along an axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """How much light each row and column let through when opened, over what was expected."""
+
+    rows: Values = field(repr=False)
+    columns: Values = field(repr=False)
+
+    @property
+    def dead_rows(self) -> tuple[int, ...]:
+        """From 0."""
+        return _dead(self.rows)
+
+    @property
+    def dead_columns(self) -> tuple[int, ...]:
+        """From 0."""
+        return _dead(self.columns)
+
+    @property
+    def scatter(self) -> float:
+        """Relative scatter of the lines that obey."""
+        alive = np.concatenate([each[each >= _DEAD] for each in (self.rows, self.columns)])
+        return float(alive.std())
+
+
+def measure_lines(
+    bench: Bench, geometry: Geometry, image: Values, operator: TransferOperator
+) -> Lines:
+    """Open each row and each column alone.
+
+    Args:
+        bench: in front of ``image``.
+        geometry: the camera as drawn.
+        image: (rows, columns) of the scene.
+        operator: of the camera as drawn: how much light each line is expected to let through.
+
+    Raises:
+        CalibrationError: so many do not obey that the panel cannot be used.
+    """
+    rows, columns = geometry.camera.mask_shape
+    floor = bench.read(bench.opaque).mean()
+    top = int(bench.open.max())
+    scene = torch.from_numpy(image.reshape(1, -1))
+    found = []
+    for count, axis in ((rows, 0), (columns, 1)):
+        shares = np.empty(count)
+        for line in range(count):
+            opened = np.zeros((rows, columns), np.uint8)
+            opened.swapaxes(0, axis)[line] = top
+            weights = torch.from_numpy(opened / top)
+            expected = float((scene @ operator(weights)).mean())
+            shares[line] = (bench.read(opened).mean() - floor) / expected
+        typical = float(np.median(shares))
+        if not typical > 0:
+            raise CalibrationError("single lines let no light through: light the card, try again")
+        found.append(shares / typical)
+    lines = Lines(*found)
+    for name, dead, count in (
+        ("rows", lines.dead_rows, rows),
+        ("columns", lines.dead_columns, columns),
+    ):
+        if len(dead) > _MOST * count:
+            raise CalibrationError(
+                f"{len(dead)} of {count} {name} of the mask do not obey: check the panel's "
+                "wiring and that the card is evenly lit"
+            )
+    return lines
+
+
+def _dead(shares: Values) -> tuple[int, ...]:
+    return tuple(int(line) for line in np.flatnonzero(shares < _DEAD))

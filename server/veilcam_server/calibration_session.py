@@ -1,0 +1,148 @@
+"""A person, or a file, and a camera: what ``veilcamd calibrate`` does."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_optics.transfer import Reach
+from veilcam_server.calibrated import panel_tab
+from veilcam_server.calibration import (
+    CalibrationScene,
+    Effort,
+    Geometry,
+    SigningKey,
+    calibrate,
+    write_record,
+)
+from veilcam_server.calibration.picture import table, write_picture
+from veilcam_server.calibration.record import RECORD_NAME
+from veilcam_server.devices.scene import write_scene
+from veilcam_server.errors import StartError
+from veilcam_server.serve import open_device
+from veilcam_server.settings import Settings
+from veilcam_training.bundle import read_bundle
+
+_LONGEST = 3.0
+"""Settling may take so many times what the daemon would grant it without a calibration."""
+
+
+def calibrate_device(
+    settings: Settings, console: Console, *, out: Path | None, picture: Path | None, repeats: int
+) -> None:
+    """Measure the device that the settings name, and write record and picture.
+
+    Args:
+        settings: checked.
+        console: for instructions, progress and the result.
+        out: record to write; by default the one that the daemon reads.
+        picture: to draw; beside the record by default.
+        repeats: exposures for one reading.
+
+    Raises:
+        CalibrationError: the measurement is refused, or the record cannot be written.
+        StartError: the picture cannot be written.
+        BundleError, DeviceError, FenceError: bundle or device cannot be used.
+    """
+    torch.set_num_threads(1)
+    out = out or settings.state_dir / RECORD_NAME
+    picture = picture or out.with_suffix(".png")
+    # First of all: a disk that cannot be written should not be found out minutes later.
+    key = SigningKey.open(settings.state_dir, create=True)
+    bundle = read_bundle(settings.bundle)
+    geometry = Geometry(bundle.camera, bundle.scene, bundle.embedding)
+    effort = Effort(repeats=repeats)
+    with ExitStack() as stack:
+        present: Callable[[CalibrationScene], None]
+        if settings.device == "simulated":
+            # A file of its own: what is held up in front of a daemon stays there.
+            directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="veilcam-"))
+            scene = Path(directory) / "scene.npy"
+            settings = settings.model_copy(update={"scene": scene})
+            write_scene(scene, np.zeros(bundle.scene.shape, np.uint8))
+            present = _by_file(scene)
+        else:
+            present = _by_hand(console)
+        device = open_device(settings, bundle)
+        stack.callback(device.close)
+        progress = stack.enter_context(
+            Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+                console=console,
+            )
+        )
+        task = progress.add_task("", total=effort.captures(geometry))
+
+        def show(wanted: CalibrationScene) -> None:
+            progress.stop()
+            present(wanted)
+            progress.update(task, description=wanted.name)
+            progress.start()
+
+        found = calibrate(
+            device,
+            geometry,
+            show,
+            longest=_LONGEST * settings.settle,
+            exposure=settings.exposure,
+            tab=panel_tab(settings),
+            reach=bundle.fresh.reach if bundle.fresh else Reach(),
+            timeout=settings.capture_timeout,
+            effort=effort,
+            advance=lambda: progress.advance(task),
+        )
+    write_record(out, found.record, key)
+    try:
+        write_picture(picture, found)
+    except OSError as error:
+        raise StartError(f"{picture} cannot be written ({error.strerror}): check it") from None
+    _report(console, found.record)
+    console.print(f"wrote {out} and {picture}: a daemon that starts now uses it", highlight=False)
+
+
+def _by_file(path: Path) -> Callable[[CalibrationScene], None]:
+    """Hold scenes up before the simulated camera."""
+
+    def present(scene: CalibrationScene) -> None:
+        write_scene(path, (255 * scene.image).round().astype(np.uint8))
+
+    return present
+
+
+def _by_hand(console: Console) -> Callable[[CalibrationScene], None]:
+    """Ask for scenes."""
+
+    def present(scene: CalibrationScene) -> None:
+        console.print(f"\n{scene.instruction}", highlight=False)
+        console.input("Press Enter when it is so: ")
+
+    return present
+
+
+def _report(console: Console, record: CalibrationRecord) -> None:
+    shown = Table("", "value", "uncertainty", "residual", box=None)
+    for column in shown.columns[1:]:
+        column.justify = "right"
+    for row in table(record):
+        shown.add_row(*row)
+    console.print(shown)
+    for name, dead in (("rows", record.dead_rows), ("columns", record.dead_columns)):
+        if dead:
+            console.print(f"dead {name}: {', '.join(map(str, dead))}", highlight=False)
+    console.print(
+        f"readings of the lamp behind patterns that no fit has seen: "
+        f"{100 * record.psf_residual:.2g} % off; drift of the light: {100 * record.drift:+.2g} %",
+        highlight=False,
+    )
