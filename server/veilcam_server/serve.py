@@ -192,7 +192,7 @@ def configure_torch() -> None:
     torch.set_num_threads(1)
     # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
     # Torch's own are as fast for one embedding at a time (deploy/README.md).
-    torch.backends.mkldnn.enabled = False
+    torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
 
 
 def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
