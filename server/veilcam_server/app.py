@@ -10,8 +10,11 @@ from fastapi import FastAPI
 from veilcam_client import __version__
 from veilcam_server import problems
 from veilcam_server.calibration_routes import router as calibration_router
+from veilcam_server.diagnostics_routes import router as diagnostics_router
 from veilcam_server.gateway import Gateway
 from veilcam_server.idempotency import IdempotencyKeys
+from veilcam_server.lease_routes import router as lease_router
+from veilcam_server.metrics import Metrics
 from veilcam_server.middleware import RequestContext
 from veilcam_server.routes import router
 from veilcam_server.service import Service
@@ -56,10 +59,13 @@ def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
     )
     app.state.service = service
     app.state.gateway = gateway
+    app.state.metrics = metrics = Metrics(service, gateway.audit)
     app.state.idempotency = IdempotencyKeys()
     app.include_router(router)
+    app.include_router(lease_router)
     app.include_router(token_router)
+    app.include_router(diagnostics_router)
     app.include_router(calibration_router)
     problems.install(app)
-    app.add_middleware(RequestContext, gateway=gateway, max_body=MAX_BODY)
+    app.add_middleware(RequestContext, gateway=gateway, metrics=metrics, max_body=MAX_BODY)
     return app

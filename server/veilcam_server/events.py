@@ -27,11 +27,13 @@ class EventLog:
         self._news = asyncio.Event()
         self._closed = False
 
-    def publish(self, make: Callable[[str, datetime], Event]) -> None:
-        """Append the event that ``make`` builds from its id and the time."""
-        self._events.append(make(self._id(self._next), datetime.now(UTC)))
+    def publish(self, make: Callable[[str, datetime], Event]) -> Event:
+        """Append the event that ``make`` builds from its id and the time, and return it."""
+        event = make(self._id(self._next), datetime.now(UTC))
+        self._events.append(event)
         self._next += 1
         self._wake()
+        return event
 
     def close(self) -> None:
         """End every listener's stream."""

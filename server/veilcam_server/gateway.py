@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from pydantic import JsonValue
 from starlette.datastructures import Headers
 
 from veilcam_server.access import ANYONE, Caller
 from veilcam_server.audit import DONE, REFUSED, AuditLog
 from veilcam_server.errors import HostRefusedError, UnauthorizedError
+from veilcam_server.lease import Lease
 from veilcam_server.limits import ConcurrencyLimit, RateLimit, StreamLimit
 from veilcam_server.settings import Settings
 from veilcam_server.tokens import TokenStore
@@ -31,6 +33,8 @@ class Gateway:
         rate: how often one caller may ask.
         concurrency: how many requests of one caller may be under way.
         streams: how many event streams may be open.
+        lease: who holds the camera for a while.
+        settings: of the daemon, for its diagnostics: without paths, addresses and labels.
     """
 
     tokens: TokenStore | None = None
@@ -40,6 +44,8 @@ class Gateway:
     rate: RateLimit = field(default_factory=lambda: RateLimit(1000.0, 1000))
     concurrency: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64))
     streams: StreamLimit = field(default_factory=lambda: StreamLimit(64))
+    lease: Lease = field(default_factory=Lease)
+    settings: Mapping[str, JsonValue] = field(default_factory=dict)
 
     def note(
         self, caller: Caller | None, action: str, *, code: str | None, **details: str | int
@@ -115,6 +121,7 @@ def open_gateway(settings: Settings) -> Iterator[Gateway]:
             RateLimit(settings.rate_limit, settings.rate_burst),
             ConcurrencyLimit(settings.concurrency_limit),
             StreamLimit(settings.stream_limit),
+            settings=settings.redacted(),
         )
     finally:
         audit.write("stop")

@@ -11,9 +11,11 @@ from contextlib import ExitStack
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
+from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from veilcam_server.gateway import Gateway
+from veilcam_server.metrics import Metrics
 from veilcam_server.problems import code_of, error_response, problem_response
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -26,8 +28,9 @@ log = structlog.get_logger()
 class RequestContext:
     """Pure ASGI, so that event streams pass through unbuffered."""
 
-    def __init__(self, app: ASGIApp, gateway: Gateway, max_body: int) -> None:
-        self._app, self._gateway, self._max_body = app, gateway, max_body
+    def __init__(self, app: ASGIApp, gateway: Gateway, metrics: Metrics, max_body: int) -> None:
+        self._app, self._gateway, self._metrics = app, gateway, metrics
+        self._max_body = max_body
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -50,6 +53,7 @@ class RequestContext:
                 answer["X-Request-Id"] = request_id
                 answer["Cache-Control"] = "no-store"
                 self._audit(scope, status, peer)
+                self._metrics.observe(*_names(scope), status, time.monotonic() - begun)
             await send(message)
 
         try:
@@ -123,3 +127,11 @@ class RequestContext:
             return message
 
         return receive_some
+
+
+def _names(scope: Scope) -> tuple[str, str]:
+    """Method and template of the route, or a word for both: no stranger's words become labels."""
+    route = scope.get("route")
+    if not isinstance(route, Route):
+        return "other", "none"
+    return scope["method"] if scope["method"] in (route.methods or ()) else "other", route.path

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 from collections.abc import AsyncIterator
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, FastAPI, Header, Request
+from fastapi import APIRouter, Depends, Header
 from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
@@ -29,6 +29,7 @@ from veilcam_server.dependencies import (
     ServiceDep,
     problems,
 )
+from veilcam_server.lease_routes import unleased
 from veilcam_server.negotiation import preferred
 from veilcam_server.service import Service
 
@@ -38,6 +39,7 @@ RETRY_MS = 1000
 
 LastEventId = Annotated[str | None, Header(max_length=128)]
 DEVICE = (
+    "leased",
     "queue_full",
     "not_ready",
     "rotation_impossible",
@@ -72,7 +74,7 @@ async def status(service: ServiceDep) -> Status:
 
 @router.post(
     "/captures",
-    dependencies=[requires("read:embedding")],
+    dependencies=[requires("read:embedding"), unleased()],
     response_model=Capture,
     responses={
         200: {"content": {NPY_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}},
@@ -105,7 +107,7 @@ async def capture(
 
 @router.post(
     "/classifications",
-    dependencies=[requires("classify")],
+    dependencies=[requires("classify"), unleased()],
     responses=problems(*BODY, *DEVICE, "embedding_withheld"),
 )
 async def classify(
@@ -129,8 +131,8 @@ async def rotation(service: ServiceDep) -> Rotation:
 
 @router.put(
     "/rotation",
-    dependencies=[requires("mask:rotate")],
-    responses=problems(*BODY, "rotation_impossible"),
+    dependencies=[requires("mask:rotate"), unleased()],
+    responses=problems(*BODY, "leased", "rotation_impossible"),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     """Change when masks change: off, every N seconds, or every N captures."""
@@ -139,7 +141,7 @@ async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
 
 @router.post(
     "/rotation/advance",
-    dependencies=[requires("mask:rotate")],
+    dependencies=[requires("mask:rotate"), unleased()],
     responses=problems(*BODY, *DEVICE),
 )
 async def advance(
@@ -166,10 +168,3 @@ async def events(
             yield ServerSentEvent(comment="heartbeat")
         else:
             yield ServerSentEvent(raw_data=event.model_dump_json(), event=event.kind, id=event.id)
-
-
-@router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())
-async def openapi(request: Request) -> dict[str, Any]:
-    """This document."""
-    app: FastAPI = request.app
-    return app.openapi()

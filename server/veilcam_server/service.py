@@ -48,6 +48,7 @@ from veilcam_server.device_queue import DeviceQueue
 from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.errors import NotCalibratedError, RotationImpossibleError, WithheldError
 from veilcam_server.events import EventLog
+from veilcam_server.history import History
 from veilcam_server.identity import Identity
 from veilcam_server.inference import Verdict
 from veilcam_server.problems import code_of
@@ -81,7 +82,7 @@ class Service:
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
         self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
-        self._events = EventLog()
+        self._events, self.history = EventLog(), History()
         self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
         self._on_lost: Callable[[], None] = _ignore
         self._lost: SensorLostError | None = None
@@ -96,6 +97,7 @@ class Service:
         """Keep the camera ready within; then show opaque and let go of the device."""
         self._loop = asyncio.get_running_loop()
         self._tell_state(*self._camera.state)
+        self.history.begin(*self._camera.state)
         try:
             async with self._upkeep.running():
                 yield
@@ -294,7 +296,7 @@ class Service:
             raise
 
     def _publish(self, make: Callable[[str, datetime], Event]) -> None:
-        self._events.publish(make)
+        self.history.add(self._events.publish(make))
 
     def _publish_from_thread(self, make: Callable[[str, datetime], Event]) -> None:
         self._from_thread(lambda: self._publish(make))

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from veilcam_client.models import Release, RotationPolicy
@@ -16,6 +16,9 @@ from veilcam_server.demo_data import KEYRING
 DEFAULT_PORT = 8787
 SCENE_NAME = "scene.npy"
 """Of the scene file in the state directory, where no other is given."""
+
+_WORDS = frozenset(("auth", "device", "log_level", "release"))
+"""Settings that are one of a few words."""
 
 
 def default_state_dir() -> Path:
@@ -108,6 +111,19 @@ class Settings(BaseSettings):
                 "--tls-certificate, --tls-key and --auth tokens, or use 127.0.0.1, ::1 or --socket"
             )
         return self
+
+    def redacted(self) -> dict[str, JsonValue]:
+        """Every setting; ``"given"`` stands for what is no number, switch, policy or known word."""
+        shown: dict[str, JsonValue] = {}
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            if isinstance(value, BaseModel):
+                shown[name] = value.model_dump()
+            elif value is None or isinstance(value, (bool, int, float)) or name in _WORDS:
+                shown[name] = value
+            else:
+                shown[name] = "given"
+        return shown
 
     @property
     def serves_others(self) -> bool:

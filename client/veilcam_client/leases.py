@@ -1,0 +1,34 @@
+"""The camera for oneself, for a while."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from veilcam_client.models import Answer, Question
+
+
+class LeaseRequest(Question):
+    """Hold the camera: for ``seconds``, others take no captures and change no mask."""
+
+    owner: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
+    """Who holds it, for those who are turned away."""
+    seconds: float = Field(gt=0, le=3600)
+    """From now on [s]."""
+
+
+class Lease(Answer):
+    """Whether somebody holds the camera."""
+
+    held: bool
+    owner: str | None
+    expires_in_s: float | None
+    """Until it ends by itself."""
+    mine: bool
+    """Whether who asks is the holder."""
+
+
+class NewLease(Lease):
+    """A lease just taken or renewed."""
+
+    secret: str | None = Field(default=None, repr=False)
+    """Where no tokens are wanted, what the holder sends as ``Veilcam-Lease`` with every request."""

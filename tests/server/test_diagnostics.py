@@ -1,0 +1,139 @@
+"""What the daemon tells of itself: metrics and diagnostics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from veilcam_client.diagnostics import Diagnostics
+from veilcam_client.models import EveryCaptures
+from veilcam_server.audit import AuditLog
+from veilcam_server.devices import DisplayError, SensorError
+from veilcam_server.gateway import Gateway, open_gateway
+from veilcam_server.settings import Settings
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+pytestmark = pytest.mark.anyio
+
+
+def samples(text: str) -> dict[tuple[str, str], float]:
+    """Values by name and labels."""
+    return {
+        (sample.name, ",".join(f"{key}={value}" for key, value in sorted(sample.labels.items()))): (
+            sample.value
+        )
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+async def test_metrics_count_what_happened(
+    running: Running, bench: Bench, display_fault: DisplayError
+) -> None:
+    def fail() -> None:
+        raise SensorError("no frame came")
+
+    async with running() as client:
+        await client.post("/v1/captures")
+        await client.post("/v1/classifications")
+        await client.post("/v1/rotation/advance")
+        bench.sensor.before = fail
+        await client.post("/v1/captures")
+        await client.get("/v1/a-stranger-s-words")
+        await client.request("BREW", "/v1/status")
+        answer = await client.get("/v1/metrics")
+    assert answer.headers["content-type"].startswith("text/plain; version=1.0.0")
+    found = samples(answer.text)
+    assert found["veilcam_captures_total", ""] == 2
+    assert found["veilcam_classifications_total", ""] == 1
+    assert found["veilcam_masks_shown_total", ""] == 1
+    assert found["veilcam_faults_total", "code=sensor_failed"] == 1
+    assert found["veilcam_state", "state=ready"] == 1
+    assert found["veilcam_state", "state=safe"] == 0
+    assert found["veilcam_queue_waiting", ""] == 0
+    assert found["veilcam_audit_lost_total", ""] == 0
+    name = "veilcam_request_seconds_count"
+    assert found[name, "method=POST,route=/v1/captures,status=200"] == 1
+    assert found[name, "method=POST,route=/v1/captures,status=503"] == 1
+    assert found[name, "method=other,route=none,status=404"] == 1
+    assert "stranger" not in answer.text
+    assert "BREW" not in answer.text
+
+
+async def test_metrics_tell_nothing_of_what_was_seen(running: Running, bench: Bench) -> None:
+    async with running(policy=EveryCaptures(captures=1)) as client:
+        labels = {(await client.post("/v1/classifications")).json()["label"] for _ in range(3)}
+        first = (await client.get("/v1/metrics")).text
+        names = {name for name, _ in samples(first)}
+    assert not any(f'"{label}"' in first for label in labels)
+    assert not any(epoch in first for epoch in bench.epochs)
+    assert all(name.startswith(("veilcam_", "process_")) for name in names)
+
+
+async def test_two_daemons_in_one_process_count_apart(running: Running, lone_bench: Bench) -> None:
+    lone_bench.state_dir = lone_bench.state_dir.with_name("other")
+    async with running() as client, running(on=lone_bench) as other:
+        await client.post("/v1/captures")
+        assert samples((await other.get("/v1/metrics")).text)["veilcam_captures_total", ""] == 0
+
+
+async def test_diagnostics_tell_of_the_last_states_and_faults(
+    running: Running, bench: Bench, display_fault: DisplayError, tmp_path: Path
+) -> None:
+    audit = AuditLog(tmp_path / "a.jsonl")
+    audit.lost = 3
+    async with running(gateway=Gateway(audit=audit)) as client:
+        bench.display.faults = [display_fault, display_fault]
+        await client.post("/v1/rotation/advance")
+        answer = await client.get("/v1/diagnostics")
+    audit.close()
+    told = Diagnostics.model_validate_json(answer.content)
+    states = [past.state for past in told.states]
+    assert states[0] == "ready"
+    assert "safe" in states
+    assert told.faults[0].code == "display_failed"
+    assert told.fault_counts["display_failed"] == 1
+    assert told.events["fault"] >= 1
+    assert told.audit_lost == 3
+    assert told.versions["veilcam"]
+    assert [past.at for past in told.states] == sorted(past.at for past in told.states)
+
+
+async def test_settings_are_told_without_what_could_be_secret(
+    running: Running, tmp_path: Path
+) -> None:
+    planted = "PLANTED"
+    given = {
+        "bundle": tmp_path / f"{planted}.veilcam",
+        "device": "simulated",
+        "scene": tmp_path / planted,
+        "host": "127.9.8.7",
+        "state_dir": tmp_path / planted,
+        "mask_secret": tmp_path / planted,
+        "device_label": planted,
+        "tls_certificate": tmp_path / planted,
+        "tls_key": tmp_path / planted,
+        "rotation": {"mode": "captures", "captures": 77},
+        "queue_limit": 5,
+    }
+    settings = Settings.model_validate(given)
+    with open_gateway(settings) as gateway:
+        async with running(gateway=gateway) as client:
+            text = (await client.get("/v1/diagnostics")).text
+    assert planted not in text
+    assert str(tmp_path) not in text
+    assert "127.9.8.7" not in text
+    told = Diagnostics.model_validate_json(text).settings
+    assert set(told) == set(Settings.model_fields)
+    assert told["mask_secret"] == told["host"] == "given"
+    assert told["device"] == "simulated"
+    assert told["queue_limit"] == 5
+    assert told["socket"] is None
+    rotation = told["rotation"]
+    assert isinstance(rotation, dict)
+    assert rotation["captures"] == 77
