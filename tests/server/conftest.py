@@ -194,7 +194,9 @@ class Bench:
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
 
-    def camera(self, *, policy: RotationPolicy = OFF, settle: float = 0.0) -> MaskedCamera:
+    def camera(
+        self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
+    ) -> MaskedCamera:
         camera = MaskedCamera(
             Device(self.display, self.sensor, simulated=True),
             Preparation(self.source, EpochStore(self.state_dir)),
@@ -202,6 +204,7 @@ class Bench:
             self.test,
             fence=Fence(settle=settle),
             policy=policy,
+            test_every=test_every,
         )
         camera.listen(
             self.epochs.append,

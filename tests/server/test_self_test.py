@@ -1,0 +1,329 @@
+"""The optical self test on emulated hardware: what it must pass, and every fault it must find."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from tests.server.devices.clock import Clock
+
+from veilcam_optics.effects.operator import Response
+from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.transfer import TransferOperator
+from veilcam_server.devices import Device, SensorError
+from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.protocols import Exposure, Levels, Sensor
+from veilcam_server.devices.sensor_mode import SensorMode
+from veilcam_server.devices.simulated import Conditions, SimulatedLight
+from veilcam_server.devices.st7735r import ST7735R, TABS
+from veilcam_server.devices.st7735r_emulator import Crystal, Faults, PanelEmulator
+from veilcam_server.errors import SelfTestError, UndecidedError
+from veilcam_server.fence import Fence
+from veilcam_server.self_test import CAPTURES, OpticalSelfTest
+
+CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
+FENCE = Fence(settle=0.05)
+FINER = 2
+MODE = SensorMode(FINER * 12, FINER * 16, line_time=0.0, frame_duration=0.0)
+RNG = np.random.default_rng(3)
+PICTURE = RNG.random(SCENE.shape, np.float32)
+
+
+class Rays:
+    """The light of training's optics, on raw pixels; ``floor`` of it gets past an opaque panel."""
+
+    operator = TransferOperator(
+        CAMERA, SCENE, Embedding(MODE.rows, MODE.columns), step=20e-6, dtype=torch.float32
+    )
+
+    def __init__(self, floor: float = 0.0) -> None:
+        self.floor = floor
+
+    def response(self, weights: torch.Tensor) -> Response:
+        with torch.no_grad():
+            floor = math.sqrt(self.floor)
+            return (self.operator(floor + (1 - floor) * weights.float()),)
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        return (scenes.flatten(1) @ response[0]).reshape(len(scenes), MODE.rows, MODE.columns)
+
+
+OPEN = Rays().collect(torch.ones(1, *SCENE.shape), Rays().response(torch.ones(CAMERA.mask_shape)))
+FULL_SCALE = 1.1 * float(OPEN.max())
+
+
+@dataclass
+class Rig:
+    """A driver on an emulated panel, light, and a camera, on a clock of their own."""
+
+    tab: str = "green"
+    driver: str = "green"
+    faults: Faults = field(default_factory=Faults)
+    floor: float = 0.0
+    settle: float = 0.04
+    picture: npt.NDArray[np.float32] = field(default_factory=PICTURE.copy)
+    snr_db: float = 40.0
+    before: Callable[[int], None] = lambda _: None
+    """Called with the number of each exposure."""
+
+    def __post_init__(self) -> None:
+        self.clock, self.exposures = Clock(), 0
+        self.panel = PanelEmulator(
+            TABS[self.tab],
+            crystal=Crystal(settle=self.settle),
+            reset_time=0.0,
+            clock=self.clock,
+            faults=self.faults,
+        )
+        display = ST7735R(
+            self.panel,
+            self.panel,
+            camera=CAMERA,
+            tab=TABS[self.driver],
+            sleep=lambda _: None,
+            clock=self.clock,
+        )
+        light = SimulatedLight(
+            self.panel,
+            self,
+            Rays(self.floor),
+            camera=CAMERA,
+            embedding=EMBEDDING,
+            conditions=Conditions(exposure=0.01, snr_db=self.snr_db),
+            mode=MODE,
+            full_scale=FULL_SCALE,
+            seed=1,
+            began_at=0.0,
+        )
+
+        def frames(begin: float, end: float) -> npt.NDArray[np.uint16]:
+            self.before(self.exposures)
+            self.exposures += 1
+            return light(begin, end)
+
+        self.camera_faults = CameraFaults()
+        sensor = IMX477(
+            lambda: FakePicamera2(
+                frames,
+                mode=MODE,
+                faults=self.camera_faults,
+                clock=self.clock,
+                sleep=self.clock.sleep,
+            ),
+            shape=EMBEDDING.shape,
+            mode=MODE,
+            exposures=ExposureRange(0.01),
+            full_scale=FULL_SCALE,
+            clock=self.clock,
+        )
+        self.device = Device(display, sensor, simulated=True)
+
+    def read(self) -> npt.NDArray[np.float32]:
+        return self.picture
+
+    def command(self, code: int) -> None:
+        """Send a command that the driver knows nothing of."""
+        self.panel.data(False)
+        self.panel.write(bytes([code]))
+
+    def test(self, seed: int = 7) -> None:
+        OpticalSelfTest(
+            CAMERA, SCENE, EMBEDDING, generator=np.random.default_rng(seed), clock=self.clock
+        ).run(self.device, FENCE)
+
+
+SPOT = np.zeros(SCENE.shape, np.float32)
+SPOT[1, 3] = 1.0
+
+
+@pytest.mark.parametrize("tab", TABS)
+@pytest.mark.parametrize("picture", [PICTURE, SPOT, np.ones(SCENE.shape, np.float32)])
+def test_a_panel_that_does_what_it_is_told_passes(
+    tab: str, picture: npt.NDArray[np.float32]
+) -> None:
+    rig = Rig(tab, tab, picture=picture)
+    rig.test()
+    assert rig.exposures == CAPTURES
+    # It leaves the panel as the safe state has it.
+    assert not rig.panel.framebuffer().any()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_any_pattern_passes(seed: int) -> None:
+    Rig(snr_db=25.0).test(seed)
+
+
+def test_a_panel_with_poor_contrast_passes_until_it_hides_too_little() -> None:
+    Rig(floor=0.3).test()
+    with pytest.raises(SelfTestError, match="does not hide the scene"):
+        Rig(floor=0.7).test()
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param(Faults(dead=True), id="dead"),
+        pytest.param(Faults(lost=1), id="every write lost"),
+        pytest.param(Faults(lost=2), id="every second write lost"),
+    ],
+)
+def test_a_panel_that_is_transparent_is_found(fault: Faults) -> None:
+    with pytest.raises(SelfTestError, match="does not hide the scene") as caught:
+        Rig(faults=fault).test()
+    assert not isinstance(caught.value, UndecidedError)
+
+
+@pytest.mark.parametrize("code", [0x28, 0x10, 0x01], ids=["off", "asleep", "reset"])
+@pytest.mark.parametrize("moment", [-1, 0, 3, 6, 7])
+def test_a_panel_that_goes_off_or_to_sleep_is_found_whenever_it_does(
+    code: int, moment: int
+) -> None:
+    rig = Rig()
+    if moment < 0:
+        rig.command(code)
+    rig.before = lambda number: rig.command(code) if number == moment else None
+    with pytest.raises(SelfTestError):
+        rig.test()
+
+
+@pytest.mark.parametrize("kept", range(1, CAPTURES - 1))
+def test_a_panel_that_is_stuck_is_found_from_wherever_it_sticks(kept: int) -> None:
+    """After so many pictures it stays as it is."""
+    rig = Rig()
+
+    def stick(number: int) -> None:
+        if number == kept:
+            rig.panel.write = lambda buffer: None  # type: ignore[method-assign]
+
+    rig.before = stick
+    with pytest.raises(SelfTestError):
+        rig.test()
+
+
+@pytest.mark.parametrize("lost", [3, 4, 5, 7, 11, 13])
+def test_lost_writes_are_found(lost: int) -> None:
+    with pytest.raises(SelfTestError):
+        Rig(faults=Faults(lost=lost)).test()
+
+
+def test_one_lost_pattern_is_found() -> None:
+    rig = Rig()
+    show = rig.device.display.show
+    shown: list[int] = []
+
+    def lossy(levels: Levels) -> object:
+        shown.append(1)
+        # The fifth pattern is the random quarter again.
+        return show(levels if len(shown) != 5 else np.zeros_like(levels))
+
+    rig.device.display.show = lossy  # type: ignore[method-assign, assignment]
+    with pytest.raises(SelfTestError, match="does not show what it is told"):
+        rig.test()
+
+
+@pytest.mark.parametrize(("panel", "driver"), [("black", "red"), ("red", "black")])
+@pytest.mark.parametrize("picture", [PICTURE, SPOT])
+def test_a_tab_that_turns_the_mask_is_found(
+    panel: str, driver: str, picture: npt.NDArray[np.float32]
+) -> None:
+    with pytest.raises(SelfTestError, match="turned or mirrored: check --panel-tab"):
+        Rig(panel, driver, picture=picture).test()
+
+
+def test_a_tab_that_shifts_the_mask_is_left_to_the_calibration() -> None:
+    """A shifted mask in front of an unknown scene is a mask in front of a shifted one."""
+    Rig("green", "red").test()
+
+
+def test_an_embedding_too_coarse_to_see_where_a_shadow_is_passes() -> None:
+    rig = Rig("black", "red")
+    test = OpticalSelfTest(CAMERA, SCENE, Embedding(2, 2), clock=rig.clock)
+    assert min(test._moved) < 2
+    binned = replace(rig.device, sensor=_Binned(rig.device.sensor))
+    test.run(binned, FENCE)
+
+
+class _Binned:
+    """A sensor with larger boxes."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self.name, self.full_scale, self.close = sensor.name, sensor.full_scale, sensor.close
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        exposure = self._sensor.capture(not_before, timeout)
+        embedding = exposure.embedding.reshape(2, 6, 2, 8).mean((1, 3))
+        return replace(exposure, embedding=embedding)
+
+
+def test_a_dark_room_decides_nothing() -> None:
+    rig = Rig(picture=np.zeros(SCENE.shape, np.float32))
+    with pytest.raises(UndecidedError, match="too dark"):
+        rig.test()
+    rig.picture = PICTURE
+    rig.test()
+
+
+def test_light_that_goes_out_halfway_decides_nothing() -> None:
+    rig = Rig()
+
+    def out(number: int) -> None:
+        if number == 5:
+            rig.picture = np.zeros(SCENE.shape, np.float32)
+
+    rig.before = out
+    with pytest.raises(UndecidedError, match="too dark"):
+        rig.test()
+
+
+def test_light_that_changes_decides_nothing() -> None:
+    rig = Rig()
+
+    def brighter(number: int) -> None:
+        rig.picture = PICTURE * (0.5 + 0.06 * number)
+
+    rig.before = brighter
+    with pytest.raises(UndecidedError, match="changes too much"):
+        rig.test()
+
+
+def test_a_crystal_slower_than_the_fence_is_found() -> None:
+    with pytest.raises(SelfTestError):
+        Rig(settle=0.5).test()
+
+
+def test_a_camera_that_fails_is_not_called_the_panels_failure() -> None:
+    rig = Rig()
+    rig.camera_faults.hangs = 1
+    with pytest.raises(SensorError):
+        rig.test()
+
+
+def test_patterns_cannot_be_foreseen_and_are_not_told() -> None:
+    shown: list[list[Levels]] = []
+    for _ in range(2):
+        rig = Rig()
+        show = rig.device.display.show
+        patterns: list[Levels] = []
+        shown.append(patterns)
+
+        def noted(
+            levels: Levels, patterns: list[Levels] = patterns, show: Callable[..., object] = show
+        ) -> object:
+            patterns.append(levels.copy())
+            return show(levels)
+
+        rig.device.display.show = noted  # type: ignore[method-assign, assignment]
+        test = OpticalSelfTest(CAMERA, SCENE, EMBEDDING, clock=rig.clock)
+        test.run(rig.device, FENCE)
+        assert "array" not in repr(vars(test))
+    first, second = shown
+    assert not np.array_equal(first[1], second[1])
+    # The random ones aside, the same is shown every time.
+    assert np.array_equal(first[3], second[3])

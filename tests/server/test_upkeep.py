@@ -1,0 +1,214 @@
+"""What is done although nobody asks, and the watchdog that is fed only while the device answers."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from structlog.testing import capture_logs
+from tests.server.devices.clock import Clock
+
+from veilcam_client.models import EveryCaptures
+from veilcam_server.devices import Device, SensorLostError
+from veilcam_server.errors import NotReadyError, UndecidedError
+from veilcam_server.health import Health, stamped
+from veilcam_server.upkeep import Upkeep
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for what must happen; the test's own time-out ends a wait that is in vain."""
+    while not condition():
+        await asyncio.sleep(0.002)
+
+
+async def on_device(work: Callable[[], None]) -> None:
+    await asyncio.to_thread(work)
+
+
+def upkeep(bench: Bench, camera: Any, **more: Any) -> Upkeep:
+    given = {"rotating": on_device, "testing": on_device, "first_pause": 0.002, **more}
+    return Upkeep(camera, **given)
+
+
+@pytest.mark.anyio
+async def test_the_panel_is_tested_now_and_then(bench: Bench) -> None:
+    camera = bench.camera(test_every=0.01)
+    async with upkeep(bench, camera).running():
+        await until(lambda: bench.test.runs >= 4)
+    camera.stop()
+    assert bench.sensor.captures == 0
+
+
+@pytest.mark.anyio
+async def test_a_test_that_failed_is_tried_until_it_passes(bench: Bench) -> None:
+    camera = bench.camera()
+    bench.test.faults = [UndecidedError("it is too dark")] * 4
+    bench.display.resets += 1
+    with pytest.raises(NotReadyError):
+        camera.capture()
+    async with upkeep(bench, camera).running():
+        await until(lambda: camera.state[0] == "ready")
+    assert bench.test.runs == 6
+    camera.stop()
+
+
+@pytest.mark.anyio
+async def test_pauses_grow_from_one_failure_to_the_next(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = bench.camera()
+    bench.test.faults = [UndecidedError("it is too dark")] * 9
+    bench.display.resets += 1
+    pauses: list[float] = []
+    sleep = asyncio.sleep
+
+    async def note(seconds: float) -> None:
+        pauses.append(seconds)
+        await sleep(0)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("veilcam_server.upkeep.asyncio.sleep", note)
+        async with upkeep(bench, camera, first_pause=1.0).running():
+            while camera.state[0] != "ready" or bench.test.runs < 10:
+                await sleep(0.002)
+    assert [pause for pause in pauses if pause > 0.5] == [1, 2, 4, 8, 16, 32, 60, 60, 60]
+    camera.stop()
+
+
+@pytest.mark.anyio
+async def test_masks_change_while_nobody_captures(bench: Bench) -> None:
+    camera = bench.camera(policy=EveryCaptures(captures=1))
+    kept = upkeep(bench, camera)
+    async with kept.running():
+        for number in range(2, 5):
+            camera.capture()
+            while len(bench.epochs) < number:
+                kept.wake()
+                await asyncio.sleep(0.002)
+    camera.stop()
+
+
+@pytest.mark.anyio
+async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> None:
+    camera = bench.camera()
+    told: list[str] = []
+    go_on, hanging = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        hanging.set()
+        go_on.wait(20)
+
+    bench.sensor.before = hang
+    camera._health._longest = 0.02
+    with capture_logs() as logs:
+        async with upkeep(bench, camera, watchdog=0.004, tell=told.append).running():
+            await until(lambda: len(told) >= 3)
+            capturing = asyncio.create_task(asyncio.to_thread(camera.capture))
+            await asyncio.to_thread(hanging.wait, 20)
+            await until(lambda: not camera.healthy())
+            fed = len(told)
+            await asyncio.sleep(0.05)
+            assert len(told) == fed
+            go_on.set()
+            await capturing
+            await until(lambda: len(told) > fed)
+    assert set(told) == {"WATCHDOG=1"}
+    # Once when it goes down.
+    assert [entry["event"] for entry in logs].count(
+        "the panel or the camera hangs: the watchdog is not fed any more"
+    ) == 1
+    camera.stop()
+
+
+@pytest.mark.anyio
+async def test_without_a_watchdog_nobody_is_told(bench: Bench) -> None:
+    camera = bench.camera()
+    told: list[str] = []
+    async with upkeep(bench, camera, tell=told.append).running():
+        await asyncio.sleep(0.02)
+    assert not told
+    camera.stop()
+
+
+def test_whatever_is_asked_of_the_device_is_stamped(bench: Bench) -> None:
+    clock = Clock()
+    health = Health(5.0, clock)
+    device = stamped(Device(bench.display, bench.sensor, simulated=True), health)
+    seen: list[bool] = []
+
+    def slow(*_: object) -> Any:
+        clock.sleep(4)
+        seen.append(health.healthy())
+        clock.sleep(2)
+        seen.append(health.healthy())
+        raise RuntimeError
+
+    asked: list[tuple[object, str, Callable[[], object]]] = [
+        (bench.display, "show", lambda: device.display.show(bench.bundle.pairs[0].levels)),
+        (bench.display, "blank", device.display.blank),
+        (bench.display, "close", device.display.close),
+        (bench.sensor, "capture", lambda: device.sensor.capture(0.0, 1.0)),
+        (bench.sensor, "close", device.sensor.close),
+    ]
+    for part, name, ask in asked:
+        setattr(part, name, slow)
+        with pytest.raises(RuntimeError):
+            ask()
+        assert seen[-2:] == [True, False]
+        # What ended, well or badly, hangs no more.
+        assert health.healthy()
+    assert device.display.name == "fake panel"
+    assert device.sensor.name == "fake sensor"
+    assert device.display.resets == 1
+    assert device.sensor.full_scale == 1.0
+
+
+@pytest.mark.anyio
+async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
+    bench: Bench, running: Running
+) -> None:
+    """The state tells of it, once; a dark night would fill every log."""
+    async with running() as client:
+        bench.test.faults = [UndecidedError("it is too dark")] * 2
+        bench.display.resets += 1
+        answer = await client.post("/v1/captures")
+        assert answer.status_code == 503
+        problem = answer.json()
+        assert (problem["code"], problem["retryable"]) == ("not_ready", True)
+        assert "too dark" in problem["detail"]
+        status = (await client.get("/v1/status")).json()
+        assert (status["state"], status["detail"]) == ("degraded", "it is too dark")
+        begun = time.monotonic()
+        while (await client.get("/v1/status")).json()["state"] != "ready":
+            assert time.monotonic() - begun < 60
+            await asyncio.sleep(0.02)
+        assert (await client.post("/v1/captures")).status_code == 200
+        service = client._transport.app.state.service  # type: ignore[attr-defined]
+        kinds = [event.kind for event in service._events._events]
+    # What was asked for failed; what was tried again in the background only says when it is back.
+    assert kinds.count("fault") == 1
+    assert kinds.count("state") == 3
+
+
+@pytest.mark.anyio
+async def test_a_lost_sensor_ends_the_daemon(bench: Bench) -> None:
+    def fail() -> None:
+        raise SensorLostError("the camera failed 3 times in a row: check its cable and restart")
+
+    service = bench.service(bench.camera())
+    ended = asyncio.Event()
+    service.on_lost(ended.set)
+    async with service.open():
+        assert service.lost is None
+        bench.sensor.before = fail
+        with pytest.raises(SensorLostError):
+            await service.capture()
+        assert ended.is_set()
+        assert "check its cable" in str(service.lost)
