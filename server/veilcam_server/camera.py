@@ -28,7 +28,8 @@ from veilcam_server.errors import (
 )
 from veilcam_server.fence import Fence, check_exposure
 from veilcam_server.health import Health, stamped
-from veilcam_server.preparation import Preparation
+from veilcam_server.masks import MaskSource
+from veilcam_server.preparation import Preparation, Prepared
 from veilcam_server.proof import EVERY, Proof
 from veilcam_server.rotation import due_in, reusable
 from veilcam_server.self_test import SelfTest
@@ -172,6 +173,25 @@ class MaskedCamera:
         with self._lock:
             self._rotate()
 
+    def change_source(self, source: MaskSource, first: Prepared) -> None:
+        """Show a mask of another source: from then on masks and their readers come from there.
+
+        Args:
+            source: for a camera and an embedding like these.
+            first: of its epochs, prepared by this camera's preparation.
+
+        Raises:
+            RotationImpossibleError: the policy needs another mask, and the source has one only.
+            SelfTestError, SensorError, FenceError, EpochError, DisplayError: as :meth:`rotate`;
+                the source before goes on.
+        """
+        with self._lock:
+            if not (isinstance(self._policy, RotationOff) or source.renewable):
+                raise RotationImpossibleError(
+                    "this keyring holds one mask only: turn the rotation of masks off first"
+                )
+            self._show(first, source)
+
     def rotate_if_due(self) -> None:
         """Show another mask if the policy wants it and one is ready; raises as :meth:`rotate`."""
         with self._lock:
@@ -236,9 +256,7 @@ class MaskedCamera:
             self._showing = None
             with ExitStack() as stack:
                 stack.callback(self._preparation.close)
-                stack.callback(self._device.display.close)
-                stack.callback(self._device.display.blank)
-                self._device.sensor.close()
+                self._device.close()
 
     def _may_reuse(self) -> bool:
         """Whether a mask that is due may serve this capture, too."""
@@ -248,13 +266,16 @@ class MaskedCamera:
         return showing.reuse(reusable(self._policy), self.lateness)
 
     def _rotate(self) -> None:
-        if self._state == "stopping":
-            raise NotReadyError("the daemon is stopping")
-        previous = self._showing
-        if previous is not None:
+        self._require_running()
+        if self._showing is not None:
             self._require_another()
         # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
-        prepared = self._preparation.take()
+        self._show(self._preparation.take())
+
+    def _show(self, prepared: Prepared, source: MaskSource | None = None) -> None:
+        """Show a mask; with ``source``, which it comes from, the next ones come from there too."""
+        self._require_running()
+        previous = self._showing
         self._preparation.record(prepared.mask)
         self._prove()
         # From here on no mask counts as shown until the panel has confirmed one.
@@ -270,6 +291,8 @@ class MaskedCamera:
         self._showing = Showing(
             prepared.mask, prepared.epoch.name, shown.completed_at, shown.completed_at
         )
+        if source is not None:
+            self._preparation.serve(source)
         self._enter("ready", None)
         self._on_mask(prepared.epoch.name)
         if self._preparation.renewable:
@@ -298,6 +321,10 @@ class MaskedCamera:
         if showing is not None and self._proof.holds_for() <= 0:
             self._prove()
             self._put_back(showing)
+
+    def _require_running(self) -> None:
+        if self._state == "stopping":
+            raise NotReadyError("the daemon is stopping")
 
     def _require_another(self) -> None:
         if not self._preparation.renewable:

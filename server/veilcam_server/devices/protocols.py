@@ -6,6 +6,7 @@ Whatever stands behind it, simulated or real, keeps to these two protocols. All 
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -107,8 +108,12 @@ class Device:
     simulated: bool
 
     def close(self) -> None:
-        """Let go of both, the sensor first."""
-        try:
+        """End safely: stop the sensor, show opaque, let go of both. The display stays on.
+
+        Raises:
+            DisplayError: the panel could not be made opaque; it was let go all the same.
+        """
+        with ExitStack() as stack:
+            stack.callback(self.display.close)
+            stack.callback(self.display.blank)
             self.sensor.close()
-        finally:
-            self.display.close()
