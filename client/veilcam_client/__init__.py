@@ -10,15 +10,19 @@ from importlib.metadata import version
 
 from veilcam_client.camera import DEFAULT_URL, AsyncCamera, Camera
 from veilcam_client.decoding import SceneDecoder
+from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.errors import (
     ApiError,
     BusyError,
     ConnectError,
     DeviceError,
+    ForbiddenError,
     InvalidRequestError,
+    LeasedError,
     ProtocolError,
     RequestTimeoutError,
     ServerError,
+    UnauthorizedError,
     VeilcamError,
 )
 from veilcam_client.events import (
@@ -31,6 +35,7 @@ from veilcam_client.events import (
     RotationChanged,
     StateChanged,
 )
+from veilcam_client.leases import Lease, NewLease
 from veilcam_client.models import (
     Capture,
     Classification,
@@ -42,6 +47,7 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_client.tokens import NewToken, Scope, Token
 
 __version__ = version("veilcam")
 
@@ -57,14 +63,20 @@ __all__ = [
     "Classified",
     "ConnectError",
     "DeviceError",
+    "Diagnostics",
     "Embedding",
     "Event",
     "EveryCaptures",
     "EverySeconds",
     "Fault",
+    "ForbiddenError",
     "Gap",
     "InvalidRequestError",
+    "Lease",
+    "LeasedError",
     "MaskChanged",
+    "NewLease",
+    "NewToken",
     "ProtocolError",
     "RequestTimeoutError",
     "Rotation",
@@ -72,9 +84,12 @@ __all__ = [
     "RotationOff",
     "RotationPolicy",
     "SceneDecoder",
+    "Scope",
     "ServerError",
     "StateChanged",
     "Status",
+    "Token",
+    "UnauthorizedError",
     "VeilcamError",
     "__version__",
 ]

@@ -6,12 +6,15 @@ The sync and the async camera share these, so they cannot drift apart.
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
+from urllib.parse import quote
 
 from pydantic import BaseModel
 
+from veilcam_client.diagnostics import Diagnostics
+from veilcam_client.leases import Lease, LeaseRequest, NewLease
 from veilcam_client.models import (
     Capture,
     Classification,
@@ -20,6 +23,7 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_client.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 
@@ -85,3 +89,52 @@ def set_rotation(policy: RotationPolicy) -> Call[Rotation]:
 def rotate() -> Call[Rotation]:
     """POST /v1/rotation/advance."""
     return Call("POST", "/v1/rotation/advance", Rotation, headers=_headers(post=True))
+
+
+def lease_state() -> Call[Lease]:
+    """GET /v1/lease."""
+    return Call("GET", "/v1/lease", Lease, headers=_headers())
+
+
+def take_lease(seconds: float, owner: str) -> Call[NewLease]:
+    """POST /v1/lease."""
+    request = LeaseRequest(owner=owner, seconds=seconds)
+    return Call(
+        "POST",
+        "/v1/lease",
+        NewLease,
+        request.model_dump_json().encode(),
+        _headers(body=True, post=True),
+    )
+
+
+def release_lease() -> Call[Lease]:
+    """DELETE /v1/lease."""
+    return Call("DELETE", "/v1/lease", Lease, headers=_headers())
+
+
+def diagnostics() -> Call[Diagnostics]:
+    """GET /v1/diagnostics."""
+    return Call("GET", "/v1/diagnostics", Diagnostics, headers=_headers())
+
+
+def tokens() -> Call[Tokens]:
+    """GET /v1/tokens."""
+    return Call("GET", "/v1/tokens", Tokens, headers=_headers())
+
+
+def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Call[NewToken]:
+    """POST /v1/tokens."""
+    request = TokenRequest(label=label, scopes=tuple(scopes), seconds=seconds)
+    return Call(
+        "POST",
+        "/v1/tokens",
+        NewToken,
+        request.model_dump_json().encode(),
+        _headers(body=True, post=True),
+    )
+
+
+def revoke_token(token_id: str) -> Call[Token]:
+    """DELETE /v1/tokens/ID."""
+    return Call("DELETE", f"/v1/tokens/{quote(token_id, safe='')}", Token, headers=_headers())

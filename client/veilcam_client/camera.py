@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterator
+import os
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from types import TracebackType
 from typing import Self
 
 from veilcam_client import calls
+from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.events import Event
+from veilcam_client.leases import Lease, NewLease
 from veilcam_client.models import Capture, Classification, Rotation, RotationPolicy, Status
 from veilcam_client.retry import RetryPolicy
+from veilcam_client.tokens import NewToken, Scope, Token
 from veilcam_client.transport import (
     AsyncHttpClient,
     AsyncTransport,
@@ -29,10 +34,14 @@ class Camera:
         connect_timeout: to reach the daemon [s].
         read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
         max_retries: how often a request that may succeed later is repeated.
+        token: made by ``veilcamd token create``; that in ``VEILCAM_TOKEN`` if None. It goes over
+            https, unix sockets, and http to this machine, nowhere else.
+        ca_file: PEM file of the authority that vouches for an https daemon; that in
+            ``VEILCAM_CA_FILE`` if None, else those that the system trusts.
         http_client: an ``httpx.Client`` to use instead of an own one; it is not closed.
 
     Raises:
-        ValueError: a URL or timeout that cannot be used.
+        ValueError: a URL, timeout, token or file that cannot be used.
     """
 
     def __init__(
@@ -42,9 +51,12 @@ class Camera:
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
         max_retries: int = 2,
+        token: str | None = None,
+        ca_file: str | os.PathLike[str] | None = None,
         http_client: HttpClient | None = None,
     ) -> None:
-        options = Options(url, connect_timeout, read_timeout, RetryPolicy(retries=max_retries))
+        retry = RetryPolicy(retries=max_retries)
+        options = Options(url, connect_timeout, read_timeout, retry, token, ca_file)
         self._transport = Transport(options, http_client)
 
     def __enter__(self) -> Self:
@@ -86,6 +98,49 @@ class Camera:
         """Show another mask now."""
         return self._transport.send(calls.rotate())
 
+    def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
+        """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
+        taken = self._transport.send(calls.take_lease(seconds, owner))
+        self._transport.headers.lease = taken.secret
+        return taken
+
+    def release_lease(self) -> Lease:
+        """Hold the camera no longer."""
+        released = self._transport.send(calls.release_lease())
+        self._transport.headers.lease = None
+        return released
+
+    @contextmanager
+    def lease(self, *, seconds: float, owner: str = "veilcam_client") -> Iterator[NewLease]:
+        """Hold the camera within the context; :meth:`take_lease` within it renews."""
+        taken = self.take_lease(seconds=seconds, owner=owner)
+        try:
+            yield taken
+        finally:
+            self.release_lease()
+
+    def lease_state(self) -> Lease:
+        """Who holds the camera, and how long."""
+        return self._transport.send(calls.lease_state())
+
+    def diagnostics(self) -> Diagnostics:
+        """Versions, settings, and the last states and faults of the daemon."""
+        return self._transport.send(calls.diagnostics())
+
+    def tokens(self) -> tuple[Token, ...]:
+        """All tokens, revoked and expired ones included."""
+        return (self._transport.send(calls.tokens())).tokens
+
+    def create_token(
+        self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
+    ) -> NewToken:
+        """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
+        return self._transport.send(calls.create_token(label, scopes, seconds))
+
+    def revoke_token(self, token_id: str) -> Token:
+        """Let a token do nothing any more."""
+        return self._transport.send(calls.revoke_token(token_id))
+
     def events(self, *, last_event_id: str | None = None) -> Iterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""
         return self._transport.events(last_event_id)
@@ -101,9 +156,12 @@ class AsyncCamera:
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
         max_retries: int = 2,
+        token: str | None = None,
+        ca_file: str | os.PathLike[str] | None = None,
         http_client: AsyncHttpClient | None = None,
     ) -> None:
-        options = Options(url, connect_timeout, read_timeout, RetryPolicy(retries=max_retries))
+        retry = RetryPolicy(retries=max_retries)
+        options = Options(url, connect_timeout, read_timeout, retry, token, ca_file)
         self._transport = AsyncTransport(options, http_client)
 
     async def __aenter__(self) -> Self:
@@ -144,6 +202,51 @@ class AsyncCamera:
     async def rotate(self) -> Rotation:
         """Show another mask now."""
         return await self._transport.send(calls.rotate())
+
+    async def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
+        """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
+        taken = await self._transport.send(calls.take_lease(seconds, owner))
+        self._transport.headers.lease = taken.secret
+        return taken
+
+    async def release_lease(self) -> Lease:
+        """Hold the camera no longer."""
+        released = await self._transport.send(calls.release_lease())
+        self._transport.headers.lease = None
+        return released
+
+    @asynccontextmanager
+    async def lease(
+        self, *, seconds: float, owner: str = "veilcam_client"
+    ) -> AsyncIterator[NewLease]:
+        """Hold the camera within the context; :meth:`take_lease` within it renews."""
+        taken = await self.take_lease(seconds=seconds, owner=owner)
+        try:
+            yield taken
+        finally:
+            await self.release_lease()
+
+    async def lease_state(self) -> Lease:
+        """Who holds the camera, and how long."""
+        return await self._transport.send(calls.lease_state())
+
+    async def diagnostics(self) -> Diagnostics:
+        """Versions, settings, and the last states and faults of the daemon."""
+        return await self._transport.send(calls.diagnostics())
+
+    async def tokens(self) -> tuple[Token, ...]:
+        """All tokens, revoked and expired ones included."""
+        return (await self._transport.send(calls.tokens())).tokens
+
+    async def create_token(
+        self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
+    ) -> NewToken:
+        """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
+        return await self._transport.send(calls.create_token(label, scopes, seconds))
+
+    async def revoke_token(self, token_id: str) -> Token:
+        """Let a token do nothing any more."""
+        return await self._transport.send(calls.revoke_token(token_id))
 
     def events(self, *, last_event_id: str | None = None) -> AsyncIterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""

@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from json import dumps
 from pathlib import Path
-from typing import Annotated, NoReturn, TypeVar
+from typing import Annotated
 
 import numpy as np
 import typer
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
+from veilcam_client import token_command
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.errors import (
-    ApiError,
-    BusyError,
-    ConnectError,
-    DeviceError,
-    InvalidRequestError,
-    ProtocolError,
-    RequestTimeoutError,
-    ServerError,
-    VeilcamError,
-)
 from veilcam_client.models import (
     EveryCaptures,
     EverySeconds,
     Rotation,
     RotationOff,
     RotationPolicy,
+)
+from veilcam_client.terminal import (
+    USAGE,
+    JsonOption,
+    TimeoutOption,
+    UrlOption,
+    ask,
+    errors,
+    fail,
+    print_json,
 )
 from veilcam_client.wording import (
     epoch_in_words,
@@ -40,32 +39,15 @@ from veilcam_client.wording import (
     refusal,
 )
 
-EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
-    (ConnectError, 3),
-    (RequestTimeoutError, 4),
-    (InvalidRequestError, 5),
-    (BusyError, 6),
-    (DeviceError, 7),
-    (ServerError, 8),
-    (ProtocolError, 9),
-)
-USAGE = 2
-
-AnswerT = TypeVar("AnswerT", bound=BaseModel)
-
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request refused, 6 busy, "
-    "7 device, 8 server defect, 9 unreadable answer.",
+    epilog="VEILCAM_TOKEN holds the token for a daemon that wants one, VEILCAM_CA_FILE the "
+    "authority of an https one. Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request "
+    "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
+    "12 leased.",
 )
-
-UrlOption = Annotated[
-    str,
-    typer.Option(envvar="VEILCAM_URL", help="http://HOST:PORT or unix:///PATH."),
-]
-TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer [s].")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+app.add_typer(token_command.app, name="token")
 
 
 @app.callback()
@@ -78,9 +60,9 @@ def status(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Show what the camera is and what it is doing."""
-    answer = _ask(url, timeout, Camera.status)
+    answer = ask(url, timeout, Camera.status)
     if json:
-        _print_json(answer)
+        print_json(answer)
         return
     detail = f" ({answer.detail})" if answer.detail else ""
     rows, columns = answer.bundle.embedding_shape[-2:]
@@ -107,15 +89,15 @@ def capture(
     json: JsonOption = False,
 ) -> None:
     """Take one embedding."""
-    answer = _ask(url, timeout, Camera.capture)
+    answer = ask(url, timeout, Camera.capture)
     if out is not None:
         try:
             with out.open("wb") as stream:
                 np.save(stream, np.asarray(answer), allow_pickle=False)
         except OSError as error:
-            _fail(f"cannot write {out}: {error.strerror}", USAGE)
+            fail(f"cannot write {out}: {error.strerror}", USAGE)
     if json:
-        _print_json(answer)
+        print_json(answer)
         return
     values = np.asarray(answer)
     shape = " x ".join(str(count) for count in values.shape)
@@ -130,9 +112,9 @@ def classify(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Tell what is in front of the camera."""
-    answer = _ask(url, timeout, Camera.classify)
+    answer = ask(url, timeout, Camera.classify)
     if json:
-        _print_json(answer)
+        print_json(answer)
         return
     typer.echo(
         f"{answer.label}  {100 * answer.confidence:.1f} %  epoch {answer.epoch}  "
@@ -150,14 +132,36 @@ def watch(
     json: JsonOption = False,
 ) -> None:
     """Print events as they happen, one a line."""
-    with _errors(), Camera(url, read_timeout=timeout) as camera:
+    with errors(), Camera(url, read_timeout=timeout) as camera:
         for number, event in enumerate(camera.events(last_event_id=since), start=1):
             if json:
-                _print_json(event)
+                print_json(event)
             else:
                 typer.echo(f"{event.at:%H:%M:%S}  {event.kind:<14}  {event_in_words(event)}")
             if number == count:
                 break
+
+
+@app.command()
+def diagnostics(
+    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
+) -> None:
+    """Show versions, settings, and what failed lately."""
+    answer = ask(url, timeout, Camera.diagnostics)
+    if json:
+        print_json(answer)
+        return
+    for name, text in answer.versions.items():
+        typer.echo(f"version   {name} {text}")
+    for name, value in answer.settings.items():
+        typer.echo(f"setting   {name} {dumps(value)}")
+    for kind, count in answer.events.items():
+        typer.echo(f"events    {count} {kind}")
+    for past in answer.states:
+        why = f": {past.detail}" if past.detail else ""
+        typer.echo(f"state     {past.at:%Y-%m-%d %H:%M:%S}  {past.state}{why}")
+    for fault in answer.faults:
+        typer.echo(f"fault     {fault.at:%Y-%m-%d %H:%M:%S}  {fault.code}: {fault.detail}")
 
 
 @app.command()
@@ -183,11 +187,11 @@ def rotate(
 ) -> None:
     """Show another mask now, or say when masks change."""
     if sum((off, every_seconds is not None, every_captures is not None)) > 1:
-        _fail("give one of --off, --every-seconds and --every-captures", USAGE)
+        fail("give one of --off, --every-seconds and --every-captures", USAGE)
     if jitter is not None and every_seconds is None:
-        _fail("--jitter goes with --every-seconds", USAGE)
+        fail("--jitter goes with --every-seconds", USAGE)
     if reuse is not None and every_seconds is None and every_captures is None:
-        _fail("--reuse goes with --every-seconds or --every-captures", USAGE)
+        fail("--reuse goes with --every-seconds or --every-captures", USAGE)
     policy: RotationPolicy | None = None
     try:
         if off:
@@ -197,17 +201,17 @@ def rotate(
         elif every_captures is not None:
             policy = EveryCaptures(captures=every_captures, reuse=reuse or 0)
     except ValidationError as error:
-        _fail(refusal(error), USAGE)
-    ask: Callable[[Camera], Rotation] = Camera.rotate
+        fail(refusal(error), USAGE)
+    question: Callable[[Camera], Rotation] = Camera.rotate
     if policy is not None:
         wanted = policy
 
-        def ask(camera: Camera) -> Rotation:
+        def question(camera: Camera) -> Rotation:
             return camera.set_rotation(wanted)
 
-    answer = _ask(url, timeout, ask)
+    answer = ask(url, timeout, question)
     if json:
-        _print_json(answer)
+        print_json(answer)
         return
     typer.echo(f"rotation  {policy_in_words(answer.policy)}")
     typer.echo(f"epoch     {epoch_in_words(answer)}")
@@ -216,35 +220,3 @@ def rotate(
 def main() -> None:
     """Run ``veilcam``."""
     app(prog_name="veilcam")
-
-
-def _ask(url: str, timeout: float, ask: Callable[[Camera], AnswerT]) -> AnswerT:
-    with _errors(), Camera(url, read_timeout=timeout) as camera:
-        return ask(camera)
-
-
-@contextmanager
-def _errors() -> Iterator[None]:
-    try:
-        yield
-    except VeilcamError as error:
-        code = next(code for kind, code in EXIT_CODES if isinstance(error, kind))
-        hint = f" [{error.code}, request {error.request_id}]" if isinstance(error, ApiError) else ""
-        _fail(f"{error}{hint}", code)
-    except ValueError as error:
-        _fail(str(error), USAGE)
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except BrokenPipeError:
-        # The reader went away: `veilcam watch | head`.
-        sys.stderr.close()
-        sys.exit(141)
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    typer.echo(f"veilcam: error: {message}", err=True)
-    sys.exit(code)
-
-
-def _print_json(answer: BaseModel) -> None:
-    typer.echo(answer.model_dump_json())

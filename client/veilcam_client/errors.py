@@ -5,13 +5,18 @@
     ``RequestTimeoutError``: connected or not, no answer in time.
     ``ProtocolError``: an answer that this SDK cannot read.
     ``ApiError``: the daemon answered with a problem.
-        ``InvalidRequestError``: HTTP 400 to 428, asking the same again will not help.
-        ``BusyError``: HTTP 429, too many captures are waiting.
+        ``UnauthorizedError``: HTTP 401, the token is missing or not valid any more.
+        ``ForbiddenError``: the token lacks a scope.
+        ``LeasedError``: HTTP 423, somebody else holds the camera.
+        ``InvalidRequestError``: any other HTTP 400 to 428, asking the same again will not help.
+        ``BusyError``: HTTP 429, too many captures are waiting, or too many requests are made.
         ``DeviceError``: HTTP 503; panel, sensor or fence. Nothing mixed was handed out.
         ``ServerError``: any other 5xx, a defect of the daemon.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from veilcam_client.models import FieldError, Problem
 
@@ -83,12 +88,24 @@ class ApiError(VeilcamError):
         self.errors: tuple[FieldError, ...] = problem.errors
 
 
+class UnauthorizedError(ApiError):
+    """The daemon wants a valid token."""
+
+
+class ForbiddenError(ApiError):
+    """The token does not allow this."""
+
+
+class LeasedError(ApiError):
+    """Somebody else holds the camera."""
+
+
 class InvalidRequestError(ApiError):
     """The request is at fault."""
 
 
 class BusyError(ApiError):
-    """Too many captures are waiting."""
+    """Too much is asked at once, or in a short time."""
 
 
 class DeviceError(ApiError):
@@ -99,12 +116,16 @@ class ServerError(ApiError):
     """A defect of the daemon."""
 
 
+_BY_CODE: Mapping[str, type[ApiError]] = {
+    "unauthorized": UnauthorizedError,
+    "forbidden": ForbiddenError,
+    "leased": LeasedError,
+}
+_BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
+
+
 def error_from_problem(problem: Problem, retry_after: float | None = None) -> ApiError:
-    """Return the error for a problem, chosen by its HTTP status."""
-    if problem.status == 429:
-        return BusyError(problem, retry_after)
-    if problem.status == 503:
-        return DeviceError(problem, retry_after)
-    if problem.status >= 500:
-        return ServerError(problem, retry_after)
-    return InvalidRequestError(problem, retry_after)
+    """Return the error for a problem, chosen by its code or else by its HTTP status."""
+    other = ServerError if problem.status >= 500 else InvalidRequestError
+    kind = _BY_CODE.get(problem.code) or _BY_STATUS.get(problem.status, other)
+    return kind(problem, retry_after)

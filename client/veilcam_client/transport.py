@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import ipaddress
+import os
+import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -36,16 +39,21 @@ STREAM_SILENCE = 45.0
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Where the daemon is and how long to wait for it."""
+    """Where the daemon is, how long to wait for it, and who asks."""
 
     url: str
     connect_timeout: float
     read_timeout: float
     retry: RetryPolicy
+    token: str | None = field(default=None, repr=False)
+    ca_file: str | os.PathLike[str] | None = None
     base: str = field(init=False)
     socket: str | None = field(init=False)
 
     def __post_init__(self) -> None:
+        for name, variable in (("token", "VEILCAM_TOKEN"), ("ca_file", "VEILCAM_CA_FILE")):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, os.environ.get(variable) or None)
         parts = urlsplit(self.url)
         if parts.scheme == "unix" and parts.path and not parts.netloc:
             base, socket = "http://localhost", parts.path
@@ -58,8 +66,35 @@ class Options:
         for name in ("connect_timeout", "read_timeout"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} = {getattr(self, name)} s is not valid: use > 0")
+        if self.token is not None:
+            # Neither message repeats the token.
+            if not (self.token.isascii() and self.token.isprintable() and " " not in self.token):
+                raise ValueError("the token is not valid: it starts with vc_ and has no spaces")
+            if parts.scheme == "http" and not _is_this_machine(parts.hostname or ""):
+                raise ValueError(
+                    f"url = {self.url!r} would send the token in the clear: use https://"
+                )
         object.__setattr__(self, "base", base)
         object.__setattr__(self, "socket", socket)
+
+    def transport(self) -> httpx.HTTPTransport:
+        """A transport of one's own; raises ValueError for a ``ca_file`` that cannot be used."""
+        return httpx.HTTPTransport(uds=self.socket, verify=self._trust())
+
+    def async_transport(self) -> httpx.AsyncHTTPTransport:
+        """:meth:`transport` for asyncio."""
+        return httpx.AsyncHTTPTransport(uds=self.socket, verify=self._trust())
+
+    def _trust(self) -> ssl.SSLContext | bool:
+        if self.ca_file is None:
+            return True
+        try:
+            return ssl.create_default_context(cafile=self.ca_file)
+        except OSError as error:
+            reason = error.strerror or "no certificate in it"
+            raise ValueError(
+                f"ca_file = {os.fspath(self.ca_file)!r} cannot be used ({reason}): give a PEM file"
+            ) from None
 
     def timeout(self, *, stream: bool = False) -> httpx.Timeout:
         """Limits of one request."""
@@ -81,6 +116,24 @@ class Options:
             ) from error
 
 
+class _Headers:
+    """What every request carries."""
+
+    def __init__(self, options: Options) -> None:
+        self._token = options.token
+        self.lease: str | None = None
+        """Secret of the lease that this client holds, where it was told one."""
+
+    def of(self, headers: Mapping[str, str]) -> dict[str, str]:
+        """``headers`` with token and lease."""
+        more = {}
+        if self._token is not None:
+            more["Authorization"] = f"Bearer {self._token}"
+        if self.lease is not None:
+            more["Veilcam-Lease"] = self.lease
+        return {**headers, **more}
+
+
 class Transport:
     """Sends calls with ``httpx.Client``."""
 
@@ -90,13 +143,11 @@ class Transport:
         client: HttpClient | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.options = options
+        self.options, self.headers = options, _Headers(options)
         self._sleep = sleep
         self._owned = client is None
         # trust_env off: a proxy meant for the web must not see a camera on this machine.
-        self._client = client or httpx.Client(
-            transport=httpx.HTTPTransport(uds=options.socket), trust_env=False
-        )
+        self._client = client or httpx.Client(transport=options.transport(), trust_env=False)
 
     def send(self, call: Call[AnswerT]) -> AnswerT:
         """Send, retry as the policy says, and return the answer."""
@@ -108,7 +159,7 @@ class Transport:
                         call.method,
                         self.options.base + call.path,
                         content=call.body,
-                        headers=dict(call.headers),
+                        headers=self.headers.of(call.headers),
                         timeout=self.options.timeout(),
                     )
                 return _read(call.answer, response)
@@ -144,7 +195,7 @@ class Transport:
             self._client.stream(
                 "GET",
                 f"{self.options.base}/v1/events",
-                headers=_stream_headers(last_event_id),
+                headers=self.headers.of(_stream_headers(last_event_id)),
                 timeout=self.options.timeout(stream=True),
             ) as response,
         ):
@@ -166,10 +217,10 @@ class AsyncTransport:
     """Sends calls with ``httpx.AsyncClient``."""
 
     def __init__(self, options: Options, client: AsyncHttpClient | None = None) -> None:
-        self.options = options
+        self.options, self.headers = options, _Headers(options)
         self._owned = client is None
         self._client = client or httpx.AsyncClient(
-            transport=httpx.AsyncHTTPTransport(uds=options.socket), trust_env=False
+            transport=options.async_transport(), trust_env=False
         )
 
     async def send(self, call: Call[AnswerT]) -> AnswerT:
@@ -182,7 +233,7 @@ class AsyncTransport:
                         call.method,
                         self.options.base + call.path,
                         content=call.body,
-                        headers=dict(call.headers),
+                        headers=self.headers.of(call.headers),
                         timeout=self.options.timeout(),
                     )
                 return _read(call.answer, response)
@@ -216,7 +267,7 @@ class AsyncTransport:
             async with self._client.stream(
                 "GET",
                 f"{self.options.base}/v1/events",
-                headers=_stream_headers(last_event_id),
+                headers=self.headers.of(_stream_headers(last_event_id)),
                 timeout=self.options.timeout(stream=True),
             ) as response:
                 if response.status_code != httpx.codes.OK:
@@ -231,6 +282,13 @@ class AsyncTransport:
         """Close the connections, unless the client was handed in."""
         if self._owned:
             await self._client.aclose()
+
+
+def _is_this_machine(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def _stream_headers(last_event_id: str | None) -> dict[str, str]:

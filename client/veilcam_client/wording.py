@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 from pydantic import ValidationError
 
 from veilcam_client.events import (
@@ -21,6 +23,7 @@ from veilcam_client.models import (
     RotationOff,
     RotationPolicy,
 )
+from veilcam_client.tokens import Token
 
 
 def refusal(error: ValidationError) -> str:
@@ -79,3 +82,19 @@ def event_in_words(event: Event) -> str:
     if isinstance(event, Fault):
         return f"{event.code}: {event.detail}"
     return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"
+
+
+def token_in_words(token: Token) -> str:
+    """What a token is, in two lines."""
+    used = f"used {token.last_used_on}" if token.last_used_on else "never used"
+    scopes = " ".join(token.scopes)
+    return f"{token.id}  {_validity(token):<24}  {used:<15}  {token.label}\n{'':14}{scopes}"
+
+
+def _validity(token: Token) -> str:
+    if token.revoked_at is not None:
+        return f"revoked {token.revoked_at:%Y-%m-%d}"
+    if token.expires_at is None:
+        return "until it is revoked"
+    word = "expired" if token.expires_at <= datetime.now(UTC) else "until"
+    return f"{word} {token.expires_at:%Y-%m-%d %H:%M}"

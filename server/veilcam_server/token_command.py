@@ -5,7 +5,6 @@ from __future__ import annotations
 import getpass
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +12,7 @@ import typer
 from pydantic import ValidationError
 
 from veilcam_client.tokens import Token, TokenRequest, Tokens
+from veilcam_client.wording import token_in_words
 from veilcam_server.audit import DONE, AuditLog
 from veilcam_server.errors import StartError, TokenStoreError, UnknownTokenError
 from veilcam_server.settings import default_state_dir
@@ -74,9 +74,7 @@ def list_tokens(
     if not tokens:
         typer.echo("no tokens: make one with 'veilcamd token create'")
     for token in tokens:
-        used = f"used {token.last_used_on}" if token.last_used_on else "never used"
-        typer.echo(f"{token.id}  {_validity(token):<21}  {used:<15}  {token.label}")
-        typer.echo(f"              {' '.join(token.scopes)}")
+        typer.echo(token_in_words(token))
 
 
 @app.command()
@@ -91,15 +89,6 @@ def revoke(
     with _store(state_dir) as (store, audit):
         _note(audit, "token revoke", store.revoke(token_id))
     typer.echo(f"revoked {token_id}")
-
-
-def _validity(token: Token) -> str:
-    if token.revoked_at is not None:
-        return f"revoked {token.revoked_at:%Y-%m-%d}"
-    if token.expires_at is None:
-        return "until it is revoked"
-    word = "expired" if token.expires_at <= datetime.now(UTC) else "until"
-    return f"{word} {token.expires_at:%Y-%m-%d %H:%M}"
 
 
 @contextmanager

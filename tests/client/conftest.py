@@ -63,7 +63,34 @@ STATUS = {
     "queue": {"waiting": 0, "limit": 8},
     "from_the_future": True,
 }
-ANSWERS = {
+LEASE = {"held": True, "owner": "me", "expires_in_s": 9.5, "mine": True}
+TOKEN = {
+    "id": "0123456789ab",
+    "label": "a lamp",
+    "scopes": ["classify", "read:status"],
+    "created_at": "2026-01-02T03:04:05Z",
+    "expires_at": None,
+    "revoked_at": None,
+    "last_used_on": "2026-01-03",
+}
+SECRET = "vc_0123456789ab_" + 64 * "5"
+DIAGNOSTICS = {
+    "versions": {"veilcam": "9.9"},
+    "settings": {"queue_limit": 8, "bundle": "given"},
+    "states": [{"at": "2026-01-02T03:04:05Z", "state": "ready", "detail": None}],
+    "faults": [{"at": "2026-01-02T03:04:06Z", "code": "sensor_failed", "detail": "no frame came"}],
+    "events": {"capture": 5},
+    "fault_counts": {"sensor_failed": 1},
+    "audit_lost": 0,
+}
+ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
+    ("GET", "/v1/lease"): LEASE,
+    ("POST", "/v1/lease"): {**LEASE, "secret": "5ec2e7"},
+    ("DELETE", "/v1/lease"): {"held": False, "owner": None, "expires_in_s": None, "mine": False},
+    ("GET", "/v1/diagnostics"): DIAGNOSTICS,
+    ("GET", "/v1/tokens"): {"tokens": [TOKEN]},
+    ("POST", "/v1/tokens"): {**TOKEN, "secret": SECRET},
+    ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": "2026-01-04T00:00:00Z"},
     ("GET", "/v1/status"): STATUS,
     ("POST", "/v1/captures"): CAPTURE,
     ("POST", "/v1/classifications"): CLASSIFICATION,

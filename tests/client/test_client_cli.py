@@ -37,7 +37,7 @@ def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
             self.end_headers()
             self.wfile.write(answer.content)
 
-        do_GET = do_POST = do_PUT = handle_one  # noqa: N815 - the names http.server looks for
+        do_GET = do_POST = do_PUT = do_DELETE = handle_one  # noqa: N815 - the names http.server looks for
 
         def log_message(self, *_: object) -> None:
             pass
@@ -62,6 +62,10 @@ def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         (["classify"], ["7", "90.0 %", "epoch e1"]),
         (["rotate"], ["every 3 captures", "e1"]),
         (["rotate", "--off"], ["every 3 captures"]),
+        (["token", "list"], ["0123456789ab", "until it is revoked", "2026-01-03", "a lamp"]),
+        (["token", "create", "--label", "a lamp", "--scope", "classify"], ["vc_0123456789ab_5"]),
+        (["token", "revoke", "0123456789ab"], ["revoked 0123456789ab"]),
+        (["diagnostics"], ["veilcam 9.9", "queue_limit 8", "5 capture", "sensor_failed: no frame"]),
     ],
 )
 def test_answers_are_shown(arguments: list[str], shown: list[str]) -> None:

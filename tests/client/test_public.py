@@ -10,7 +10,7 @@ from pathlib import Path
 
 import veilcam_client
 from veilcam_client import AsyncCamera, Camera, VeilcamError
-from veilcam_client.cli import EXIT_CODES
+from veilcam_client.terminal import EXIT_CODES
 
 PACKAGE = Path(veilcam_client.__file__).parent
 
@@ -28,14 +28,20 @@ def test_the_public_names_are_these() -> None:
         "Classified",
         "ConnectError",
         "DeviceError",
+        "Diagnostics",
         "Embedding",
         "Event",
         "EveryCaptures",
         "EverySeconds",
         "Fault",
+        "ForbiddenError",
         "Gap",
         "InvalidRequestError",
+        "Lease",
+        "LeasedError",
         "MaskChanged",
+        "NewLease",
+        "NewToken",
         "ProtocolError",
         "RequestTimeoutError",
         "Rotation",
@@ -43,9 +49,12 @@ def test_the_public_names_are_these() -> None:
         "RotationOff",
         "RotationPolicy",
         "SceneDecoder",
+        "Scope",
         "ServerError",
         "StateChanged",
         "Status",
+        "Token",
+        "UnauthorizedError",
         "VeilcamError",
         "__version__",
     ]
@@ -65,9 +74,25 @@ def test_sync_and_async_have_the_same_surface() -> None:
         }
 
     assert surface(Camera) == surface(AsyncCamera)
-    assert {"status", "capture", "classify", "rotation", "set_rotation", "rotate", "events"} < set(
-        surface(Camera)
-    )
+    assert set(surface(Camera)) == {
+        "__init__",
+        "capture",
+        "classify",
+        "close",
+        "create_token",
+        "diagnostics",
+        "events",
+        "lease",
+        "lease_state",
+        "release_lease",
+        "revoke_token",
+        "rotate",
+        "rotation",
+        "set_rotation",
+        "status",
+        "take_lease",
+        "tokens",
+    }
 
 
 def test_httpx_is_known_to_one_module() -> None:

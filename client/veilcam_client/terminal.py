@@ -1,0 +1,86 @@
+"""What the commands have in common: options, answers, and errors with exit codes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, NoReturn, TypeVar
+
+import typer
+from pydantic import BaseModel
+
+from veilcam_client.camera import Camera
+from veilcam_client.errors import (
+    ApiError,
+    BusyError,
+    ConnectError,
+    DeviceError,
+    ForbiddenError,
+    InvalidRequestError,
+    LeasedError,
+    ProtocolError,
+    RequestTimeoutError,
+    ServerError,
+    UnauthorizedError,
+    VeilcamError,
+)
+
+EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
+    (ConnectError, 3),
+    (RequestTimeoutError, 4),
+    (InvalidRequestError, 5),
+    (BusyError, 6),
+    (DeviceError, 7),
+    (ServerError, 8),
+    (ProtocolError, 9),
+    (UnauthorizedError, 10),
+    (ForbiddenError, 11),
+    (LeasedError, 12),
+)
+USAGE = 2
+
+AnswerT = TypeVar("AnswerT", bound=BaseModel)
+
+UrlOption = Annotated[
+    str,
+    typer.Option(envvar="VEILCAM_URL", help="http://HOST:PORT or unix:///PATH."),
+]
+TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer [s].")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+
+
+def ask(url: str, timeout: float, question: Callable[[Camera], AnswerT]) -> AnswerT:
+    """Ask a camera; exits with the code of what goes wrong."""
+    with errors(), Camera(url, read_timeout=timeout) as camera:
+        return question(camera)
+
+
+@contextmanager
+def errors() -> Iterator[None]:
+    """Say what went wrong, and exit with its code."""
+    try:
+        yield
+    except VeilcamError as error:
+        code = next(code for kind, code in EXIT_CODES if isinstance(error, kind))
+        hint = f" [{error.code}, request {error.request_id}]" if isinstance(error, ApiError) else ""
+        fail(f"{error}{hint}", code)
+    except ValueError as error:
+        fail(str(error), USAGE)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        # The reader went away: `veilcam watch | head`.
+        sys.stderr.close()
+        sys.exit(141)
+
+
+def fail(message: str, code: int) -> NoReturn:
+    """Say why, and exit with this code."""
+    typer.echo(f"veilcam: error: {message}", err=True)
+    sys.exit(code)
+
+
+def print_json(answer: BaseModel) -> None:
+    """Print an answer as it came."""
+    typer.echo(answer.model_dump_json())
