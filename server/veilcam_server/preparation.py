@@ -73,7 +73,7 @@ class Preparation:
     def begin(self) -> None:
         """Start to prepare the next epoch, if none is prepared or under way."""
         if self._next is None:
-            self._next = self._thread.submit(self._prepare)
+            self._next = self._thread.submit(self._prepare, self._source)
             self._next.add_done_callback(lambda _: self.on_ready())
 
     def take(self) -> Prepared:
@@ -98,6 +98,22 @@ class Preparation:
         self._next = None
         return prepared
 
+    def first_of(self, source: MaskSource) -> Prepared:
+        """Prepare an epoch of another source, while this one goes on; any thread may ask.
+
+        Raises:
+            NotReadyError: it takes too long.
+            EpochError: it could not be made durable.
+        """
+        try:
+            return self._thread.submit(self._prepare, source).result(LONGEST)
+        except FutureTimeoutError:
+            raise NotReadyError("the first mask is still being prepared: try again") from None
+
+    def serve(self, source: MaskSource) -> None:
+        """Take epochs from another source from now on; one prepared before is left out."""
+        self._source, self._next = source, None
+
     def record(self, mask: Mask) -> None:
         """Make durable that ``mask`` is about to be shown; raises :class:`EpochError`."""
         self._epochs.mark = mask.mark
@@ -107,11 +123,11 @@ class Preparation:
         self._thread.shutdown(cancel_futures=True)
         self._epochs.close()
 
-    def _prepare(self) -> Prepared:
+    def _prepare(self, source: MaskSource) -> Prepared:
         begun = time.perf_counter()
         counter = self._epochs.next()
-        epoch = Epoch(counter, self._source.name(counter))
-        prepared = Prepared(epoch, self._source.make(counter, self._epochs.mark))
+        epoch = Epoch(counter, source.name(counter))
+        prepared = Prepared(epoch, source.make(counter, self._epochs.mark))
         self._took = time.perf_counter() - begun
         self._count += 1
         return prepared
