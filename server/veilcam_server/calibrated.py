@@ -48,8 +48,7 @@ def open_calibration(settings: Settings, bundle: Bundle) -> SignedCalibration | 
 
 def panel_tab(settings: Settings) -> str | None:
     """Of the panel that the settings name; the simulated one has no film."""
-    tab: str | None = getattr(settings, "panel_tab", None)
-    return None if settings.device == "simulated" else tab
+    return None if settings.device == "simulated" else settings.panel_tab
 
 
 def decoder_calibration(signed: SignedCalibration | None) -> Calibration:

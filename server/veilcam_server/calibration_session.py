@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from veilcam_client.calibration_models import CalibrationRecord
 from veilcam_optics.transfer import Reach
@@ -28,7 +29,7 @@ from veilcam_server.calibration.picture import table, write_picture
 from veilcam_server.calibration.record import RECORD_NAME
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import StartError
-from veilcam_server.serve import open_device
+from veilcam_server.open_device import open_device
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import read_bundle
 
@@ -136,7 +137,7 @@ def _report(console: Console, record: CalibrationRecord) -> None:
     for column in shown.columns[1:]:
         column.justify = "right"
     for row in table(record):
-        shown.add_row(*row)
+        shown.add_row(*map(Text, row))  # units in brackets are no markup
     console.print(shown)
     for name, dead in (("rows", record.dead_rows), ("columns", record.dead_columns)):
         if dead:

@@ -24,18 +24,15 @@ from veilcam_server.calibrated import (
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices.errors import (
     DeviceError,
-    DeviceMissingError,
     SensorError,
     SensorLostError,
 )
 from veilcam_server.devices.protocols import Device
-from veilcam_server.devices.scene import FileScene
-from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
-from veilcam_server.devices.st7735r_emulator import REFRESH
 from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import (
     EpochError,
     FenceError,
+    KeyringUnfitError,
     RotationImpossibleError,
     SelfTestError,
     StartError,
@@ -44,7 +41,11 @@ from veilcam_server.errors import (
 from veilcam_server.fence import Fence
 from veilcam_server.gateway import open_gateway
 from veilcam_server.identity import Identity
+from veilcam_server.keyring_opening import Opener, last_good
+from veilcam_server.keyring_store import KeyringStore
+from veilcam_server.keyrings import Keyrings
 from veilcam_server.listeners import Listener, open_listeners
+from veilcam_server.open_device import open_device
 from veilcam_server.preparation import Preparation
 from veilcam_server.self_test import OpticalSelfTest
 from veilcam_server.service import Service
@@ -52,38 +53,9 @@ from veilcam_server.settings import Settings
 from veilcam_server.sources import open_source, release_form, rotation_policy
 from veilcam_server.systemd import notify
 from veilcam_server.tls import server_context
-from veilcam_training.bundle import Bundle, BundleError, read_bundle
+from veilcam_training.bundle import BundleError, read_bundle
 
 log = structlog.get_logger()
-
-
-def open_device(settings: Settings, bundle: Bundle) -> Device:
-    """Return the device that the settings name, and no other.
-
-    Raises:
-        DeviceError: it is not there, or there is nothing in front of a simulated one.
-    """
-    if settings.device != "simulated":
-        # A panel without power is transparent, and nothing on its bus tells. The drivers are there
-        # (ST7735R, IMX477), but no capture may be taken before an optical self test has passed.
-        raise DeviceMissingError(
-            "this version cannot yet test that the panel of a Raspberry Pi hides what is in front "
-            "of it: use --simulate"
-        )
-    scene = FileScene(settings.scene_file, bundle.scene.shape)
-    return simulated_device(
-        planned_light(bundle.camera, bundle.scene, bundle.embedding),
-        scene,
-        camera=bundle.camera,
-        embedding=bundle.embedding,
-        # The panel scans and turns in less than the time that the fence grants it.
-        conditions=Conditions(
-            settle=0.8 * settings.settle,
-            scan=min(REFRESH, 0.1 * settings.settle),
-            exposure=settings.exposure,
-            snr_db=settings.snr_db,
-        ),
-    )
 
 
 def build_service(settings: Settings) -> Service:
@@ -96,13 +68,18 @@ def build_service(settings: Settings) -> Service:
         bundle = read_bundle(settings.bundle)
         form = release_form(settings, bundle)
         calibration = open_calibration(settings, bundle)
-        source = open_source(settings, bundle, decoder_calibration(calibration))
+        opener = Opener(
+            bundle, lambda keys: open_source(settings, keys, decoder_calibration(calibration))
+        )
+        store = KeyringStore(settings.state_dir / "keyrings", settings.bundle, bundle.digest)
+        keys, faults = last_good(store, opener)
+        keys = keys or opener.keys(bundle)
         with ExitStack() as undo:
             epochs = EpochStore(settings.state_dir)
             undo.callback(epochs.close)
             device = calibrated(open_device(settings, bundle), calibration)
             undo.callback(device.close)
-            preparation = Preparation(source, epochs)
+            preparation = Preparation(keys.source, epochs)
             undo.callback(preparation.close)
             camera = MaskedCamera(
                 device,
@@ -117,11 +94,15 @@ def build_service(settings: Settings) -> Service:
             undo.callback(camera.stop)
             _begin(camera)
             undo.pop_all()
-    except (BundleError, DeviceError, EpochError, RotationImpossibleError) as error:
+    except (
+        *(BundleError, KeyringUnfitError, DeviceError, EpochError),
+        RotationImpossibleError,
+    ) as error:
         raise StartError(str(error)) from error
     return Service(
         camera,
-        _identity(settings, bundle, device, calibration),
+        _identity(settings, keys.info, device, calibration),
+        Keyrings(store, opener, keys, limit=settings.keyring_limit, faults=faults),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
@@ -143,20 +124,13 @@ def _begin(camera: MaskedCamera) -> None:
 
 
 def _identity(
-    settings: Settings, bundle: Bundle, device: Device, calibration: SignedCalibration | None
+    settings: Settings, bundle: BundleInfo, device: Device, calibration: SignedCalibration | None
 ) -> Identity:
     return Identity(
         device=DeviceInfo(
             display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
         ),
-        bundle=BundleInfo(
-            digest=bundle.digest,
-            task=bundle.task,
-            mode=bundle.mode,
-            labels=bundle.labels,
-            embedding_shape=bundle.embedding.shape,
-            pairs=len(bundle.pairs),
-        ),
+        bundle=bundle,
         experiment="wrong-classifier" if settings.wrong_classifier else None,
         calibration=calibration,
     )

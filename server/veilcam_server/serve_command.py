@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server import logs
+from veilcam_server import wiring_options as options
 from veilcam_server.demo_data import Digits, load_digits
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import StartError, StoppedError
@@ -79,16 +80,25 @@ def serve(
             "if there is one."
         ),
     ] = None,
+    panel_tab: options.PanelTab = None,
+    spi: options.Spi = None,
+    spi_hz: options.SpiClock = None,
+    allow_fast_spi: options.FastSpi = False,
+    gpio_chip: options.GpioChip = None,
+    data_line: options.DataLine = None,
+    reset_line: options.ResetLine = None,
+    camera_number: options.CameraNumber = None,
+    exposure_factor: options.ExposureFactor = None,
     settle: Annotated[
         float | None,
         typer.Option(help="Seconds for the panel to settle, never less than was measured."),
     ] = None,
-    exposure: Annotated[float | None, typer.Option(help="Simulated exposure [s].")] = None,
+    exposure: Annotated[float | None, typer.Option(help="Exposure in seconds.")] = None,
     snr_db: Annotated[
-        float | None, typer.Option(help="Simulated signal-to-noise ratio [dB].")
+        float | None, typer.Option(help="Simulated signal-to-noise ratio in dB.")
     ] = None,
     self_test_every: Annotated[
-        float | None, typer.Option(help="Longest time between two self tests of the panel [s].")
+        float | None, typer.Option(help="Seconds between two self tests of the panel, at most.")
     ] = None,
     queue_limit: Annotated[int | None, typer.Option(help="Captures that may wait.")] = None,
     auth: Annotated[
@@ -130,6 +140,15 @@ def serve(
         "device_label": device_label,
         "release": release,
         "calibration": calibration,
+        "panel_tab": panel_tab,
+        "spi": spi,
+        "spi_hz": spi_hz,
+        "allow_fast_spi": allow_fast_spi or None,
+        "gpio_chip": gpio_chip,
+        "data_line": data_line,
+        "reset_line": reset_line,
+        "camera_number": camera_number,
+        "exposure_factor": exposure_factor,
         "settle": settle,
         "exposure": exposure,
         "snr_db": snr_db,

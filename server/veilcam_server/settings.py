@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import SettingsConfigDict
 
 from veilcam_client.models import Release, RotationPolicy
 from veilcam_server.demo_data import KEYRING
+from veilcam_server.wiring import Wiring
 
 DEFAULT_PORT = 8787
 SCENE_NAME = "scene.npy"
@@ -30,7 +31,7 @@ def default_state_dir() -> Path:
     return Path(base) / "veilcam"
 
 
-class Settings(BaseSettings):
+class Settings(Wiring):
     """Everything that ``veilcamd serve`` can be told."""
 
     model_config = SettingsConfigDict(env_prefix="VEILCAM_", extra="forbid", frozen=True)
@@ -66,6 +67,8 @@ class Settings(BaseSettings):
     """Requests of one caller that may be under way at once, event streams included."""
     stream_limit: int = Field(default=64, ge=1, le=1024)
     """Event streams that may be open, all callers together."""
+    keyring_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
+    """Largest bundle that may be uploaded [bytes]."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
     wrong_classifier: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
@@ -98,6 +101,12 @@ class Settings(BaseSettings):
     def _fit_together(self) -> Self:
         if self.device != "simulated" and self.scene is not None:
             raise ValueError("only a simulated camera has a --scene: add --simulate")
+        wired = sorted(self.model_fields_set & Wiring.model_fields.keys())
+        if self.device == "simulated" and wired:
+            option = wired[0].replace("_", "-")
+            raise ValueError(f"only a real camera has --{option}: leave it or --simulate out")
+        if self.data_line == self.reset_line:
+            raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":
             raise ValueError("--wrong-classifier is an experiment: it needs --simulate")
         if (self.tls_certificate is None) != (self.tls_key is None):

@@ -306,8 +306,14 @@ def test_a_missing_scene_is_refused(tmp_path: Path, bundle_file: Path) -> None:
 
 def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_file: Path) -> None:
     given = Settings(device="pi", bundle=bundle_file, state_dir=tmp_path / "st")
-    with pytest.raises(StartError, match=r"cannot yet test .* --simulate"):
+    with pytest.raises(StartError, match=r"--panel-tab red, black or green .* --simulate"):
         build_service(given)
+    with pytest.raises(
+        StartError, match=r"/dev/spidev9.9 cannot be opened|spidev is not installed"
+    ):
+        build_service(
+            given.model_copy(update={"panel_tab": "green", "spi": Path("/dev/spidev9.9")})
+        )
 
 
 def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(

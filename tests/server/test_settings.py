@@ -75,6 +75,9 @@ def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
         ("settle", float("nan")),
         ("exposure", 11.0),
         ("capture_timeout", 0.0),
+        ("self_test_every", 0.0),
+        ("self_test_every", 3601.0),
+        ("self_test_every", float("inf")),
         ("queue_limit", 0),
         ("heartbeat", 0.0),
         ("auth", "sometimes"),
@@ -142,3 +145,30 @@ def test_bad_options_end_with_one_line(options: list[str], message: str) -> None
     assert message in result.stderr
     assert result.stderr.startswith("veilcamd: error: ")
     assert result.stderr.count("\n") == 1
+
+
+def test_wiring_needs_a_real_camera() -> None:
+    for name, value in (("panel_tab", "green"), ("spi_hz", 1_000_000), ("camera_number", 1)):
+        message = refused(**{name: value})
+        assert f"only a real camera has --{name.replace('_', '-')}" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("panel_tab", "blue"),
+        ("spi_hz", 0),
+        ("gpio_chip", ""),
+        ("data_line", -1),
+        ("reset_line", 5000),
+        ("camera_number", -1),
+        ("exposure_factor", 0.5),
+        ("exposure_factor", float("inf")),
+    ],
+)
+def test_wiring_that_cannot_be_is_named(name: str, value: object) -> None:
+    assert f"--{name.replace('_', '-')}" in refused(device="pi", **{name: value})
+
+
+def test_two_lines_are_two() -> None:
+    assert "are two lines" in refused(device="pi", data_line=24)

@@ -10,6 +10,7 @@ import structlog
 
 from veilcam_server.devices.errors import DeviceMissingError, DisplayError
 from veilcam_server.devices.st7735r import MOST_PER_SECOND
+from veilcam_server.wiring import GPIO_CHIPS
 
 log = structlog.get_logger()
 
@@ -46,7 +47,7 @@ class LinuxSpi:
             if not allow_fast:
                 raise DisplayError(
                     f"a bus clock of {speed} Hz is too fast for the panel: "
-                    f"use at most {MOST_PER_SECOND} Hz, or allow a fast bus"
+                    f"use --spi-hz {MOST_PER_SECOND} or less, or --allow-fast-spi"
                 )
             log.warning("fast panel bus", speed=speed, most=MOST_PER_SECOND)
         device = _extra("spidev").SpiDev()
@@ -80,12 +81,12 @@ class LinuxLines:
         self._low, self._high = value.INACTIVE, value.ACTIVE
 
     @classmethod
-    def open(cls, chip: str, *, data: int, reset: int) -> Self:
+    def open(cls, chip: str | None, *, data: int, reset: int) -> Self:
         """Ask for both lines as outputs: commands, and not in reset.
 
         Args:
-            chip: label, ``pinctrl-rp1`` on a Raspberry Pi 5 and ``pinctrl-bcm2711`` on a 4. The
-                number of a chip changes from kernel to kernel.
+            chip: label, ``pinctrl-rp1`` on a Raspberry Pi 5 and ``pinctrl-bcm2711`` on a 4; None
+                for whichever of these is there. Its number changes from kernel to kernel.
             data: line of D/C.
             reset: line of RST.
 
@@ -102,7 +103,7 @@ class LinuxLines:
             request = gpiod.request_lines(path, consumer="veilcamd", config={(data, reset): output})
         except (OSError, ValueError) as error:
             raise DeviceMissingError(
-                f"lines {data} and {reset} of {chip} cannot be used ({error}): see with gpioinfo "
+                f"lines {data} and {reset} of {path} cannot be used ({error}): see with gpioinfo "
                 "who has them, and be in the group gpio"
             ) from None
         return cls(request, data=data, reset=reset)
@@ -120,8 +121,9 @@ class LinuxLines:
         self._request.release()
 
 
-def _chip_path(label: str) -> str:
-    """Path of the chip with that label."""
+def _chip_path(label: str | None) -> str:
+    """Path of the chip with that label; None for that of a Raspberry Pi."""
+    wanted = GPIO_CHIPS if label is None else (label,)
     gpiod = _extra("gpiod")
     labels = []
     for path in sorted(str(path) for path in Path("/dev").glob("gpiochip*")):
@@ -130,9 +132,10 @@ def _chip_path(label: str) -> str:
                 found = chip.get_info().label
         except OSError:
             continue
-        if found == label:
+        if found in wanted:
             return path
         labels.append(found)
     raise DeviceMissingError(
-        f"there is no GPIO chip {label!r}: use one of {', '.join(labels) or 'those of gpiodetect'}"
+        f"there is no GPIO chip {' or '.join(wanted)}: give --gpio-chip one of "
+        f"{', '.join(labels) or 'those of gpiodetect'}, and be in the group gpio"
     )

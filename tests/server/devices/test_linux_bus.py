@@ -169,8 +169,14 @@ def test_a_chip_is_found_by_its_label(
     monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=Chip))
     monkeypatch.setattr(Path, "glob", lambda folder, _: [folder / name for name in labels])
     assert linux_bus._chip_path("pinctrl-rp1") == "/dev/gpiochip4"
-    with pytest.raises(DeviceMissingError, match="use one of gpio-brcmstb, pinctrl-rp1"):
+    assert linux_bus._chip_path(None) == "/dev/gpiochip4"
+    with pytest.raises(
+        DeviceMissingError, match="give --gpio-chip one of gpio-brcmstb, pinctrl-rp1"
+    ):
         linux_bus._chip_path("pinctrl-bcm2711")
+    del labels["gpiochip4"]
+    with pytest.raises(DeviceMissingError, match="no GPIO chip pinctrl-rp1 or pinctrl-bcm2711"):
+        linux_bus._chip_path(None)
 
 
 def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

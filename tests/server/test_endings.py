@@ -1,0 +1,234 @@
+"""Every way out: the sensor is stopped, the panel opaque, and its display on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from veilcam_client import Camera, DeviceError
+from veilcam_server.devices import Device, DisplayError, SensorError, SensorLostError
+from veilcam_server.devices.imx477 import IMX477
+from veilcam_server.devices.simulated import planned_light, simulated_device
+from veilcam_server.devices.st7735r import ST7735R
+from veilcam_server.devices.st7735r_emulator import PanelEmulator
+from veilcam_server.errors import SelfTestError, StartError, StoppedError
+from veilcam_server.self_test import OpticalSelfTest
+from veilcam_server.serve import build_service, serve
+from veilcam_server.settings import Settings
+
+planned_once = cache(planned_light)
+
+
+class Watched:
+    """The simulated device of a daemon, and the order in which it was let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.steps: list[str] = []
+        self.device: Device | None = None
+        make = simulated_device
+
+        def made(*arguments: Any, **more: Any) -> Device:
+            self.device = make(*arguments, **more)
+            return self.device
+
+        monkeypatch.setattr("veilcam_server.open_device.simulated_device", made)
+        monkeypatch.setattr("veilcam_server.open_device.planned_light", planned_once)
+        for kind, name in ((IMX477, "close"), (ST7735R, "blank"), (ST7735R, "close")):
+            self._note(monkeypatch, kind, name)
+
+    def _note(self, monkeypatch: pytest.MonkeyPatch, kind: type, name: str) -> None:
+        method = getattr(kind, name)
+
+        def noted(device: object) -> None:
+            self.steps.append(f"{kind.__name__}.{name}")
+            method(device)
+
+        monkeypatch.setattr(kind, name, noted)
+
+    @property
+    def panel(self) -> PanelEmulator:
+        assert self.device is not None
+        assert isinstance(self.device.display, ST7735R)
+        spi = self.device.display._spi
+        assert isinstance(spi, PanelEmulator)
+        return spi
+
+    def check(self) -> None:
+        """What must hold however it ended."""
+        assert self.steps[-3:] == ["IMX477.close", "ST7735R.blank", "ST7735R.close"]
+        assert self.device is not None
+        assert isinstance(self.device.sensor, IMX477)
+        assert self.device.sensor._camera is None
+        assert not self.panel.transparent
+        assert not self.panel.framebuffer().any()
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
+    return Watched(monkeypatch)
+
+
+@pytest.fixture
+def settings(tmp_path: Path, bundle_file: Path, scene_file: Path) -> Settings:
+    return Settings(
+        device="simulated",
+        bundle=bundle_file,
+        scene=scene_file,
+        state_dir=tmp_path / "state",
+        socket=tmp_path / "v.sock",
+        settle=0.002,
+        exposure=0.0,
+        auth="none",
+    )
+
+
+def signalled(number: int) -> Callable[[str], None]:
+    return lambda _: os.kill(os.getpid(), number)
+
+
+def broken(_: str) -> None:
+    raise ZeroDivisionError
+
+
+@pytest.mark.parametrize(
+    ("happens", "ending"),
+    [
+        pytest.param(signalled(signal.SIGTERM), SystemExit, id="SIGTERM"),
+        pytest.param(signalled(signal.SIGINT), KeyboardInterrupt, id="SIGINT"),
+        pytest.param(broken, ZeroDivisionError, id="defect"),
+    ],
+)
+def test_a_daemon_that_is_ended(
+    watched: Watched,
+    settings: Settings,
+    happens: Callable[[str], None],
+    ending: type[BaseException],
+) -> None:
+    with pytest.raises(ending) as caught:
+        serve(settings, happens)
+    if isinstance(caught.value, SystemExit):
+        assert caught.value.code == 0
+    watched.check()
+
+
+def test_a_lost_camera_ends_the_daemon_with_an_error(
+    watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*_: object) -> None:
+        raise SensorLostError("the camera failed 3 times in a row: check its cable and restart")
+
+    problems: list[str | None] = []
+
+    def capture(url: str) -> None:
+        # It serves: the test has passed and a mask is shown.
+        assert watched.panel.framebuffer().any()
+        monkeypatch.setattr(IMX477, "capture", lost)
+        with Camera(url, max_retries=0) as camera:
+            try:
+                camera.capture()
+            except DeviceError as error:
+                problems.append(error.code)
+
+    asking: list[threading.Thread] = []
+
+    def ask(url: str) -> None:
+        asking.append(threading.Thread(target=capture, args=(url,)))
+        asking[0].start()
+
+    with pytest.raises(StoppedError, match="check its cable and restart"):
+        serve(settings, ask)
+    asking[0].join(20)
+    # Who asked gets an answer before the daemon ends.
+    assert problems == ["sensor_failed"]
+    watched.check()
+
+
+@pytest.mark.parametrize("ending", [SystemExit(0), KeyboardInterrupt(), ZeroDivisionError()])
+def test_a_start_that_is_broken_off_in_the_test(
+    watched: Watched,
+    settings: Settings,
+    monkeypatch: pytest.MonkeyPatch,
+    ending: BaseException,
+) -> None:
+    def broken_off(_: object, device: Device, *__: object) -> None:
+        device.display.show(np.full((9, 5), 63, np.uint8))
+        raise ending
+
+    monkeypatch.setattr(OpticalSelfTest, "run", broken_off)
+    with pytest.raises(type(ending)):
+        serve(settings, lambda _: None)
+    watched.check()
+
+
+def test_a_start_without_a_panel_that_answers(
+    watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise DisplayError("the panel's bus failed (Input/output error): check its wiring")
+
+    monkeypatch.setattr(ST7735R, "show", fail)
+    with pytest.raises(StartError, match="check its wiring"):
+        serve(settings, lambda _: None)
+    watched.check()
+
+
+def test_a_start_with_a_camera_that_is_lost(
+    watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise SensorLostError("the camera failed 3 times in a row: check its cable and restart")
+
+    monkeypatch.setattr(IMX477, "capture", fail)
+    with pytest.raises(StartError, match="check its cable"):
+        serve(settings, lambda _: None)
+    watched.check()
+
+
+@pytest.mark.parametrize(
+    ("fault", "state"),
+    [
+        (SelfTestError("the panel does not hide the scene"), "safe"),
+        (SensorError("the camera was closed, as it gave no frame in time"), "degraded"),
+    ],
+)
+def test_a_start_without_proof_serves_and_says_why(
+    watched: Watched,
+    settings: Settings,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: Exception,
+    state: str,
+) -> None:
+    def fail(*_: object) -> None:
+        raise fault
+
+    monkeypatch.setattr(OpticalSelfTest, "run", fail)
+    service = build_service(settings)
+    status = service.status()
+    assert (status.state, status.detail) == (state, str(fault))
+    assert status.rotation.epoch is None
+    assert not watched.panel.framebuffer().any()
+    service.stop()
+    watched.check()
+
+
+def test_a_panel_that_cannot_be_made_opaque_does_not_keep_the_sensor_running(
+    watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = build_service(settings)
+
+    def fail(*_: object) -> None:
+        raise DisplayError("the panel's bus failed")
+
+    monkeypatch.setattr(ST7735R, "blank", fail)
+    with pytest.raises(DisplayError):
+        service.stop()
+    assert watched.steps[-2:] == ["IMX477.close", "ST7735R.close"]
+    service.stop()
