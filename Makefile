@@ -9,12 +9,14 @@ INSTALLED := $(VENV)/.installed
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
 
-.PHONY: help demo serve test lint types imports pytest clean
+.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
 	@echo "make serve    the same daemon, left running on http://127.0.0.1:8787"
 	@echo "make test     every check: lint, types, package arrows, tests"
+	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
+	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
@@ -30,6 +32,10 @@ serve: $(INSTALLED)
 
 test: lint types imports pytest
 
+# Not part of test: it needs Debian's package lists and its source of libcamera.
+test-libcamera: $(INSTALLED)
+	$(BIN)/python benchmarks/daemon_libcamera.py
+
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -42,6 +48,10 @@ imports: $(INSTALLED)
 
 pytest: $(INSTALLED)
 	$(BIN)/pytest
+
+# Root builds the image, so nothing of it may end up in the virtual environment.
+test-vm: $(INSTALLED)
+	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python benchmarks/daemon_virtual_machine.py
 
 clean:
 	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

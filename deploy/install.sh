@@ -33,7 +33,7 @@ echo "Installing into $release"
 # libcamera's Python binding comes with the system, not from PyPI.
 "$python" -m venv --system-site-packages "$release"
 "$release/bin/pip" install --quiet --no-cache-dir \
-    --extra-index-url "${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}" "$here/..[$extras]"
+    --extra-index-url https://download.pytorch.org/whl/cpu "$here/..[$extras]"
 "$release/bin/veilcamd" --help >/dev/null
 trap - EXIT
 
