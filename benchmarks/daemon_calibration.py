@@ -253,7 +253,7 @@ app = typer.Typer(pretty_exceptions_enable=False)
 def measure(
     figures: Annotated[Path, typer.Argument(help="Record to write into.")],
     *,
-    masks: Annotated[int, typer.Option(min=1, help="Fresh masks for each knob.")] = 100,
+    masks: Annotated[int, typer.Option(min=1, help="Fresh masks for each knob.")] = 60,
     knob: Annotated[
         list[str] | None, typer.Option(help="One knob, or several; all if none.")
     ] = None,

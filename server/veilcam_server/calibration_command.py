@@ -33,7 +33,9 @@ def calibrate(
     settle: Annotated[
         float | None, typer.Option(help="Seconds; settling may take three times as long.")
     ] = None,
-    exposure: Annotated[float | None, typer.Option(help="Seconds, as the daemon will have it.")] = None,
+    exposure: Annotated[
+        float | None, typer.Option(help="Seconds, as the daemon will have it.")
+    ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Exposures for one reading.")] = 2,
 ) -> None:
     """Measure settling, black level, gain, the panel's response, dead lines, and where the mask is.

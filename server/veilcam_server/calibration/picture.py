@@ -42,10 +42,12 @@ def quantity_row(name: str, quantity: Quantity, factor: float, unit: str) -> tup
 
 
 def table(record: CalibrationRecord) -> list[tuple[str, ...]]:
-    """All measured values, one row each."""
+    """All measured values, one row each; what dead lines pass only where there are any."""
+    dead = record.dead_rows or record.dead_columns
     return [
         quantity_row(name, getattr(record, field), factor, unit)
         for name, field, factor, unit in ROWS
+        if dead or field != "dead_transmittance"
     ]
 
 

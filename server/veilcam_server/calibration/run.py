@@ -36,6 +36,8 @@ _DRIFT = 0.05
 """Largest change of the light while it is measured."""
 _MISFIT = 0.1
 """Largest relative error of predicted readings behind patterns that no fit has seen."""
+_ROUNDS = 2
+"""How often light of the floor, light of dead lines, and gain are fitted in turn."""
 _FARTHEST, _TURNED = 1e-3, 20e-3
 """Largest shift [m] and rotation [rad] that decoders can take in."""
 
@@ -138,13 +140,14 @@ class _Measurement:
         self.present(card)
         begin = bench.read(bench.open).mean() - black
         _check_light(begin, black, bench)
-        settling = measure_settling(bench, longest=longest, samples=self.effort.samples)
-        bench = make(settling.seconds)
         opaque = bench.read(bench.opaque).mean() - black
         if opaque > _HIDES * begin:
             raise CalibrationError(
                 "the panel does not hide the scene: check its power and its wiring"
             )
+        settling = measure_settling(bench, longest=longest, samples=self.effort.samples)
+        # Twice as long: within 2 % is good enough for captures, not for what they are corrected by.
+        bench = make(min(longest, 2 * (settling.seconds + settling.uncertainty)))
         operator = TransferOperator(
             geometry.camera,
             geometry.scene,
@@ -197,8 +200,14 @@ class _Measurement:
         lines: Lines,
         staircase: Staircase,
     ) -> tuple[Response, Alignment]:
-        """Coarse patterns first, then all; then what dead lines let through, if there are any."""
+        """Coarse patterns first, then all.
+
+        What dead lines let through is not known at first, but is there at every pattern: where
+        there are any, the first fits are of what patterns add to the opaque panel's light.
+        """
         patterns = self.effort.patterns
+        coarse = slice(1, 1 + patterns.coarse)
+        every = slice(1, 1 + patterns.coarse + patterns.fine)
         dead = bool(lines.dead_rows or lines.dead_columns)
         response = fit_response(staircase, floor=0.0 if dead else None)
         known = Calibration(
@@ -207,11 +216,10 @@ class _Measurement:
             dead_rows=lines.dead_rows,
             dead_columns=lines.dead_columns,
         )
-        coarse = slice(1, 1 + patterns.coarse)
-        every = slice(1, 1 + patterns.coarse + patterns.fine)
-        alignment = self._align(levels, sights, known, coarse)
-        alignment = self._align(levels, sights, alignment.calibration, every)
-        if dead:
+        added = [_added(sight) for sight in sights] if dead else sights
+        alignment = self._align(levels, added, known, coarse)
+        alignment = self._align(levels, added, alignment.calibration, every)
+        for _ in range(_ROUNDS if dead else 0):
             opaque = [replace(sight, readings=sight.readings[:1]) for sight in sights]
             known, floor_spread, self.stuck_uncertainty = split_darkness(
                 self.geometry, opaque, alignment.gains, alignment.calibration, reach=self.reach
@@ -278,6 +286,11 @@ class _Measurement:
                     "check that card and lamp were where they should be, and no other light was on"
                 )
         return predicted, tuple(errors.tolist())
+
+
+def _added(sight: Sight) -> Sight:
+    """What patterns add to the first one, the opaque panel."""
+    return replace(sight, readings=sight.readings - sight.readings[0])
 
 
 def _check_light(light: float, black: float, bench: Bench) -> None:

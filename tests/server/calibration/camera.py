@@ -1,0 +1,92 @@
+"""A small simulated camera that somebody built badly, and the scenes that it is shown."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from tests.server.devices.clock import Clock
+
+from veilcam_optics import conditions as optical
+from veilcam_optics.effects import Dials, LightOperator, Model
+from veilcam_optics.geometry import Camera, Embedding, Scene, Window
+from veilcam_server.calibration import (
+    Calibrated,
+    CalibrationScene,
+    Effort,
+    Geometry,
+    calibrate,
+)
+from veilcam_server.calibration.patterns import Patterns
+from veilcam_server.devices.protocols import Device
+from veilcam_server.devices.simulated import Conditions, raw_shape, simulated_device
+
+GEOMETRY = Geometry(
+    Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)
+)
+EFFORT = Effort(repeats=1, samples=3, patterns=Patterns(coarse=3, fine=4, held_out=2))
+SETTLE, SCAN, EXPOSURE = 0.04, 0.01, 0.01
+QUIET = Conditions(SETTLE, EXPOSURE, scan=SCAN)
+
+
+class Built:
+    """A camera on a clock of its own.
+
+    Args:
+        conditions: how it departs from its drawing.
+        hardware: of panel and sensor.
+    """
+
+    def __init__(
+        self,
+        conditions: optical.Conditions = optical.IDEAL,
+        hardware: Conditions = QUIET,
+    ) -> None:
+        self.clock = Clock()
+        self.image: npt.NDArray[np.float32] = np.ones(GEOMETRY.scene.shape, np.float32)
+        self.presented: list[str] = []
+        self.captures = 0
+        light = LightOperator(
+            Model(
+                GEOMETRY.camera,
+                GEOMETRY.scene,
+                Embedding(*raw_shape(GEOMETRY.embedding)),
+                conditions,
+                Dials("transfer", step=6.2e-6),
+            )
+        )
+        self.device: Device = simulated_device(
+            light,
+            self,
+            camera=GEOMETRY.camera,
+            embedding=GEOMETRY.embedding,
+            conditions=hardware,
+            seed=3,
+            clock=self.clock,
+            sleep=self.clock.sleep,
+        )
+
+    def read(self) -> npt.NDArray[np.float32]:
+        """What is in front of it."""
+        return self.image
+
+    def present(self, scene: CalibrationScene) -> None:
+        """Hold up what is asked for."""
+        self.presented.append(scene.name)
+        self.image = scene.image
+
+    def calibrate(self, *, longest: float = 0.12, effort: Effort = EFFORT) -> Calibrated:
+        """Measure it with itself."""
+
+        def advance() -> None:
+            self.captures += 1
+
+        return calibrate(
+            self.device,
+            GEOMETRY,
+            self.present,
+            longest=longest,
+            exposure=EXPOSURE,
+            effort=effort,
+            advance=advance,
+            clock=self.clock,
+        )

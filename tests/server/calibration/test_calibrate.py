@@ -1,0 +1,176 @@
+"""A camera that was built badly finds out how, or refuses to say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_optics import conditions as optical
+from veilcam_server.calibration import CalibrationError, CalibrationScene, correction
+from veilcam_server.calibration.settling import SETTLED
+
+from .camera import EFFORT, GEOMETRY, QUIET, SCAN, SETTLE, Built
+
+BADLY = optical.Conditions(
+    shift_y=30e-6,
+    shift_x=-50e-6,
+    rotation=4e-3,
+    distance_error=80e-6,
+    gamma=1.5,
+    contrast_floor=0.1,
+)
+
+
+@pytest.fixture(scope="module")
+def badly() -> tuple[Built, CalibrationRecord]:
+    built = Built(BADLY)
+    return built, built.calibrate().record
+
+
+def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord]) -> None:
+    built, record = badly
+    assert built.presented == ["dark", "white card", "lamp"]
+    assert built.captures == EFFORT.captures(GEOMETRY)
+    for quantity, true, tolerance in (
+        (record.shift_y_m, 30e-6, 1e-6),
+        (record.shift_x_m, -50e-6, 1e-6),
+        (record.rotation_rad, 4e-3, 1e-3),
+        (record.distance_error_m, 80e-6, 20e-6),
+        (record.gamma, 1.5, 0.01),
+        (record.contrast_floor, 0.1, 0.005),
+        (record.gain, 1.0, 0.01),
+        (record.black_level, 0.0, 1e-3),
+    ):
+        assert quantity.value == pytest.approx(true, abs=tolerance)
+        assert quantity.uncertainty < tolerance
+    assert (record.dead_rows, record.dead_columns, record.temperature_c) == ((), (), None)
+    full_scale = built.device.sensor.full_scale
+    assert record.full_scale.value == pytest.approx(full_scale, rel=0.01)
+    assert 0 < record.psf_residual < 0.03
+    assert abs(record.drift) < 0.01
+
+
+def test_decoders_for_what_was_found_expect_what_is_read(
+    badly: tuple[Built, CalibrationRecord],
+) -> None:
+    built, record = badly
+    found = correction(record)
+    camera, scene, embedding = GEOMETRY.camera, GEOMETRY.scene, GEOMETRY.embedding
+    levels = np.random.default_rng(9).integers(0, 64, camera.mask_shape).astype(np.uint8)
+    built.image = np.random.default_rng(8).random(scene.shape, np.float32)
+    shown = built.device.display.show(levels)
+    seen = built.device.sensor.capture(shown.completed_at + 0.1, 1.0).embedding.ravel()
+    errors = []
+    for calibration in (found, type(found)()):
+        weights = calibration.shown(torch.from_numpy(levels / np.float32(63)))
+        transfer = calibration.operator(camera, scene, embedding)(weights)
+        expected = torch.from_numpy(built.image).reshape(1, -1) @ transfer
+        errors.append(np.linalg.norm(expected.numpy()[0] - seen) / np.linalg.norm(seen))
+    assert errors[0] < 0.03
+    assert errors[1] > 10 * errors[0]
+
+
+def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
+    hardware = replace(QUIET, dead_rows=(4,), dead_columns=(5,), dead_level=63)
+    record = Built(optical.Conditions(gamma=1.3), hardware).calibrate().record
+    assert (record.dead_rows, record.dead_columns) == ((4,), (5,))
+    assert record.dead_transmittance.value == pytest.approx(1.0, abs=0.02)
+    assert record.contrast_floor.value < 0.05
+    assert record.gamma.value == pytest.approx(1.3, abs=0.02)
+    assert record.shift_y_m.value == pytest.approx(0.0, abs=1e-6)
+    assert record.psf_residual < 0.03
+
+
+def test_settling_is_that_of_the_slowest_line() -> None:
+    built = Built()
+    settling = built.calibrate(effort=replace(EFFORT, samples=9)).record.settling_s
+    # A linear turn is 2 % short of its end a little before it; light goes with its square.
+    assert settling.value > SETTLE * (1 - SETTLED)
+    assert settling.value <= SETTLE + SCAN + settling.uncertainty
+    assert 0 < settling.uncertainty < 0.005
+
+
+def test_the_panel_is_opaque_afterwards_come_what_may() -> None:
+    built = Built()
+    blanks = []
+    built.device.display.blank = lambda: blanks.append(built.captures)  # type: ignore[method-assign]
+    with pytest.raises(CalibrationError, match="longer --settle"):
+        built.calibrate(longest=0.02)
+    assert blanks == [built.captures]
+
+
+def test_a_card_that_is_too_dark_is_refused() -> None:
+    built = Built()
+    present = built.present
+
+    def dim(scene: CalibrationScene) -> None:
+        present(replace(scene, image=scene.image * np.float32(0.004)))
+
+    built.present = dim  # type: ignore[method-assign]
+    with pytest.raises(CalibrationError, match="too little light"):
+        built.calibrate()
+
+
+def test_darkness_that_is_none_is_refused() -> None:
+    built = Built()
+    present = built.present
+
+    def lit(scene: CalibrationScene) -> None:
+        present(replace(scene, image=np.full_like(scene.image, 0.8)))
+
+    built.present = lit  # type: ignore[method-assign]
+    with pytest.raises(CalibrationError, match="cover it"):
+        built.calibrate()
+
+
+def test_light_that_drifts_is_refused() -> None:
+    hardware = replace(QUIET, warm_up=0.3, warm_up_time=5.0)
+    with pytest.raises(CalibrationError, match="warm up"):
+        Built(hardware=hardware).calibrate()
+
+
+def test_a_lamp_in_the_wrong_place_is_refused() -> None:
+    built = Built()
+    present = built.present
+
+    def elsewhere(scene: CalibrationScene) -> None:
+        moved = np.roll(scene.image, 2, axis=0) if scene.name == "lamp" else scene.image
+        present(replace(scene, image=moved))
+
+    built.present = elsewhere  # type: ignore[method-assign]
+    with pytest.raises(CalibrationError, match="where they should be"):
+        built.calibrate()
+
+
+def test_a_panel_that_shows_nothing_is_refused() -> None:
+    built = Built()
+    show, opened = built.device.display.show, np.full(GEOMETRY.camera.mask_shape, 63, np.uint8)
+    built.device.display.show = lambda levels: show(opened)  # type: ignore[method-assign]
+    with pytest.raises(CalibrationError, match="does not hide"):
+        built.calibrate()
+
+
+def test_too_many_dead_lines_are_refused() -> None:
+    hardware = replace(QUIET, dead_rows=(0, 1, 2, 3))
+    with pytest.raises(CalibrationError, match="4 of 15 rows"):
+        Built(hardware=hardware).calibrate()
+
+
+def test_a_response_that_is_no_power_law_is_refused() -> None:
+    built = Built()
+    show = built.device.display.show
+    # Everything above the middle is shown as open: a panel set up for two levels.
+    built.device.display.show = lambda levels: show(  # type: ignore[method-assign]
+        np.where(levels > 31, 63, 0).astype(np.uint8)
+    )
+    with pytest.raises(CalibrationError, match="no power law"):
+        built.calibrate()
+
+
+def test_a_mask_that_is_too_far_off_is_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"turned by|where they should be"):
+        Built(optical.Conditions(rotation=40e-3)).calibrate()

@@ -1,0 +1,237 @@
+"""The record: signed, checked, and used."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from veilcam_client.calibration_models import CalibrationRecord, Quantity, SignedCalibration
+from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_server.calibrated import calibrated, open_calibration, settle_time
+from veilcam_server.calibration import (
+    CalibratedSensor,
+    CalibrationError,
+    Geometry,
+    SigningKey,
+    correction,
+    read_record,
+    write_record,
+)
+from veilcam_server.calibration.record import RECORD_NAME
+from veilcam_server.calibration.signing import KEY_NAME
+from veilcam_server.devices.protocols import Device, Exposure
+from veilcam_server.errors import StartError
+from veilcam_server.settings import Settings
+from veilcam_training.bundle import Bundle
+
+
+def make_record(**changes: Any) -> CalibrationRecord:
+    def quantity(value: float) -> Quantity:
+        return Quantity(value=value, uncertainty=0.01, residual=0.02)
+
+    given: dict[str, Any] = {
+        "taken_at": datetime(2026, 1, 2, 3, 4, 5, 678, tzinfo=UTC),
+        "display": "ST7735R",
+        "sensor": "IMX477",
+        "simulated": True,
+        "exposure_s": 0.01,
+        "geometry": "0" * 64,
+        "settling_s": quantity(0.08),
+        "black_level": quantity(0.02),
+        "gain": quantity(0.5),
+        "full_scale": quantity(2.0),
+        "gamma": quantity(1.3),
+        "contrast_floor": quantity(0.05),
+        "dead_rows": (3,),
+        "dead_transmittance": quantity(1 / 3),
+        "shift_y_m": quantity(1.1e-5),
+        "shift_x_m": quantity(-2e-5),
+        "rotation_rad": quantity(1e-3),
+        "distance_error_m": quantity(5e-5),
+        "psf_residual": 0.016,
+        "drift": -0.001,
+    }
+    return CalibrationRecord(**given | changes)
+
+
+@pytest.fixture
+def key(tmp_path: Path) -> SigningKey:
+    return SigningKey.open(tmp_path, create=True)
+
+
+def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
+    path = tmp_path / RECORD_NAME
+    record = make_record()
+    signed = write_record(path, record, key)
+    assert read_record(path, SigningKey.open(tmp_path)) == signed
+    assert signed.record == record
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert {each.name for each in tmp_path.iterdir()} == {RECORD_NAME, KEY_NAME}
+    found = correction(record)
+    assert (found.shift_y, found.shift_x, found.rotation) == (1.1e-5, -2e-5, 1e-3)
+    assert (found.distance_error, found.gamma, found.contrast_floor) == (5e-5, 1.3, 0.05)
+    assert (found.dead_rows, found.dead_columns, found.dead_transmittance) == ((3,), (), 1 / 3)
+
+
+def test_the_key_is_its_owner_s_alone(tmp_path: Path, key: SigningKey) -> None:
+    path = tmp_path / KEY_NAME
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.read_text().strip() not in repr(key)
+    assert SigningKey.open(tmp_path, create=True).public == key.public
+    path.write_text("no key\n")
+    with pytest.raises(CalibrationError, match="is no key") as caught:
+        SigningKey.open(tmp_path)
+    assert "no key\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("record", "gain", "value"), 0.6),
+        (("record", "dead_rows"), []),
+        (("record", "simulated"), False),
+        (("record", "taken_at"), "2027-01-02T03:04:05Z"),
+        (("signature",), "0" * 128),
+    ],
+)
+def test_a_record_that_was_changed_is_refused(
+    tmp_path: Path, key: SigningKey, where: tuple[str, ...], value: object
+) -> None:
+    path = tmp_path / RECORD_NAME
+    write_record(path, make_record(), key)
+    contents = json.loads(path.read_text())
+    place = contents
+    for name in where[:-1]:
+        place = place[name]
+    place[where[-1]] = value
+    path.write_text(json.dumps(contents))
+    with pytest.raises(CalibrationError, match="was changed after it was signed: run 'veilcamd"):
+        read_record(path, key)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"record": 1}', "x" * 2_000_000, "\x00\xff"])
+def test_what_is_no_record_is_refused(tmp_path: Path, key: SigningKey, text: str) -> None:
+    path = tmp_path / RECORD_NAME
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match=r"calibration.*run 'veilcamd calibrate' again"):
+        read_record(path, key)
+
+
+def test_a_record_of_another_version_or_key_is_refused(tmp_path: Path, key: SigningKey) -> None:
+    path = tmp_path / RECORD_NAME
+    write_record(path, make_record(), key)
+    other = tmp_path / "other"
+    other.mkdir()
+    with pytest.raises(CalibrationError, match="signed by another daemon"):
+        read_record(path, SigningKey.open(other, create=True))
+    path.write_text(path.read_text().replace('"version": 1', '"version": 2'))
+    with pytest.raises(CalibrationError, match="version"):
+        read_record(path, key)
+    with pytest.raises(CalibrationError, match="No such file"):
+        read_record(tmp_path / "missing.json", key)
+
+
+def test_an_unwritable_place_is_said(tmp_path: Path, key: SigningKey) -> None:
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        write_record(tmp_path / "missing" / RECORD_NAME, make_record(), key)
+    blocked = tmp_path / "file"
+    blocked.touch()
+    with pytest.raises(CalibrationError, match="cannot be used"):
+        SigningKey.open(blocked / "state", create=True)
+
+
+def settings_for(tmp_path: Path, **given: Any) -> Settings:
+    return Settings(**{"device": "simulated", "state_dir": tmp_path, **given})
+
+
+def geometry_of(bundle: Bundle) -> str:
+    return Geometry(bundle.camera, bundle.scene, bundle.embedding).digest
+
+
+def test_the_daemon_takes_the_record_in_its_state_directory(
+    tmp_path: Path, key: SigningKey, bundle: Bundle
+) -> None:
+    assert open_calibration(settings_for(tmp_path), bundle) is None
+    signed = write_record(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
+    assert open_calibration(settings_for(tmp_path), bundle) == signed
+    elsewhere = tmp_path / "elsewhere.json"
+    with pytest.raises(StartError, match="cannot be read"):
+        open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle)
+    other = write_record(elsewhere, make_record(geometry=geometry_of(bundle), drift=0.01), key)
+    assert open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle) == other
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"geometry": "f" * 64}, "geometry"),
+        ({"display": "another"}, "panel"),
+        ({"sensor": "another"}, "sensor"),
+        ({"simulated": False}, "kind of device, real, not simulated"),
+        ({"exposure_s": 0.02}, "exposure"),
+        ({"tab": "red"}, "panel's tab"),
+    ],
+)
+def test_a_record_of_another_camera_is_refused(
+    tmp_path: Path, key: SigningKey, bundle: Bundle, changes: dict[str, Any], what: str
+) -> None:
+    record = make_record(**{"geometry": geometry_of(bundle)} | changes)
+    write_record(tmp_path / RECORD_NAME, record, key)
+    with pytest.raises(StartError, match=f"another {what}.*run 'veilcamd calibrate'"):
+        open_calibration(settings_for(tmp_path), bundle)
+
+
+def test_geometries_differ() -> None:
+    drawings = {
+        Geometry(Camera(), Scene(), Embedding()).digest,
+        Geometry(Camera(distance=4.1e-3), Scene(), Embedding()).digest,
+        Geometry(Camera(), Scene(height=0.13), Embedding()).digest,
+        Geometry(Camera(), Scene(), Embedding(12, 16)).digest,
+    }
+    assert len(drawings) == 4
+
+
+def test_the_fence_never_grants_less_than_was_measured(tmp_path: Path) -> None:
+    signed = SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
+    measured = 0.08 + 0.01
+    assert settle_time(settings_for(tmp_path), None) == Settings.model_fields["settle"].default
+    assert settle_time(settings_for(tmp_path), signed) == pytest.approx(measured)
+    assert settle_time(settings_for(tmp_path, settle=0.02), signed) == pytest.approx(measured)
+    assert settle_time(settings_for(tmp_path, settle=0.2), signed) == 0.2
+
+
+class Sensor:
+    name = "a sensor"
+    full_scale = 1.0
+    closed = False
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        return Exposure(np.array([[0.02, 0.52]], np.float32), not_before, timeout)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_readings_are_those_that_decoders_expect() -> None:
+    sensor = Sensor()
+    corrected = CalibratedSensor(sensor, black_level=0.02, gain=0.5)
+    exposure = corrected.capture(1.0, 2.0)
+    np.testing.assert_allclose(exposure.embedding, [[0.0, 1.0]], atol=1e-7)
+    assert exposure.embedding.dtype == np.float32
+    assert (exposure.started_at, exposure.ended_at) == (1.0, 2.0)
+    assert corrected.full_scale == pytest.approx(0.98 / 0.5)
+    assert corrected.name == "a sensor"
+    corrected.close()
+    assert sensor.closed
+
+
+def test_a_device_without_a_record_is_left_alone() -> None:
+    device = Device(None, Sensor(), simulated=True)  # type: ignore[arg-type]
+    signed = SignedCalibration(record=make_record(), public_key="0" * 64, signature="0" * 128)
+    assert calibrated(device, None) is device
+    assert calibrated(device, signed).sensor.full_scale == pytest.approx(0.98 / 0.5)
