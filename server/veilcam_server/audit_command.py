@@ -34,7 +34,8 @@ def audit(
 def _in_words(entry: dict[str, Any]) -> str:
     at = str(entry["at"])[:19].replace("T", " ")
     outcome = entry.get("code") or entry.get("status", "")
-    who = entry.get("label") or entry.get("user") or entry.get("peer", "")
-    known = ("at", "action", "code", "status", "label", "user", "peer")
+    by = next((name for name in ("user", "label", "peer") if name in entry), "")
+    who = entry.get(by, "the daemon")
+    known = ("at", "action", "code", "status", "peer", by)
     rest = "  ".join(f"{name} {value}" for name, value in entry.items() if name not in known)
     return f"{at}  {who:<16}  {entry['action']:<34}  {outcome!s:<20}  {rest}".rstrip()

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Header, Request
+from fastapi.openapi.constants import REF_PREFIX
 
-from veilcam_client.models import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.models import PROBLEM_MEDIA_TYPE
 from veilcam_server.access import CallerDep
 from veilcam_server.gateway import Gateway
 from veilcam_server.idempotency import IdempotencyKeys
@@ -41,7 +42,8 @@ def problems(*codes: str) -> dict[int | str, dict[str, object]]:
         names = ", ".join(code for code in wanted if PROBLEMS[code].status == status)
         answers[status] = {
             "description": names,
-            "content": {PROBLEM_MEDIA_TYPE: {"schema": Problem.model_json_schema()}},
+            # The model itself, and an example of each code, are added to the whole document.
+            "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": f"{REF_PREFIX}Problem"}}},
         }
     return answers
 

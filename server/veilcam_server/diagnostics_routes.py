@@ -14,6 +14,7 @@ from veilcam_client.diagnostics import Diagnostics
 from veilcam_server.access import requires
 from veilcam_server.dependencies import GatewayDep, ServiceDep, problems
 from veilcam_server.metrics import Metrics
+from veilcam_server.openapi import document
 
 PACKAGES = ("veilcam", "fastapi", "numpy", "pydantic", "starlette", "torch", "uvicorn")
 """Whose versions matter."""
@@ -59,4 +60,4 @@ async def diagnostics(service: ServiceDep, gateway: GatewayDep) -> Diagnostics:
 async def openapi(request: Request) -> dict[str, Any]:
     """This document."""
     app: FastAPI = request.app
-    return app.openapi()
+    return document(app)

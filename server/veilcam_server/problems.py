@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -19,6 +20,12 @@ from veilcam_server.errors import (
     ForbiddenError,
     HostRefusedError,
     IdempotencyError,
+    KeyringInUseError,
+    KeyringInvalidError,
+    KeyringsBusyError,
+    KeyringsFullError,
+    KeyringStoreError,
+    KeyringUnfitError,
     LeasedError,
     NotCalibratedError,
     NotReadyError,
@@ -30,6 +37,7 @@ from veilcam_server.errors import (
     TooManyRequestsError,
     TooManyStreamsError,
     UnauthorizedError,
+    UnknownKeyringError,
     UnknownTokenError,
     WithheldError,
 )
@@ -51,14 +59,19 @@ PROBLEMS: Mapping[str, ProblemType] = {
     "embedding_withheld": ProblemType(403, "Embeddings are not released"),
     "not_found": ProblemType(404, "There is nothing at this path"),
     "unknown_token": ProblemType(404, "There is no such token"),
+    "unknown_keyring": ProblemType(404, "There is no such keyring"),
     "not_calibrated": ProblemType(404, "The camera was not calibrated"),
     "method_not_allowed": ProblemType(405, "This path does not take this method"),
     "not_acceptable": ProblemType(406, "None of the accepted media types can be given"),
     "rotation_impossible": ProblemType(409, "There is no other mask"),
+    "keyring_unfit": ProblemType(409, "The keyring does not fit this camera"),
+    "keyring_in_use": ProblemType(409, "The keyring is in use"),
+    "keyrings_full": ProblemType(409, "Too many keyrings are installed"),
     "tokens_off": ProblemType(409, "This daemon wants no tokens"),
     "body_too_large": ProblemType(413, "The body is too large"),
     "host_refused": ProblemType(421, "This host name is not served"),
     "invalid_request": ProblemType(422, "The request is not valid"),
+    "keyring_invalid": ProblemType(422, "This is no keyring that can be used"),
     "idempotency_key_reused": ProblemType(422, "The idempotency key belongs to another request"),
     "leased": ProblemType(423, "Somebody else holds the camera", retryable=True),
     "queue_full": ProblemType(429, "Too many captures are waiting", retryable=True),
@@ -72,6 +85,8 @@ PROBLEMS: Mapping[str, ProblemType] = {
     "sensor_timeout": ProblemType(503, "The sensor gave no reading in time", retryable=True),
     "fence_violated": ProblemType(503, "The reading could not be trusted", retryable=True),
     "tokens_unavailable": ProblemType(503, "The tokens are out of reach", retryable=True),
+    "keyrings_busy": ProblemType(503, "The keyrings are being changed", retryable=True),
+    "keyring_not_stored": ProblemType(503, "The keyring is not durable", retryable=True),
     "epoch_not_recorded": ProblemType(503, "The mask epoch is not durable", retryable=True),
 }
 
@@ -81,6 +96,13 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (ForbiddenError, "forbidden"),
     (UnknownTokenError, "unknown_token"),
     (NotCalibratedError, "not_calibrated"),
+    (UnknownKeyringError, "unknown_keyring"),
+    (KeyringUnfitError, "keyring_unfit"),
+    (KeyringInUseError, "keyring_in_use"),
+    (KeyringsFullError, "keyrings_full"),
+    (KeyringInvalidError, "keyring_invalid"),
+    (KeyringsBusyError, "keyrings_busy"),
+    (KeyringStoreError, "keyring_not_stored"),
     (TokensOffError, "tokens_off"),
     (TokenStoreError, "tokens_unavailable"),
     (RotationImpossibleError, "rotation_impossible"),
@@ -145,6 +167,15 @@ def problem_response(
         headers=headers,
         media_type=PROBLEM_MEDIA_TYPE,
     )
+
+
+def example_of(code: str) -> dict[str, object]:
+    """What an answer with this code can look like."""
+    answer = problem_response(
+        code=code, detail=PROBLEMS[code].title, instance="/v1/status", request_id="5ca1ab1e0ddba11"
+    )
+    example: dict[str, object] = json.loads(bytes(answer.body))
+    return example
 
 
 def install(app: FastAPI) -> None:
