@@ -56,6 +56,14 @@ class RotationChanged(_Event):
     policy: RotationPolicy
 
 
+class KeyringChanged(_Event):
+    """Masks and classifiers come from another keyring."""
+
+    kind: Literal["keyring"] = "keyring"
+    digest: str
+    task: str
+
+
 class Fault(_Event):
     """Something failed; ``code`` is that of the problem."""
 
@@ -72,9 +80,18 @@ class Gap(_Event):
 
 
 Event = Annotated[
-    StateChanged | MaskChanged | CaptureTaken | Classified | RotationChanged | Fault | Gap,
+    StateChanged
+    | MaskChanged
+    | CaptureTaken
+    | Classified
+    | RotationChanged
+    | KeyringChanged
+    | Fault
+    | Gap,
     Field(discriminator="kind"),
 ]
 
 EVENT: TypeAdapter[Event] = TypeAdapter(Event)
-EVENT_KINDS = frozenset(("state", "mask", "capture", "classification", "rotation", "fault", "gap"))
+EVENT_KINDS = frozenset(
+    ("state", "mask", "capture", "classification", "rotation", "keyring", "fault", "gap")
+)

@@ -11,6 +11,8 @@ from veilcam_client.events import (
     Classified,
     Event,
     Fault,
+    Gap,
+    KeyringChanged,
     MaskChanged,
     RotationChanged,
     StateChanged,
@@ -79,6 +81,12 @@ def event_in_words(event: Event) -> str:
         return f"{event.state}  {event.detail or ''}".rstrip()
     if isinstance(event, RotationChanged):
         return policy_in_words(event.policy)
+    if isinstance(event, KeyringChanged):
+        return f"{event.task}  keyring {event.digest[:12]}"
+    return _trouble_in_words(event)
+
+
+def _trouble_in_words(event: Fault | Gap) -> str:
     if isinstance(event, Fault):
         return f"{event.code}: {event.detail}"
     return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"

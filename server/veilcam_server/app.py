@@ -13,6 +13,8 @@ from veilcam_server.calibration_routes import router as calibration_router
 from veilcam_server.diagnostics_routes import router as diagnostics_router
 from veilcam_server.gateway import Gateway
 from veilcam_server.idempotency import IdempotencyKeys
+from veilcam_server.keyring_routes import PREFIX as KEYRINGS
+from veilcam_server.keyring_routes import router as keyring_router
 from veilcam_server.lease_routes import router as lease_router
 from veilcam_server.metrics import Metrics
 from veilcam_server.middleware import RequestContext
@@ -21,7 +23,7 @@ from veilcam_server.service import Service
 from veilcam_server.token_routes import router as token_router
 
 MAX_BODY = 16 * 1024
-"""No request needs more than a few hundred bytes [bytes]."""
+"""No request needs more than a few hundred bytes, but for the upload of a keyring [bytes]."""
 
 
 def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
@@ -66,6 +68,13 @@ def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
     app.include_router(token_router)
     app.include_router(diagnostics_router)
     app.include_router(calibration_router)
+    app.include_router(keyring_router)
     problems.install(app)
-    app.add_middleware(RequestContext, gateway=gateway, metrics=metrics, max_body=MAX_BODY)
+    app.add_middleware(
+        RequestContext,
+        gateway=gateway,
+        metrics=metrics,
+        max_body=MAX_BODY,
+        max_uploads={("POST", KEYRINGS): service.keyrings.limit},
+    )
     return app

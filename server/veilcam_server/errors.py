@@ -124,3 +124,43 @@ class LeasedError(Exception):
     def __init__(self, owner: str, retry_after: int) -> None:
         super().__init__(f"the camera is leased to {owner!r} for another {retry_after} s")
         self.retry_after = retry_after
+
+
+class UnknownKeyringError(Exception):
+    """There is no keyring of this digest."""
+
+    def __init__(self) -> None:
+        super().__init__("there is no keyring of this digest: see GET /v1/keyrings")
+
+
+class KeyringInvalidError(Exception):
+    """A file that is no whole bundle."""
+
+
+class KeyringUnfitError(Exception):
+    """A bundle for another camera than the one that is there."""
+
+
+class KeyringInUseError(Exception):
+    """A keyring that cannot be removed."""
+
+    def __init__(self) -> None:
+        super().__init__("this keyring is in use, or the daemon was started with it: it stays")
+
+
+class KeyringsFullError(Exception):
+    """Too many keyrings are installed."""
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__(f"{capacity} keyrings are installed: remove one first")
+
+
+class KeyringsBusyError(Exception):
+    """Another change of keyrings is under way."""
+
+    def __init__(self) -> None:
+        super().__init__("another change of keyrings is under way: try again when it is done")
+
+
+class KeyringStoreError(Exception):
+    """A keyring could not be made durable."""

@@ -6,13 +6,26 @@ from dataclasses import dataclass
 
 from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.models import BundleInfo, Device
+from veilcam_training.bundle import Bundle
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the daemon tells of itself; it does not change while it runs."""
+    """What the daemon tells of itself; of all this only the bundle changes while it runs."""
 
     device: Device
     bundle: BundleInfo
     experiment: str | None = None
     calibration: SignedCalibration | None = None
+
+
+def bundle_info(bundle: Bundle) -> BundleInfo:
+    """What may be told of a bundle."""
+    return BundleInfo(
+        digest=bundle.digest,
+        task=bundle.task,
+        mode=bundle.mode,
+        labels=bundle.labels,
+        embedding_shape=bundle.embedding.shape,
+        pairs=len(bundle.pairs),
+    )

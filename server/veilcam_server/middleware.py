@@ -6,6 +6,7 @@ import re
 import secrets
 import time
 import traceback
+from collections.abc import Mapping
 from contextlib import ExitStack
 
 import structlog
@@ -28,9 +29,16 @@ log = structlog.get_logger()
 class RequestContext:
     """Pure ASGI, so that event streams pass through unbuffered."""
 
-    def __init__(self, app: ASGIApp, gateway: Gateway, metrics: Metrics, max_body: int) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        gateway: Gateway,
+        metrics: Metrics,
+        max_body: int,
+        max_uploads: Mapping[tuple[str, str], int],
+    ) -> None:
         self._app, self._gateway, self._metrics = app, gateway, metrics
-        self._max_body = max_body
+        self._max_body, self._max_uploads = max_body, max_uploads
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -67,7 +75,7 @@ class RequestContext:
                     response = error_response(error, instance=scope["path"], request_id=request_id)
                     await response(scope, receive, send_with_id)
                     return
-                await self._app(scope, self._limited(receive), send_with_id)
+                await self._app(scope, self._limited(scope, receive), send_with_id)
         except Exception as error:
             # The text of an error that nobody foresaw may hold anything, so it is not logged.
             log.error(
@@ -114,16 +122,17 @@ class RequestContext:
             peer=peer,
         )
 
-    def _limited(self, receive: Receive) -> Receive:
+    def _limited(self, scope: Scope, receive: Receive) -> Receive:
         """Stop reading a body that is too large, whatever length it claims to have."""
+        limit = self._max_uploads.get((scope["method"], scope["path"]), self._max_body)
         received = 0
 
         async def receive_some() -> Message:
             nonlocal received
             message = await receive()
             received += len(message.get("body", b""))
-            if received > self._max_body:
-                raise HTTPException(413, f"a request has at most {self._max_body} bytes")
+            if received > limit:
+                raise HTTPException(413, f"this request has at most {limit} bytes")
             return message
 
         return receive_some

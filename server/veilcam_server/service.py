@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from datetime import datetime
 from typing import TypeVar
 
@@ -20,10 +21,12 @@ from veilcam_client.events import (
     Classified,
     Event,
     Fault,
+    KeyringChanged,
     MaskChanged,
     RotationChanged,
     StateChanged,
 )
+from veilcam_client.keyrings import Keyring
 from veilcam_client.models import (
     API_VERSION,
     Capture,
@@ -51,6 +54,8 @@ from veilcam_server.events import EventLog
 from veilcam_server.history import History
 from veilcam_server.identity import Identity
 from veilcam_server.inference import Verdict
+from veilcam_server.keyring_opening import Keys
+from veilcam_server.keyrings import Keyrings
 from veilcam_server.problems import code_of
 from veilcam_server.showing import Captured
 from veilcam_server.systemd import notify
@@ -66,6 +71,7 @@ class Service:
     Args:
         camera: with its first mask on the panel.
         identity: for the status.
+        keyrings: of which one is in use.
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
@@ -75,12 +81,14 @@ class Service:
         self,
         camera: MaskedCamera,
         identity: Identity,
+        keyrings: Keyrings,
         *,
         form: Release = "none",
         queue_limit: int = 8,
         heartbeat: float = 10.0,
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
+        self.keyrings = keyrings
         self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
         self._events, self.history = EventLog(), History()
         self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
@@ -98,6 +106,8 @@ class Service:
         self._loop = asyncio.get_running_loop()
         self._tell_state(*self._camera.state)
         self.history.begin(*self._camera.state)
+        for detail in self.keyrings.faults:
+            self._tell_fault("keyring_invalid", detail)
         try:
             async with self._upkeep.running():
                 yield
@@ -222,6 +232,24 @@ class Service:
             name, captured, verdict, embedding, timing(captured, queued, begun, inference)
         )
 
+    async def activate_keyring(self, digest: str) -> Keyring:
+        """Use another keyring from now on; raises as :meth:`Keyrings.activate`, or as `rotate`."""
+        return await self.keyrings.activate(digest, self._use)
+
+    async def _use(self, keys: Keys) -> None:
+        """Show a mask of other keys, and read behind it with them, or change nothing."""
+        with self._queue.admitted():
+            prepare = self._camera.preparation.first_of
+            first = await asyncio.to_thread(prepare, keys.source)
+            await self._on_device(lambda: self._camera.change_source(keys.source, first))
+        self._identity = replace(self._identity, bundle=keys.info)
+        self._publish(
+            lambda id_, at: KeyringChanged(
+                id=id_, at=at, digest=keys.info.digest, task=keys.info.task
+            )
+        )
+        self._upkeep.wake()
+
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
         return self._events.follow(last_event_id, self._heartbeat)
@@ -282,10 +310,12 @@ class Service:
         except Exception as error:
             code = code_of(error)
             if code is not None:
-                detail = str(error)
-                log.warning("fault", code=code, detail=detail)
-                self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
+                self._tell_fault(code, str(error))
             raise
+
+    def _tell_fault(self, code: str, detail: str) -> None:
+        log.warning("fault", code=code, detail=detail)
+        self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
 
     async def _watched(self, work: Callable[[], ResultT]) -> ResultT:
         try:

@@ -16,8 +16,8 @@ import pytest
 import structlog
 import torch
 
-from veilcam_client.models import BundleInfo, Release, RotationOff, RotationPolicy
 from veilcam_client.models import Device as DeviceInfo
+from veilcam_client.models import Release, RotationOff, RotationPolicy
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.keys import MaskDistribution, Secret
@@ -30,12 +30,15 @@ from veilcam_server.epochs import EpochStore
 from veilcam_server.fence import Fence
 from veilcam_server.fresh import FreshSource
 from veilcam_server.gateway import Gateway
-from veilcam_server.identity import Identity
+from veilcam_server.identity import Identity, bundle_info
+from veilcam_server.keyring_opening import Keys, Opener
+from veilcam_server.keyring_store import KeyringStore
+from veilcam_server.keyrings import Keyrings
 from veilcam_server.masks import MaskSource
 from veilcam_server.pairs import load_pairs
 from veilcam_server.preparation import Preparation
 from veilcam_server.service import Service
-from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, write_bundle
+from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,
     Conv2d,
@@ -218,20 +221,25 @@ class Bench:
             raise
         return camera
 
+    def keyrings(self, *, limit: int = 2**20) -> Keyrings:
+        """As the daemon makes them: of a bundle in a file."""
+        path = self.state_dir / "configured.veilcam"
+        self.state_dir.mkdir(exist_ok=True, mode=0o700)
+        write_bundle(path, self.bundle)
+        bundle = read_bundle(path)
+        opener = Opener(bundle, load_pairs if bundle.mode == "pairs" else lambda _: self.source)
+        store = KeyringStore(self.state_dir / "keyrings", path, bundle.digest)
+        return Keyrings(store, opener, Keys(bundle_info(bundle), self.source), limit=limit)
+
     def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
+        keyrings = self.keyrings()
         service = Service(
             camera,
             Identity(
                 DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
-                BundleInfo(
-                    digest="0" * 64,
-                    task=self.bundle.task,
-                    mode=self.bundle.mode,
-                    labels=self.bundle.labels,
-                    embedding_shape=self.bundle.embedding.shape,
-                    pairs=len(self.bundle.pairs),
-                ),
+                keyrings.info,
             ),
+            keyrings,
             form=self.release,
             queue_limit=queue_limit,
             heartbeat=0.05,

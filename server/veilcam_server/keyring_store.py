@@ -1,0 +1,188 @@
+"""Keyrings on the disk: installed bundles, and which of them is in use.
+
+``DIRECTORY/DIGEST.veilcam`` holds a bundle, readable by its owner alone; ``DIRECTORY/active.json``
+names the one in use, the one used before it, and the bundle that the daemon was started with at the
+time. Files are replaced whole, so that whatever is killed or unplugged when, each holds what it
+held before or what it holds now.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from veilcam_server.errors import (
+    KeyringInUseError,
+    KeyringsFullError,
+    KeyringStoreError,
+    UnknownKeyringError,
+)
+
+CAPACITY = 32
+"""Most keyrings that can be installed."""
+_SUFFIX = ".veilcam"
+_TEMPORARY = ".new-"
+_RECORD = "active.json"
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+
+
+class _Active(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+    active: str
+    before: str
+    configured: str
+
+
+class KeyringStore:
+    """Bundles by the SHA-256 of their file.
+
+    Args:
+        directory: made when the first one is installed.
+        configured: the bundle that the daemon was started with; it stays where it is.
+        digest: its SHA-256.
+    """
+
+    def __init__(self, directory: Path, configured: Path, digest: str) -> None:
+        self._directory, self._configured, self._digest = directory, configured, digest
+        for left in directory.glob(f"{_TEMPORARY}*"):
+            left.unlink(missing_ok=True)
+
+    @property
+    def configured(self) -> str:
+        """Digest of the bundle that the daemon was started with."""
+        return self._digest
+
+    def candidates(self) -> tuple[str, ...]:
+        """Which one to use, and what else if that cannot be used; the configured one comes last.
+
+        What was activated holds until the daemon is started with another bundle.
+        """
+        chosen = self._read()
+        if chosen is None or chosen.configured != self._digest:
+            return (self._digest,)
+        return tuple(dict.fromkeys((chosen.active, chosen.before, self._digest)))
+
+    def digests(self) -> tuple[str, ...]:
+        """All of them, the configured one first."""
+        names = {path.stem for path in self._directory.glob(f"*{_SUFFIX}")}
+        installed = sorted(name for name in names - {self._digest} if _DIGEST.fullmatch(name))
+        return (self._digest, *installed)
+
+    def path(self, digest: str) -> Path:
+        """Where a bundle is; raises :class:`UnknownKeyringError`."""
+        if digest == self._digest:
+            return self._configured
+        path = self._path(digest)
+        if not (_DIGEST.fullmatch(digest) and path.is_file()):
+            raise UnknownKeyringError
+        return path
+
+    @contextmanager
+    def incoming(self) -> Iterator[tuple[Path, BinaryIO]]:
+        """Yield a new file, and its path, that is gone afterwards unless it was installed.
+
+        Raises:
+            KeyringsFullError: there are too many already.
+            KeyringStoreError: the disk refuses.
+        """
+        if len(self.digests()) > CAPACITY:
+            raise KeyringsFullError(CAPACITY)
+        with _durable():
+            descriptor, name = self._temporary()
+        try:
+            with os.fdopen(descriptor, "wb") as stream:
+                yield Path(name), stream
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+    def install(self, temporary: Path, digest: str) -> None:
+        """Move a whole and checked file into its place; raises :class:`KeyringStoreError`."""
+        if digest == self._digest:
+            return
+        with _durable():
+            with temporary.open("rb") as stream:
+                os.fsync(stream.fileno())
+            temporary.replace(self._path(digest))
+            self._sync()
+
+    def remove(self, digest: str, active: str) -> None:
+        """Remove a bundle for good.
+
+        Raises:
+            UnknownKeyringError: there is none of this digest.
+            KeyringInUseError: it is the active or the configured one.
+            KeyringStoreError: the disk refuses.
+        """
+        path = self.path(digest)
+        if digest in (active, self._digest):
+            raise KeyringInUseError
+        with _durable():
+            path.unlink()
+            self._sync()
+
+    def stage(self, digest: str, before: str) -> Path:
+        """Write down that ``digest`` is in use, for :meth:`commit`.
+
+        Everything that a full disk can prevent is done here.
+
+        Raises:
+            KeyringStoreError: the disk refuses.
+        """
+        record = _Active(active=digest, before=before, configured=self._digest)
+        with _durable():
+            descriptor, name = self._temporary()
+            with os.fdopen(descriptor, "wb") as stream:
+                stream.write(record.model_dump_json().encode())
+                stream.flush()
+                os.fsync(stream.fileno())
+        return Path(name)
+
+    def commit(self, staged: Path) -> None:
+        """Make what was staged hold from now on; raises :class:`KeyringStoreError`."""
+        with _durable():
+            staged.replace(self._directory / _RECORD)
+            self._sync()
+
+    def _temporary(self) -> tuple[int, str]:
+        self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        return tempfile.mkstemp(dir=self._directory, prefix=_TEMPORARY)
+
+    def _path(self, digest: str) -> Path:
+        return self._directory / f"{digest}{_SUFFIX}"
+
+    def _read(self) -> _Active | None:
+        try:
+            return _Active.model_validate_json((self._directory / _RECORD).read_bytes())
+        except (OSError, ValidationError):
+            return None
+
+    def _sync(self) -> None:
+        descriptor = os.open(self._directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def append(stream: BinaryIO, chunk: bytes) -> None:
+    """Write to an incoming file; raises :class:`KeyringStoreError`."""
+    with _durable():
+        stream.write(chunk)
+        stream.flush()
+
+
+@contextmanager
+def _durable() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise KeyringStoreError(
+            f"the keyring cannot be stored ({error.strerror}): check the state directory's disk"
+        ) from None

@@ -1,0 +1,426 @@
+"""Keyrings: taken in, used, rolled back, and never a change of what runs but on purpose."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_client.events import Event, Fault, KeyringChanged
+from veilcam_client.keyrings import Keyring, Keyrings
+from veilcam_client.models import Classification, EveryCaptures, Problem, Status
+from veilcam_optics.geometry import Embedding
+from veilcam_server import keyring_store
+from veilcam_server.devices import DisplayError
+from veilcam_server.epochs import EpochStore
+from veilcam_server.errors import KeyringInvalidError, KeyringStoreError
+from veilcam_server.keyring_opening import Opener, last_good
+from veilcam_server.keyring_store import KeyringStore
+from veilcam_server.pairs import load_pairs
+from veilcam_training.bundle import Bundle, read_bundle, write_bundle
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    import httpx
+    from tests.server.conftest import Bench, Running
+
+pytestmark = pytest.mark.anyio
+
+
+def other(bundle: Bundle, *, pairs: int = 2, seed: int = 1, task: str = "other") -> Bundle:
+    """A bundle for the same camera, with other masks, classifiers and task."""
+    random = np.random.default_rng(seed)
+    generator = torch.Generator().manual_seed(seed)
+    changed = tuple(
+        dataclasses.replace(
+            pair,
+            levels=random.integers(0, 64, pair.levels.shape, np.uint8),
+            weights={
+                name: torch.randn(tensor.shape, generator=generator)
+                for name, tensor in pair.weights.items()
+            },
+        )
+        for pair in bundle.pairs[:pairs]
+    )
+    return dataclasses.replace(bundle, task=task, pairs=changed)
+
+
+@pytest.fixture
+def data(bundle: Bundle, tmp_path: Path) -> bytes:
+    path = tmp_path / "other.veilcam"
+    write_bundle(path, other(bundle))
+    return path.read_bytes()
+
+
+async def install(client: httpx.AsyncClient, data: bytes) -> Keyring:
+    answer = await client.post("/v1/keyrings", content=data)
+    assert answer.status_code == 201, answer.text
+    return Keyring.model_validate_json(answer.content)
+
+
+async def activate(client: httpx.AsyncClient, digest: str) -> httpx.Response:
+    return await client.post(f"/v1/keyrings/{digest}/activate")
+
+
+async def active(client: httpx.AsyncClient) -> str:
+    """Of list and status, which must agree."""
+    answer = Keyrings.model_validate_json((await client.get("/v1/keyrings")).content)
+    (digest,) = [keyring.digest for keyring in answer.keyrings if keyring.active]
+    status = Status.model_validate_json((await client.get("/v1/status")).content)
+    assert status.bundle.digest == digest
+    return digest
+
+
+async def label(client: httpx.AsyncClient) -> Classification:
+    answer = await client.post("/v1/classifications")
+    assert answer.status_code == 200, answer.text
+    return Classification.model_validate_json(answer.content)
+
+
+def expected(bundle: Bundle, bench: Bench) -> str:
+    """What the classifier of the mask on the panel says."""
+    (pair,) = [p for p in bundle.pairs if np.array_equal(p.levels, bench.display.shown[-1])]
+    logits = pair.weights["0.weight"] @ torch.from_numpy(bench.sensor.reading).ravel()
+    return bundle.labels[int((logits + pair.weights["0.bias"]).argmax())]
+
+
+def code(answer: httpx.Response) -> str:
+    return Problem.model_validate_json(answer.content).code
+
+
+async def test_what_is_taken_in_is_not_used(running: Running, bench: Bench, data: bytes) -> None:
+    async with running() as client:
+        before = await active(client)
+        keyring = await install(client, data)
+        assert (keyring.active, keyring.configured, keyring.size) == (False, False, len(data))
+        assert keyring.bundle is not None
+        assert keyring.bundle.task == "other"
+        again = await install(client, data)
+        assert again == keyring
+        assert await active(client) == before
+        answer = Keyrings.model_validate_json((await client.get("/v1/keyrings")).content)
+        assert [one.digest for one in answer.keyrings] == [before, keyring.digest]
+    assert len(bench.display.shown) == 2  # a mask, and opaque at the end
+    (path,) = (bench.state_dir / "keyrings").iterdir()
+    assert path.name == f"{keyring.digest}.veilcam"
+    assert path.stat().st_mode & 0o077 == 0
+    assert path.parent.stat().st_mode & 0o077 == 0
+
+
+async def test_mask_and_classifier_change_together_and_back(
+    running: Running, bench: Bench, data: bytes, bundle: Bundle
+) -> None:
+    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    async with running() as client:
+        first = await active(client)
+        keyring = await install(client, data)
+        answer = await activate(client, keyring.digest)
+        assert Keyring.model_validate_json(answer.content).active
+        assert await active(client) == keyring.digest
+        changed = other(bundle)
+        for _ in range(4):
+            result = await label(client)
+            assert result.epoch == bench.epochs[-1]
+            assert result.label == expected(changed, bench)
+            await client.post("/v1/rotation/advance")
+        assert (await activate(client, first)).status_code == 200
+        assert await active(client) == first
+        result = await label(client)
+        assert result.label == expected(bundle, bench)
+
+
+async def test_the_change_is_an_event(bench: Bench, data: bytes) -> None:
+    service = bench.service(bench.camera())
+    async with service.open():
+
+        async def chunks() -> AsyncIterator[bytes]:
+            yield data[:1000]
+            yield data[1000:]
+
+        keyring = await service.keyrings.install(chunks())
+        start = f"{service._events._boot}-0"
+        await service.activate_keyring(keyring.digest)
+        heard = []
+        async for event in service.events(start):
+            if event is None:
+                break
+            heard.append(event)
+    (change,) = [event for event in heard if isinstance(event, KeyringChanged)]
+    assert (change.digest, change.task) == (keyring.digest, "other")
+
+
+@pytest.mark.parametrize("faults", [1, 3])
+async def test_a_panel_that_fails_keeps_the_keyring_or_is_opaque(
+    running: Running, bench: Bench, data: bytes, bundle: Bundle, faults: int
+) -> None:
+    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    async with running() as client:
+        before = await active(client)
+        keyring = await install(client, data)
+        bench.display.faults = [DisplayError("no answer") for _ in range(faults)]
+        answer = await activate(client, keyring.digest)
+        assert code(answer) == "display_failed"
+        assert await active(client) == before
+        if faults == 1:
+            assert (await label(client)).label == expected(bundle, bench)
+        else:
+            assert (await client.get("/v1/status")).json()["state"] in ("safe", "ready")
+            await client.post("/v1/rotation/advance")
+            assert (await label(client)).label == expected(bundle, bench)
+    assert not list((bench.state_dir / "keyrings").glob(".new-*"))
+    assert not (bench.state_dir / "keyrings" / "active.json").exists()
+
+
+async def test_an_epoch_that_cannot_be_recorded_keeps_the_keyring(
+    running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from veilcam_server.errors import EpochError
+
+    def full(_: object) -> int:
+        raise EpochError("the disk is full")
+
+    async with running() as client:
+        before = await active(client)
+        keyring = await install(client, data)
+        with monkeypatch.context() as patch:
+            patch.setattr(EpochStore, "next", full)
+            assert code(await activate(client, keyring.digest)) == "epoch_not_recorded"
+        assert await active(client) == before
+        assert (await activate(client, keyring.digest)).status_code == 200
+
+
+async def test_what_cannot_be_made_durable_is_rolled_back(
+    running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch, bundle: Bundle
+) -> None:
+    def refuse(*_: object) -> None:
+        raise KeyringStoreError("the disk is gone")
+
+    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    async with running() as client:
+        before = await active(client)
+        keyring = await install(client, data)
+        monkeypatch.setattr(KeyringStore, "commit", refuse)
+        assert code(await activate(client, keyring.digest)) == "keyring_not_stored"
+        assert await active(client) == before
+        assert (await label(client)).label == expected(bundle, bench)
+
+
+async def test_a_lone_mask_does_not_fit_a_policy_that_wants_another(
+    running: Running, bundle: Bundle, tmp_path: Path
+) -> None:
+    path = tmp_path / "lone.veilcam"
+    write_bundle(path, other(bundle, pairs=1))
+    async with running(policy=EveryCaptures(captures=5)) as client:
+        keyring = await install(client, path.read_bytes())
+        assert code(await activate(client, keyring.digest)) == "rotation_impossible"
+        await client.put("/v1/rotation", json={"mode": "off"})
+        assert (await activate(client, keyring.digest)).status_code == 200
+        assert code(await client.post("/v1/rotation/advance")) == "rotation_impossible"
+
+
+async def test_what_cannot_be_used_is_refused_with_the_reason(
+    running: Running, bench: Bench, data: bytes, tmp_path: Path, fresh_file: Path
+) -> None:
+    bundle = bench.bundle
+    unfit = tmp_path / "unfit.veilcam"
+    pairs = tuple(
+        dataclasses.replace(pair, weights={**pair.weights, "0.weight": torch.zeros(10, 12)})
+        for pair in bundle.pairs
+    )
+    layers = tuple(
+        dataclasses.replace(pair, layers=(pair.layers[0].model_copy(update={"inputs": 12}),))
+        for pair in pairs
+    )
+    write_bundle(unfit, dataclasses.replace(bundle, embedding=Embedding(3, 4), pairs=layers))
+    async with running() as client:
+        before = await active(client)
+        for content, wanted, word in (
+            (b"", "keyring_invalid", "not a whole bundle"),
+            (data[:-100], "keyring_invalid", "not a whole bundle"),
+            (unfit.read_bytes(), "keyring_unfit", "another embedding"),
+            (fresh_file.read_bytes(), "keyring_unfit", "another mode"),
+        ):
+            answer = await client.post("/v1/keyrings", content=content)
+            assert code(answer) == wanted
+            assert word in answer.json()["detail"]
+            assert str(bench.state_dir) not in answer.text
+        assert await active(client) == before
+        answer = await client.post("/v1/keyrings", content=bytes(2**20 + 1))
+        assert code(answer) == "body_too_large"
+        answer = await client.post(f"/v1/keyrings/{'0' * 64}/activate")
+        assert code(answer) == "unknown_keyring"
+        assert code(await activate(client, "../../etc/passwd")) == "not_found"
+        assert code(await activate(client, "A" * 64)) == "invalid_request"
+    assert list((bench.state_dir / "keyrings").iterdir()) == []
+
+
+async def test_removed_for_good_but_not_what_is_in_use(running: Running, data: bytes) -> None:
+    async with running() as client:
+        configured = await active(client)
+        keyring = await install(client, data)
+        await activate(client, keyring.digest)
+        for digest in (configured, keyring.digest):
+            assert code(await client.delete(f"/v1/keyrings/{digest}")) == "keyring_in_use"
+        await activate(client, configured)
+        answer = await client.delete(f"/v1/keyrings/{keyring.digest}")
+        assert [one["digest"] for one in answer.json()["keyrings"]] == [configured]
+        assert code(await activate(client, keyring.digest)) == "unknown_keyring"
+
+
+async def test_there_is_room_for_so_many(
+    running: Running, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keyring_store, "CAPACITY", 1)
+    async with running() as client:
+        keyring = await install(client, data)
+        assert code(await client.post("/v1/keyrings", content=data)) == "keyrings_full"
+        assert (await activate(client, keyring.digest)).status_code == 200
+
+
+async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
+    from veilcam_server.errors import KeyringsBusyError
+
+    keyrings = bench.service(bench.camera()).keyrings
+
+    async def chunks() -> AsyncIterator[bytes]:
+        with pytest.raises(KeyringsBusyError):
+            await keyrings.remove("0" * 64)
+        yield data
+
+    assert (await keyrings.install(chunks())).bundle is not None
+
+
+async def test_a_full_disk_leaves_nothing_behind(
+    running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    async with running() as client:
+        monkeypatch.setattr(os, "fsync", full)
+        answer = await client.post("/v1/keyrings", content=data)
+        monkeypatch.undo()
+        assert code(answer) == "keyring_not_stored"
+        assert "No space left" in answer.json()["detail"]
+    assert list((bench.state_dir / "keyrings").iterdir()) == []
+
+
+class Restarts:
+    """What a start finds after another has activated keyrings."""
+
+    def __init__(self, bundle: Bundle, directory: Path) -> None:
+        self.directory = directory
+        self.files = []
+        for number in range(3):
+            path = directory / f"{number}.veilcam"
+            write_bundle(path, other(bundle, seed=number, task=f"task {number}"))
+            self.files.append(path)
+        self.digests = [read_bundle(path).digest for path in self.files]
+
+    def store(self, configured: int = 0) -> KeyringStore:
+        path, digest = self.files[configured], self.digests[configured]
+        return KeyringStore(self.directory / "keyrings", path, digest)
+
+    def use(self, number: int, before: int) -> None:
+        """Install and activate."""
+        store = self.store()
+        with store.incoming() as (path, stream):
+            keyring_store.append(stream, self.files[number].read_bytes())
+            store.install(path, self.digests[number])
+        store.commit(store.stage(self.digests[number], self.digests[before]))
+
+    def start(self, configured: int = 0) -> tuple[str, list[str]]:
+        """Task that is served, and what could not be."""
+        bundle = read_bundle(self.files[configured])
+        keys, faults = last_good(self.store(configured), Opener(bundle, load_pairs))
+        return (bundle.task if keys is None else keys.info.task), list(faults)
+
+
+@pytest.fixture
+def restarts(bundle: Bundle, tmp_path: Path) -> Restarts:
+    return Restarts(bundle, tmp_path)
+
+
+def test_a_restart_goes_on_with_the_keyring_in_use(restarts: Restarts) -> None:
+    assert restarts.start() == ("task 0", [])
+    restarts.use(1, before=0)
+    assert restarts.start() == ("task 1", [])
+    restarts.use(2, before=1)
+    assert restarts.start() == ("task 2", [])
+
+
+def test_a_restart_with_another_bundle_uses_that(restarts: Restarts) -> None:
+    restarts.use(1, before=0)
+    assert restarts.start(configured=2) == ("task 2", [])
+    assert restarts.start() == ("task 1", [])
+
+
+def test_a_damaged_keyring_gives_way_to_the_last_good_one(restarts: Restarts) -> None:
+    restarts.use(1, before=0)
+    restarts.use(2, before=1)
+    installed = restarts.directory / "keyrings" / f"{restarts.digests[2]}.veilcam"
+    data = installed.read_bytes()
+    installed.write_bytes(data[:1000])
+    task, (fault,) = restarts.start()
+    assert task == "task 1"
+    assert restarts.digests[2][:12] in fault
+    assert "not a whole bundle" in fault
+    assert str(restarts.directory) not in fault
+    # Whole, but another one than its name says.
+    installed.write_bytes(restarts.files[0].read_bytes())
+    task, (fault,) = restarts.start()
+    assert task == "task 1"
+    assert "changed on the disk" in fault
+    (restarts.directory / "keyrings" / f"{restarts.digests[1]}.veilcam").unlink()
+    task, faults = restarts.start()
+    assert task == "task 0"
+    assert len(faults) == 2
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"active": "../x"}', bytes(100)])
+def test_a_damaged_record_is_none(restarts: Restarts, content: bytes) -> None:
+    restarts.use(1, before=0)
+    (restarts.directory / "keyrings" / "active.json").write_bytes(content)
+    assert restarts.start() == ("task 0", [])
+
+
+def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
+    restarts.use(1, before=0)
+    left = restarts.directory / "keyrings" / ".new-abc"
+    left.write_bytes(b"half")
+    assert restarts.start() == ("task 1", [])
+    assert not left.exists()
+
+
+async def test_faults_of_the_start_are_events(bench: Bench) -> None:
+    keyrings = bench.keyrings()
+    keyrings.faults = ("keyring 0123 is not in use any more",)
+    service = bench.service(bench.camera())
+    service.keyrings = keyrings
+    async with service.open():
+        heard = [event async for event in _until_quiet(service.events("x-0"))]
+    (fault,) = [event for event in heard if isinstance(event, Fault)]
+    assert fault.code == "keyring_invalid"
+    assert fault.detail == keyrings.faults[0]
+
+
+async def _until_quiet(events: AsyncIterator[Event | None]) -> AsyncIterator[Event]:
+    async for event in events:
+        if event is None:
+            return
+        yield event
+
+
+def test_reasons_hold_no_path(restarts: Restarts, bundle: Bundle) -> None:
+    opener = Opener(bundle, load_pairs)
+    bad = restarts.directory / "bad"
+    bad.write_bytes(b"x")
+    with pytest.raises(KeyringInvalidError) as caught:
+        opener.read(bad)
+    assert str(restarts.directory) not in str(caught.value)
