@@ -6,13 +6,15 @@ One run measures, with one thread and the contestants taking turns:
   convolution of a *single* scene, with both errors against converged references;
 - a training step of FC-800 behind a learned mask (batch 64), against the same step with waveprop
   as the encoder, differentiated through to the mask;
-- the step with a learned mask against the same with a fixed mask, at batch 512; and, beside it,
-  against one whose readings were all computed beforehand;
+- the step with a learned mask against one with a fixed mask, whose readings were all computed
+  beforehand, at batch 512;
 - the peak memory of the learned-mask training step, in a process of its own.
 
 waveprop must be installed (docs/accuracy.md says how); without it its figures are left out.
 
-    python benchmarks/optics_step.py --figures benchmarks/results/optics.json
+Scenes are MNIST's digits: the operator leaves out pixels that are black in a whole batch.
+
+    python benchmarks/optics_step.py --data data/mnist --figures benchmarks/results/optics.json
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ from veilcam_optics.work_precision import relative_error
 from veilcam_optics.work_precision.peers import PEERS
 from veilcam_optics.work_precision.psf_methods import example_mask
 from veilcam_optics.work_precision.waveprop_peer import WavepropCamera
+from veilcam_training.data import open_source
 from veilcam_training.figures import record_figures
 
 SNR_DB = 40.0
@@ -90,9 +93,9 @@ class Trainer:
             self.weights.clamp_(0, 1)
 
 
-def some_images() -> Tensor:
-    """Random scenes: what they show does not change how long a step takes."""
-    return torch.rand(IMAGES, 28, 28, generator=torch.Generator().manual_seed(0))
+def some_images(data: Path) -> Tensor:
+    """The first digits of MNIST."""
+    return open_source("mnist", data).training().scenes(slice(0, IMAGES))
 
 
 def by_transfer() -> Encode:
@@ -157,12 +160,11 @@ def compare_transfer(peer: WavepropCamera, weights: Tensor, rounds: int) -> floa
     return _ratio(medians, "waveprop", "transfer operator")
 
 
-def compare_steps(peer: WavepropCamera, rounds: int) -> float:
+def compare_steps(peer: WavepropCamera, images: Tensor, rounds: int) -> float:
     """Learned-mask step of waveprop over ours, batch 64.
 
     The object planes of waveprop are computed beforehand and held: not part of its step.
     """
-    images = some_images()
     ours = Trainer(images, by_transfer(), learned=True)
     planes = peer.object_planes(images[:128])
     theirs = Trainer(
@@ -178,31 +180,25 @@ def compare_steps(peer: WavepropCamera, rounds: int) -> float:
     return _ratio(medians, "learned mask through waveprop, batch 64", "learned mask, batch 64")
 
 
-def compare_masks(rounds: int) -> tuple[float, float]:
-    """A learned-mask step over a fixed-mask step, batch 512, against two rivals.
+def compare_masks(images: Tensor, rounds: int) -> float:
+    """A learned-mask step over a fixed-mask step, batch 512.
 
-    Returns:
-        Ratio to the same step with a fixed mask; and to a step that encodes nothing, because the
-        noiseless readings of a fixed mask were computed once for all epochs, which serves scenes
-        that never change.
+    The noiseless readings of a fixed mask are computed once for all epochs: its step encodes
+    nothing.
     """
-    images = some_images()
     learned = Trainer(images, by_transfer(), learned=True)
     with torch.no_grad():
         transfer = TransferOperator(Camera(), Scene(), Embedding())(learned.weights)
         readings = images.flatten(1) @ transfer
-    fixed = Trainer(images, lambda scenes, _: scenes.flatten(1) @ transfer, learned=False)
-    precomputed = Trainer(readings, lambda some, _: some, learned=False)
+    fixed = Trainer(readings, lambda some, _: some, learned=False)
     medians = take_turns(
         {
             "learned mask, batch 512": (lambda: learned.step(512), 1),
             "fixed mask, batch 512": (lambda: fixed.step(512), 1),
-            "readings, batch 512": (lambda: precomputed.step(512), 1),
         },
         10 * rounds,
     )
-    same_step = _ratio(medians, "learned mask, batch 512", "fixed mask, batch 512")
-    return same_step, medians["learned mask, batch 512"] / medians["readings, batch 512"]
+    return _ratio(medians, "learned mask, batch 512", "fixed mask, batch 512")
 
 
 def _ratio(medians: dict[str, float], over: str, under: str) -> float:
@@ -211,17 +207,20 @@ def _ratio(medians: dict[str, float], over: str, under: str) -> float:
     return medians[over] / medians[under]
 
 
-def peak_memory() -> float:
+def peak_memory(data: Path) -> float:
     """Peak resident memory [MB] of a fresh process that trains with a learned mask."""
     found = subprocess.run(
-        [sys.executable, __file__, "--only-train"], check=True, capture_output=True, text=True
+        [sys.executable, __file__, "--data", str(data), "--only-train"],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     return float(found.stdout)
 
 
-def train_and_tell_peak() -> None:
+def train_and_tell_peak(data: Path) -> None:
     """Take learned-mask steps at batch 64 and print this process's peak memory [MB]."""
-    trainer = Trainer(some_images(), by_transfer(), learned=True)
+    trainer = Trainer(some_images(data), by_transfer(), learned=True)
     for _ in range(30):
         trainer.step(64)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
@@ -229,6 +228,7 @@ def train_and_tell_peak() -> None:
 
 def main(
     *,
+    data: Annotated[Path, typer.Option(help="Folder with MNIST's four idx files.")],
     rounds: Annotated[int, typer.Option(min=1, help="Turns that everyone takes.")] = 9,
     figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
     only_train: Annotated[bool, typer.Option("--only-train", hidden=True)] = False,
@@ -236,10 +236,11 @@ def main(
     """Print every figure; record them."""
     torch.set_num_threads(1)
     if only_train:
-        train_and_tell_peak()
+        train_and_tell_peak(data)
         return
     # First of all: a child's peak counts from that of the process it was forked from.
-    values = {"step_peak_rss_mb": peak_memory()}
+    values = {"step_peak_rss_mb": peak_memory(data)}
+    images = some_images(data)
     weights = example_mask(Camera()).float()
     values["transfer_error"] = transfer_error(weights)
     reason = next(peer.missing() for peer in PEERS if peer.name == "waveprop")
@@ -248,10 +249,8 @@ def main(
     else:
         peer, values["transfer_error_waveprop"] = registered_peer(weights)
         values["transfer_time_waveprop_over_ours"] = compare_transfer(peer, weights, rounds)
-        values["step_time_waveprop_over_ours"] = compare_steps(peer, rounds)
-    same_step, precomputed = compare_masks(rounds)
-    values["step_ratio_learned_over_fixed_b512"] = same_step
-    values["step_ratio_learned_over_precomputed_b512"] = precomputed
+        values["step_time_waveprop_over_ours"] = compare_steps(peer, images, rounds)
+    values["step_ratio_learned_over_fixed_b512"] = compare_masks(images, rounds)
     for name, value in values.items():
         print(f"{name:42s} {value:10.3g}")
     if figures is not None:

@@ -40,7 +40,9 @@ class Case:
     def __init__(self, encoder: str, images: Images) -> None:
         name = "fixed_simulated" if encoder == "encoded" else encoder
         camera = make_encoder(name, Setup(), stream(0, "encoder"))
-        layers = make_layers("FC800", Task(1, 24, 32, 10, rectified=True, per_pixel=True))
+        layers = make_layers(
+            "FC800", Task(1, 24, 32, 10, rectified=True, normalisation="per_pixel")
+        )
         with seeded(0, "classifier"):
             self.model = LenslessClassifier(camera, layers, 40.0)
         self.optimiser = make_optimiser(self.model, Recipe())

@@ -24,6 +24,7 @@ from veilcam_optics.errors import invalid, require_count, require_positive
 from veilcam_optics.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.kernels import EXACT, Approximation, Axis
 from veilcam_optics.masks import check_weights
+from veilcam_optics.parts import Part, embed_lit
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,16 +33,6 @@ class Reach:
 
     rows: int = 1
     columns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Part of a scene: ``rows x columns`` of its pixels, the first of them at (top, left)."""
-
-    top: int
-    left: int
-    rows: int
-    columns: int
 
 
 @dataclass(frozen=True)
@@ -254,7 +245,7 @@ class TransferOperator(nn.Module):
         check_weights(weights, self.camera)
         scene, embedding = self.scene, self.embedding
         part = Part(0, 0, *scene.shape) if part is None else part
-        check_part(part, scene)
+        part.check(scene)
         # Offsets are in the order of the scene's pixels, so those of a part lie side by side.
         y, x = (
             slice(first * pixels, (first + count) * pixels)
@@ -264,13 +255,15 @@ class TransferOperator(nn.Module):
             )
         )
         values = [reading(weights, y, x) for reading in self._readings]
+        pixels = (part.rows * part.columns, embedding.size)
+        transfers = [
+            value.reshape(part.rows, embedding.rows, part.columns, embedding.columns)
+            .transpose(1, 2)
+            .reshape(pixels)
+            for value in values
+        ]
         # One gray reading is taken as it is: stacking would copy the largest tensor of a step.
-        transfers: Tensor = torch.stack(values) if self.colour else values[0]
-        transfers = transfers.reshape(
-            -1, part.rows, embedding.rows, part.columns, embedding.columns
-        ).permute(0, 1, 3, 2, 4)
-        transfers = transfers.reshape(-1, part.rows * part.columns, embedding.size)
-        return transfers if self.colour else transfers[0]
+        return torch.stack(transfers) if self.colour else transfers[0]
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
         """Noiseless embeddings of scenes behind a mask.
@@ -286,12 +279,13 @@ class TransferOperator(nn.Module):
             OpticsError: the scenes or the mask have another shape.
         """
         self._check_scenes(scenes)
-        transfer: Tensor = self(weights)
-        pixels = self.scene.rows * self.scene.columns
         if self.colour:
-            flat = torch.einsum("bcp,cpe->bce", scenes.reshape(-1, 3, pixels), transfer)
+            pixels = self.scene.rows * self.scene.columns
+            flat = torch.einsum("bcp,cpe->bce", scenes.reshape(-1, 3, pixels), self(weights))
             return flat.reshape(-1, 3, *self.embedding.shape)
-        return (scenes.reshape(-1, pixels) @ transfer).reshape(-1, *self.embedding.shape)
+        whole = Part(0, 0, *self.scene.shape)
+        values = embed_lit(scenes, whole, lambda part: self(weights, part))
+        return values.reshape(-1, *self.embedding.shape)
 
     def embed_by_factors(self, scenes: Tensor, weights: Tensor) -> Tensor:
         """As :meth:`embed`, factor by factor: for matrices too large to be formed.
@@ -312,18 +306,6 @@ class TransferOperator(nn.Module):
         expected = (3, *self.scene.shape) if self.colour else self.scene.shape
         if tuple(scenes.shape[1:]) != expected:
             raise invalid("scenes.shape", tuple(scenes.shape), "", f"(batch, *{expected})")
-
-
-def check_part(part: Part, scene: Scene) -> None:
-    """Raise :class:`OpticsError` unless ``part`` is wholly in ``scene``."""
-    below, beside = part.top + part.rows, part.left + part.columns
-    if (
-        min(part.top, part.left) < 0
-        or min(part.rows, part.columns) < 1
-        or (below > scene.rows or beside > scene.columns)
-    ):
-        valid = f"a part of the scene's {scene.rows} x {scene.columns} pixels"
-        raise invalid("part", part, "", valid)
 
 
 def make_axes(

@@ -14,7 +14,8 @@ from veilcam_optics.factored import aperture_fields, fresnel_integral
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.kernels import box_kernel
 from veilcam_optics.masks import random_mask
-from veilcam_optics.transfer import Part, Reach, TransferOperator, Variables
+from veilcam_optics.parts import Part
+from veilcam_optics.transfer import Reach, TransferOperator, Variables
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
 SCENE = Scene(rows=4, columns=3, height=0.03)

@@ -11,14 +11,14 @@ from pydantic import TypeAdapter
 from veilcam_training.bundle import LayerRecord, build_classifier, build_untrained
 from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
-from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.classifiers import Normalisation, Task, make_layers
 from veilcam_training.errors import TrainingError
 
 NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
 
 
 def task(channels: int = 1, rows: int = 24, columns: int = 32) -> Task:
-    return Task(channels, rows, columns, 10, rectified=True, per_pixel=True)
+    return Task(channels, rows, columns, 10, rectified=True, normalisation="per_pixel")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -40,12 +40,13 @@ def test_it_fits_the_papers_embeddings(name: str, shape: tuple[int, int, int]) -
 
 @pytest.mark.parametrize("name", NAMES)
 def test_its_sensor_layers(name: str) -> None:
-    def start(**changes: bool) -> tuple[LayerRecord, ...]:
-        layers = make_layers(name, dataclasses.replace(task(3, 12, 16), **changes))
+    def start(normalisation: Normalisation) -> tuple[LayerRecord, ...]:
+        asked = dataclasses.replace(task(3, 12, 16), normalisation=normalisation)
+        layers = make_layers(name, asked)
         return tuple(layer for layer in layers[:4] if isinstance(layer, BatchNorm | ReLU))
 
-    assert start()[:2] == (BatchNorm(features=576), ReLU())
-    assert start(per_pixel=False)[:2] == (BatchNorm(features=3, dimensions=2), ReLU())
+    assert start("per_pixel")[:2] == (BatchNorm(features=576), ReLU())
+    assert start("shared")[:2] == (BatchNorm(features=3, dimensions=2), ReLU())
     bare = make_layers(name, dataclasses.replace(task(3, 12, 16), rectified=False))
     assert bare[0] == BatchNorm(features=576)
     assert not isinstance(bare[1], ReLU)

@@ -14,7 +14,8 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor
 from veilcam_optics.grid import GridLight
 from veilcam_optics.masks import to_weights
-from veilcam_optics.transfer import Part, TransferOperator
+from veilcam_optics.parts import Part
+from veilcam_optics.transfer import TransferOperator
 from veilcam_training.encoders import (
     ENCODERS,
     Encoder,

@@ -214,6 +214,7 @@ class StopAfter:
     [
         settings(),
         settings(encoder="fixed_simulated", classifier="FC20"),
+        settings(SMALL.model_copy(update={"normalisation": "white"}), classifier="FC20"),
         settings(
             SMALL.model_copy(
                 update={
@@ -227,7 +228,7 @@ class StopAfter:
             change="rotate",
         ),
     ],
-    ids=["plain", "fixed", "everything"],
+    ids=["plain", "fixed", "white", "everything"],
 )
 def test_resumed_is_the_same_as_unbroken(source: Source, tmp_path: Path, chosen: Settings) -> None:
     path = tmp_path / "work" / "fit.checkpoint"

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, pad
 
 from veilcam_optics.geometry import Camera, Scene
-from veilcam_optics.transfer import Part
+from veilcam_optics.parts import Part
 from veilcam_training.errors import TrainingError
 
 HEIGHTS = (0.02, 0.20)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from veilcam_training.bundle.layers import (
     GELU,
@@ -39,6 +40,13 @@ LEAST_POOLED_SIDE = 6
 """A CNN halves the image while its shorter side is at least this long."""
 
 
+Normalisation = Literal["shared", "per_pixel", "white"]
+"""What becomes of a reading first: batch normalisation with one scale for all pixels of a colour
+(``shared``, the paper's) or for each pixel (``per_pixel``), followed by ReLU where the sensor is
+learned. With ``white`` nothing does: the hidden layer takes the reading itself, and is fitted in
+coordinates in which the reading is decorrelated, see :mod:`veilcam_training.decorrelation`."""
+
+
 @dataclass(frozen=True)
 class Task:
     """What goes into a classifier and what must come out."""
@@ -49,8 +57,7 @@ class Task:
     classes: int
     rectified: bool
     """True behind a learned sensor: batch normalisation is followed by ReLU, as in the paper."""
-    per_pixel: bool
-    """True for a scale of normalisation per embedding pixel, False for one per colour."""
+    normalisation: Normalisation
     gain: float = 1.0
     """What a reading is multiplied by first, so that a white scene comes to about 1.
 
@@ -79,6 +86,11 @@ def make_layers(name: str, task: Task, *, dropout: float = 0.0) -> Layers:
     Raises:
         TrainingError: an unknown name, or dropout that would have no effect.
     """
+    if task.normalisation == "white" and not name.startswith(("FC", "MLP")):
+        raise TrainingError(
+            f"normalisation 'white' needs a hidden layer that takes the whole reading: use it with "
+            f"FC or MLP, not with {name!r}"
+        )
     if name == "LR":
         if dropout:
             raise TrainingError("LR has no hidden layer: use dropout 0")
@@ -97,10 +109,12 @@ def make_layers(name: str, task: Task, *, dropout: float = 0.0) -> Layers:
 
 
 def _sensor(task: Task) -> Layers:
-    """Bring readings to zero mean and unit variance."""
+    """Bring readings to a handy range."""
     gain: Layers = () if task.gain == 1 else (Affine(scale=task.gain),)
+    if task.normalisation == "white":
+        return gain
     rectifier: Layers = (ReLU(),) if task.rectified else ()
-    if task.per_pixel:
+    if task.normalisation == "per_pixel":
         return (*gain, BatchNorm(features=task.inputs), *rectifier)
     normalise = BatchNorm(features=task.channels, dimensions=2)
     return (*gain, Reshape(shape=task.shape), normalise, *rectifier, Flatten())

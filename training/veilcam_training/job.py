@@ -18,6 +18,7 @@ from veilcam_training.bundle import Accuracy, Pair
 from veilcam_training.changes import make_change
 from veilcam_training.classifiers import Task, make_layers
 from veilcam_training.data import Images, Source, Split, split
+from veilcam_training.decorrelation import plain
 from veilcam_training.encoders import Encoder, Mask, Setup, make_encoder
 from veilcam_training.errors import TrainingError
 from veilcam_training.evaluation import confusion, evaluate
@@ -107,7 +108,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         columns=embedding.columns,
         classes=len(source.labels),
         rectified=encoder.trainable,
-        per_pixel=settings.recipe.normalisation == "per_pixel",
+        normalisation=settings.recipe.normalisation,
         gain=white_gain(encoder),
     )
     layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
@@ -118,6 +119,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
             settings.recipe.snr_db,
             change=change,
             mixed_precision=settings.recipe.precision == "mixed",
+            decorrelated=settings.recipe.normalisation == "white",
         )
 
 
@@ -192,5 +194,6 @@ def as_pair(model: LenslessClassifier) -> Pair:
             "this encoder has no mask that a panel can show: "
             "use 'learned' or 'fixed_simulated', or leave out --out"
         )
-    weights = {name: tensor.cpu() for name, tensor in model.classifier.state_dict().items()}
+    weights = plain(model.classifier).state_dict()
+    weights = {name: tensor.cpu() for name, tensor in weights.items()}
     return Pair(encoder.levels(), model.layers, weights)

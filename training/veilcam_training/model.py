@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from veilcam_training.bundle import LayerRecord, build_untrained
 from veilcam_training.changes import Change, Unchanged
+from veilcam_training.decorrelation import decorrelate
 from veilcam_training.encoders import Encoder
 
 
@@ -22,6 +23,8 @@ class LenslessClassifier(nn.Module):
         change: how images are shown to the camera; by default as they are.
         mixed_precision: True lets the classifier's matrix products run in bfloat16. The optics and
             the noise stay in float32.
+        decorrelated: True has the classifier's first fully connected layer fitted in coordinates
+            in which what it is given is decorrelated.
     """
 
     def __init__(
@@ -32,12 +35,15 @@ class LenslessClassifier(nn.Module):
         *,
         change: Change | None = None,
         mixed_precision: bool = False,
+        decorrelated: bool = False,
     ) -> None:
         super().__init__()
         self.encoder, self.layers, self.snr_db = encoder, tuple(layers), snr_db
         self.change = Unchanged(encoder.setup.scene) if change is None else change
         self.mixed_precision = mixed_precision
         self.classifier = build_untrained(self.layers)
+        if decorrelated:
+            decorrelate(self.classifier)
 
     def read(self, embeddings: Tensor, noise: torch.Generator) -> Tensor:
         """Logits for noiseless embeddings (batch, encoder.outputs), after fresh sensor noise."""

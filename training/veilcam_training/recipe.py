@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from veilcam_training.classifiers import Normalisation
 from veilcam_training.encoders.panel import PanelErrors
 from veilcam_training.jitter import Jitter
 
@@ -36,8 +37,8 @@ class Recipe(BaseModel):
     """Share of a ``one_cycle`` schedule in which the rate rises."""
     steps_every: Annotated[int, Field(ge=1)] = 20
     """Epochs between two divisions of a ``steps`` schedule."""
-    normalisation: Literal["shared", "per_pixel"] = "per_pixel"
-    """Batch normalisation of a reading: one scale for all its pixels [paper], or one for each."""
+    normalisation: Normalisation = "per_pixel"
+    """How a classifier takes a reading, see :data:`veilcam_training.classifiers.Normalisation`."""
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Of the classifier's hidden layers."""
@@ -51,6 +52,14 @@ class Recipe(BaseModel):
     """How the panel errs in training."""
     snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] | None = 40.0
     """Signal-to-noise ratio of a reading [dB]; None for no noise."""
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if self.normalisation == "white" and self.precision == "mixed":
+            raise ValueError(
+                "normalisation 'white' tells apart what bfloat16 rounds away: use precision 'full'"
+            )
+        return self
 
     def rate_factor(self, progress: float) -> float:
         """Factor on both learning rates when ``progress``, in [0, 1), of the fit is done."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.noise import shot_noise
-from veilcam_optics.transfer import Part, check_part
+from veilcam_optics.parts import Part, embed_lit
 from veilcam_training.encoders.setup import Setup
 
 
@@ -47,16 +47,15 @@ class Encoder(nn.Module, ABC):
         Returns:
             (batch, ``setup.outputs``).
         """
-        transfer = self.transfer(part)
-        if not self.setup.colour:
-            return scenes.flatten(1) @ transfer
-        return torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
+        if self.setup.colour:
+            return torch.einsum("bcp,cpe->bce", scenes.flatten(2), self.transfer(part)).flatten(1)
+        return embed_lit(scenes, part or Part(0, 0, *self.setup.scene.shape), self.transfer)
 
     def _of_part(self, matrix: Tensor, part: Part | None) -> Tensor:
         """Those rows of the whole T that belong to pixels of ``part``."""
         if part is None:
             return matrix
-        check_part(part, self.setup.scene)
+        part.check(self.setup.scene)
         pixels = matrix.reshape(*matrix.shape[:-2], *self.setup.scene.shape, -1)
         pixels = pixels.narrow(-3, part.top, part.rows).narrow(-2, part.left, part.columns)
         return pixels.flatten(-3, -2)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
-from veilcam_optics.transfer import Part
+from veilcam_optics.parts import Part
 from veilcam_training.encoders.encoder import Encoder
 from veilcam_training.encoders.panel import PanelErrors, make_operators
 from veilcam_training.encoders.setup import Setup

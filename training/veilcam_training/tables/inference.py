@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from statistics import median
 
 import torch
 from torch import nn
+
+from veilcam_training.decorrelation import plain
 
 REPEATS = 100
 WARM_UP = 10
@@ -19,7 +20,7 @@ def time_label(classifier: nn.Module, inputs: int) -> float:
 
     On the CPU, with one thread and one reading at a time, as a device without a GPU does it.
     """
-    classifier = copy.deepcopy(classifier).cpu().eval()
+    classifier = plain(classifier).cpu().eval()
     reading = torch.rand(1, inputs)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -136,5 +136,5 @@ class Table:
         if wanted is None:
             return self.classifiers
         for name in wanted:  # an unknown one is refused before anything is run
-            make_layers(name, Task(1, 24, 32, 10, rectified=False, per_pixel=True))
+            make_layers(name, Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel"))
         return wanted

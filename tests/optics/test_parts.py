@@ -1,0 +1,97 @@
+"""What is black costs nothing, and changes nothing."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.parts import Part, embed_lit
+from veilcam_optics.transfer import TransferOperator
+
+
+def _digits(rows: int = 9, columns: int = 11) -> Tensor:
+    """Scenes of which the outermost pixels, and some inner ones, are black in all."""
+    scenes = torch.rand(5, rows, columns, generator=torch.Generator().manual_seed(0))
+    scenes[:, :2] = 0
+    scenes[:, :, -3:] = 0
+    scenes[:, 4, 4] = 0
+    return scenes
+
+
+def _transfer(asked: list[Part], matrix: Tensor, columns: int) -> Tensor:
+    part = asked[-1]
+    whole = matrix.reshape(-1, columns, matrix.shape[1])
+    rows = slice(part.top, part.top + part.rows)
+    return whole[rows, part.left : part.left + part.columns].reshape(-1, matrix.shape[1])
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (2, 3)])
+def test_only_the_lit_part_is_asked_for(shift: tuple[int, int]) -> None:
+    scenes = _digits()
+    big = torch.zeros(5, 14, 16)
+    big[:, shift[0] : shift[0] + 9, shift[1] : shift[1] + 11] = scenes
+    matrix = torch.rand(14 * 16, 6, generator=torch.Generator().manual_seed(1))
+    asked: list[Part] = []
+
+    def transfer(part: Part) -> Tensor:
+        asked.append(part)
+        return _transfer(asked, matrix, 16)
+
+    found = embed_lit(scenes, Part(*shift, 9, 11), transfer)
+    torch.testing.assert_close(found, big.flatten(1) @ matrix)
+    assert asked == [Part(shift[0] + 2, shift[1], 7, 8)]
+
+
+@pytest.mark.parametrize("scenes", [torch.ones(3, 9, 11), torch.zeros(3, 9, 11)])
+def test_lit_or_dark_throughout_is_taken_whole(scenes: Tensor) -> None:
+    matrix = torch.rand(99, 4)
+    asked: list[Part] = []
+
+    def transfer(part: Part) -> Tensor:
+        asked.append(part)
+        return matrix
+
+    assert embed_lit(scenes, Part(0, 0, 9, 11), transfer).equal(scenes.flatten(1) @ matrix)
+    assert asked == [Part(0, 0, 9, 11)]
+
+
+def test_no_scenes_have_no_embeddings() -> None:
+    assert embed_lit(torch.zeros(0, 3, 3), Part(0, 0, 3, 3), lambda _: torch.rand(9, 4)).shape == (
+        0,
+        4,
+    )
+
+
+def test_light_may_be_negative() -> None:
+    """Differences of scenes are embedded too."""
+    matrix = torch.rand(99, 4)
+    scenes = -_digits()
+    found = embed_lit(scenes, Part(0, 0, 9, 11), lambda p: _transfer([p], matrix, 11))
+    torch.testing.assert_close(found, scenes.flatten(1) @ matrix)
+
+
+def test_gradients_reach_mask_and_black_pixels() -> None:
+    scene, camera = Scene(rows=9, columns=11), Camera()
+    operator = TransferOperator(camera, scene, Embedding(3, 4), dtype=torch.float64)
+    scenes = _digits().double()
+    pull = torch.rand(5, 3, 4, dtype=torch.float64)
+
+    def gradient(embed: bool) -> Tensor:
+        generator = torch.Generator().manual_seed(2)
+        weights = torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
+        weights.requires_grad_()
+        if embed:
+            values = operator.embed(scenes, weights)
+        else:
+            values = (scenes.flatten(1) @ operator(weights)).reshape(-1, 3, 4)
+        (values * pull).sum().backward()
+        assert weights.grad is not None
+        return weights.grad
+
+    torch.testing.assert_close(gradient(embed=True), gradient(embed=False))
+    asked = scenes.clone().requires_grad_()
+    operator.embed(asked, torch.ones(camera.mask_shape, dtype=torch.float64)).sum().backward()
+    assert asked.grad is not None
+    assert asked.grad.ne(0).all()

@@ -1,0 +1,96 @@
+"""A layer fitted in decorrelated coordinates is the same function, learned faster."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from pydantic import ValidationError
+from torch import Tensor, nn
+
+from veilcam_optics.geometry import Camera
+from veilcam_training.bundle import build_classifier
+from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.data import Source, split
+from veilcam_training.decorrelation import Decorrelated, decorrelate, plain
+from veilcam_training.errors import TrainingError
+from veilcam_training.fitting import fit
+from veilcam_training.job import Settings, as_pair, make_model
+from veilcam_training.recipe import Recipe
+
+
+def readings(count: int = 4000) -> Tensor:
+    """Twelve numbers that show nearly the same: differences are up to 100 times smaller."""
+    generator = torch.Generator().manual_seed(0)
+    shared = torch.randn(count, 1, generator=generator)
+    own = torch.randn(count, 12, generator=generator) * torch.logspace(-2, 0, 12)
+    return 5 + shared + own
+
+
+def test_its_inputs_are_decorrelated() -> None:
+    coordinates, values = Decorrelated(12), readings()
+    for batch in values.reshape(-1, 200, 12):
+        coordinates.observe(batch)
+    white = torch.cov((values @ coordinates.matrix).T)
+    torch.testing.assert_close(white, torch.eye(12), atol=0.15, rtol=0)
+    assert values.T.corrcoef()[0, 1] > 0.9
+
+
+def test_it_follows_inputs_that_change() -> None:
+    coordinates, before = Decorrelated(12), readings()
+    after = before.flip(1)
+    # What was 10,000 times the variance of what is there now takes its time to be forgotten.
+    for values in (before, *(after for _ in range(15))):
+        for batch in values.reshape(-1, 200, 12):
+            coordinates.observe(batch)
+    white = torch.cov((after @ coordinates.matrix).T)
+    torch.testing.assert_close(white, torch.eye(12), atol=0.3, rtol=0)
+
+
+def test_inputs_that_do_not_vary_do_no_harm() -> None:
+    coordinates = Decorrelated(3)
+    coordinates.observe(torch.ones(10, 3))
+    assert coordinates.matrix.isfinite().all()
+
+
+def test_a_plain_copy_acts_the_same() -> None:
+    torch.manual_seed(0)
+    classifier = nn.Sequential(nn.Linear(12, 5, bias=False), nn.BatchNorm1d(5), nn.Linear(5, 2))
+    values = readings()
+    names, untouched = set(classifier.state_dict()), classifier.eval()(values)
+    decorrelate(classifier)
+    torch.testing.assert_close(classifier(values), untouched)
+    classifier.train()
+    classifier(values)
+    classifier.eval()
+    copied = plain(classifier)
+    assert set(copied.state_dict()) == names
+    assert (classifier(values) - untouched).abs().max() > 0.1
+    torch.testing.assert_close(copied(values), classifier(values))
+    before = classifier.state_dict()
+    before = {name: tensor.clone() for name, tensor in before.items()}
+    copied.train()(values.flip(1))
+    assert all(tensor.equal(before[name]) for name, tensor in classifier.state_dict().items())
+
+
+def test_a_bundle_holds_a_plain_classifier(source: Source) -> None:
+    recipe = Recipe(epochs=2, batch=90, normalisation="white")
+    chosen = Settings(embedding="6x8", classifier="FC20", recipe=recipe)
+    model = make_model(chosen, source, Camera())
+    assert not any(isinstance(layer, nn.ReLU) for layer in list(model.classifier)[:2])
+    fit(model, split(source.training()), recipe, 0)
+    pair = as_pair(model)
+    values = model.encoder(source.test().scenes(slice(0, 20)))
+    found = build_classifier(pair.layers, pair.weights)(values)
+    torch.testing.assert_close(found, model.classifier(values))
+
+
+@pytest.mark.parametrize("name", ["LR", "CNN8", "VGG11"])
+def test_it_needs_a_hidden_layer_that_takes_all(name: str) -> None:
+    task = Task(1, 12, 16, 10, rectified=True, normalisation="white")
+    with pytest.raises(TrainingError, match="use it with FC or MLP"):
+        make_layers(name, task)
+
+
+def test_it_needs_full_precision() -> None:
+    with pytest.raises(ValidationError, match="use precision 'full'"):
+        Recipe(normalisation="white", precision="mixed")

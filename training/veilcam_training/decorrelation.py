@@ -1,0 +1,98 @@
+"""Fitting a first layer in coordinates in which its inputs are decorrelated.
+
+The pixels of an embedding show nearly the same blurred scene: what tells two objects apart is in
+differences between them a hundred times smaller than what they share, and a gradient step hardly
+moves the weights along these. So the layer's weights are fitted as ``V M``, where ``M`` is the
+inverse root of the inputs' covariance (ZCA whitening; Huang et al., Decorrelated Batch
+Normalization, 2018, have it as a layer). Afterwards ``V M`` is a matrix like any other: the
+classifier that leaves in a bundle has no more layers than before.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+MOMENTUM = 0.05
+"""Weight of a batch in the running covariance, once there were enough of them."""
+FLOOR = 1e-6
+"""Added to every variance, as a share of their mean."""
+
+
+class Decorrelated(nn.Module):
+    """``V M`` from ``V``; ``M`` follows the inputs that it is shown.
+
+    The whitening matrix is symmetric, so it changes steadily where eigenvectors swap their places.
+    It is renewed after 1, 2, 4, ... batches and then often enough for a mask that is being learned:
+    every ``inputs / 3`` batches, as an eigendecomposition costs the cube of ``inputs``.
+
+    Args:
+        inputs: of the layer.
+    """
+
+    covariance: Tensor
+    matrix: Tensor
+    batches: Tensor
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self._every = max(1, inputs // 3)
+        self.register_buffer("covariance", torch.zeros(inputs, inputs))
+        self.register_buffer("matrix", torch.eye(inputs))
+        self.register_buffer("batches", torch.zeros((), dtype=torch.long))
+
+    def forward(self, weights: Tensor) -> Tensor:
+        """Weights (outputs, inputs) of the layer, from those that are fitted."""
+        return weights @ self.matrix
+
+    def right_inverse(self, weights: Tensor) -> Tensor:
+        """What is fitted begins as what the layer was."""
+        return weights
+
+    @torch.no_grad()
+    def observe(self, inputs: Tensor) -> None:
+        """Take a batch of inputs (batch, inputs) into account."""
+        number = int(self.batches) + 1
+        self.batches.fill_(number)
+        centred = inputs - inputs.mean(0)
+        share = max(MOMENTUM, 1 / number)
+        self.covariance.lerp_(centred.T @ centred / len(inputs), share)
+        if number & (number - 1) == 0 or number % self._every == 0:
+            # In float64: the variances span more than the digits of a float32.
+            covariance = self.covariance.double()
+            floor = FLOOR * covariance.diagonal().mean().clamp_min(torch.finfo(torch.float32).tiny)
+            variances, directions = torch.linalg.eigh(covariance)
+            roots = (variances.clamp_min(0) + floor).rsqrt()
+            self.matrix.copy_((directions * roots) @ directions.T)
+
+
+def decorrelate(classifier: nn.Sequential) -> None:
+    """Have the first fully connected layer of ``classifier`` fitted in decorrelated coordinates."""
+    layer = next(layer for layer in classifier if isinstance(layer, nn.Linear))
+    parametrize.register_parametrization(layer, "weight", Decorrelated(layer.in_features))
+    layer.register_forward_pre_hook(_observe)
+
+
+def _observe(layer: nn.Module, inputs: tuple[Tensor]) -> None:
+    if layer.training:
+        # Asked for anew each time: a copy of the layer has coordinates of its own.
+        for child in layer.modules():
+            if isinstance(child, Decorrelated):
+                child.observe(inputs[0])
+
+
+def plain(classifier: nn.Module) -> nn.Module:
+    """A copy of ``classifier`` in which every layer has the weights that it acts with."""
+    copied = copy.deepcopy(classifier)
+    for name, layer in copied.named_children():
+        if isinstance(layer, nn.Linear) and parametrize.is_parametrized(layer):
+            # Not remove_parametrizations, which changes the class that the original has too.
+            simple = nn.Linear(layer.in_features, layer.out_features, bias=layer.bias is not None)
+            simple.train(layer.training)
+            simple.weight = nn.Parameter(layer.weight.detach().clone())
+            simple.bias = layer.bias
+            setattr(copied, name, simple)
+    return copied
