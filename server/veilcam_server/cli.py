@@ -11,7 +11,13 @@ from typing import Annotated
 import typer
 
 from veilcam_client import VeilcamError
-from veilcam_server import audit_command, calibration_command, serve_command, token_command
+from veilcam_server import (
+    audit_command,
+    calibration_command,
+    doctor_command,
+    serve_command,
+    token_command,
+)
 from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.serve_command import hold_up
@@ -24,6 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(serve_command.serve)
+app.command()(doctor_command.doctor)
 app.add_typer(token_command.app, name="token")
 app.command("audit")(audit_command.audit)
 app.command()(calibration_command.calibrate)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
-from pydantic_settings import SettingsConfigDict
 
 from veilcam_client.models import Release, RotationPolicy
 from veilcam_server.demo_data import KEYRING
@@ -33,8 +32,6 @@ def default_state_dir() -> Path:
 
 class Settings(Wiring):
     """Everything that ``veilcamd serve`` can be told."""
-
-    model_config = SettingsConfigDict(env_prefix="VEILCAM_", extra="forbid", frozen=True)
 
     bundle: Path
     device: Literal["pi", "simulated"] = "pi"

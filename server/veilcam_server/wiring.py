@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
-from pydantic_settings import BaseSettings
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
 GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
 """Labels of the chip with the header's lines: Raspberry Pi 5, and 4."""
@@ -14,6 +14,8 @@ GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
 
 class Wiring(BaseSettings):
     """What ``veilcamd`` can be told of a real device."""
+
+    model_config = SettingsConfigDict(env_prefix="VEILCAM_", extra="forbid", frozen=True)
 
     panel_tab: Literal["red", "black", "green"] | None = None
     """Colour of the film's tab; a wrong one shifts or turns masks, so none is taken for granted."""

@@ -121,21 +121,43 @@ class LinuxLines:
         self._request.release()
 
 
+def gpio_chips() -> dict[str, Path]:
+    """Return the chips that may be opened, by label.
+
+    Raises:
+        DeviceMissingError: gpiod is not installed.
+    """
+    gpiod = _extra("gpiod")
+    chips: dict[str, Path] = {}
+    for path in sorted(Path("/dev").glob("gpiochip*")):
+        try:
+            with gpiod.Chip(str(path)) as chip:
+                # Of two with one label the first is the one with the header's lines.
+                chips.setdefault(str(chip.get_info().label), path)
+        except OSError:
+            continue
+    return chips
+
+
+def line_user(chip: Path, line: int) -> str | None:
+    """Return who has a line of a chip, None if it is free.
+
+    Raises:
+        OSError, ValueError: the chip cannot be opened, or has no such line.
+    """
+    with _extra("gpiod").Chip(str(chip)) as opened:
+        info = opened.get_line_info(line)
+    return str(info.consumer or "the kernel") if info.used else None
+
+
 def _chip_path(label: str | None) -> str:
     """Path of the chip with that label; None for that of a Raspberry Pi."""
     wanted = GPIO_CHIPS if label is None else (label,)
-    gpiod = _extra("gpiod")
-    labels = []
-    for path in sorted(str(path) for path in Path("/dev").glob("gpiochip*")):
-        try:
-            with gpiod.Chip(path) as chip:
-                found = chip.get_info().label
-        except OSError:
-            continue
-        if found in wanted:
-            return path
-        labels.append(found)
+    chips = gpio_chips()
+    for wish in wanted:
+        if wish in chips:
+            return str(chips[wish])
     raise DeviceMissingError(
         f"there is no GPIO chip {' or '.join(wanted)}: give --gpio-chip one of "
-        f"{', '.join(labels) or 'those of gpiodetect'}, and be in the group gpio"
+        f"{', '.join(chips) or 'those of gpiodetect'}, and be in the group gpio"
     )

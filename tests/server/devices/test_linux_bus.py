@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -177,6 +179,24 @@ def test_a_chip_is_found_by_its_label(
     del labels["gpiochip4"]
     with pytest.raises(DeviceMissingError, match="no GPIO chip pinctrl-rp1 or pinctrl-bcm2711"):
         linux_bus._chip_path(None)
+
+
+@pytest.mark.parametrize(
+    ("used", "consumer", "told"),
+    [(False, "", None), (True, "fan", "fan"), (True, None, "the kernel")],
+)
+def test_who_has_a_line(
+    monkeypatch: pytest.MonkeyPatch, *, used: bool, consumer: str | None, told: str | None
+) -> None:
+    @contextmanager
+    def chip(path: str) -> Iterator[object]:
+        assert path == "/dev/gpiochip4"
+        yield SimpleNamespace(
+            get_line_info=lambda line: SimpleNamespace(used=used, consumer=consumer)
+        )
+
+    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=chip))
+    assert linux_bus.line_user(Path("/dev/gpiochip4"), 25) == told
 
 
 def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

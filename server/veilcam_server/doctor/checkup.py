@@ -1,0 +1,269 @@
+"""All checks, in the order in which one would put right what they find."""
+
+from __future__ import annotations
+
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from veilcam_server.devices.errors import DeviceError
+from veilcam_server.devices.st7735r import MOST_PER_SECOND
+from veilcam_server.doctor.finding import Finding
+from veilcam_server.doctor.machine import Machine
+from veilcam_server.errors import StartError
+from veilcam_server.mask_secret import find_secret
+from veilcam_server.wiring import GPIO_CHIPS, Wiring
+from veilcam_training.bundle import BundleError, read_bundle
+
+PI_PACKAGES = "pip install 'veilcam[server,pi]' in the daemon's environment"
+APT_PACKAGES = (
+    "sudo apt install python3-picamera2, and make the environment with --system-site-packages"
+)
+LEAST_SYSTEMD = 250
+"""The first with encrypted credentials."""
+LEAST_ROOM = 200 * 2**20
+"""On the disk of the state directory [bytes]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What the daemon is going to be told."""
+
+    wiring: Wiring
+    state_dir: Path
+    bundle: Path | None = None
+    mask_secret: Path | None = None
+
+
+def examine(machine: Machine, plan: Plan) -> Iterator[Finding]:
+    """Yield a finding for every check; nothing is changed, and no mask is shown."""
+    yield _model(machine)
+    yield from (_package(machine, name) for name in ("spidev", "gpiod", "libcamera", "picamera2"))
+    yield _spi(machine, plan.wiring)
+    yield _clock_of_bus(plan.wiring)
+    yield _tab(plan.wiring)
+    yield from _lines(machine, plan.wiring)
+    yield _frame_memory(machine)
+    yield _camera(machine, plan.wiring)
+    yield _state_dir(machine, plan.state_dir)
+    yield _room(machine, plan.state_dir)
+    yield from _bundle(machine, plan)
+    yield _wall_clock(machine)
+    yield _systemd(machine)
+
+
+def _model(machine: Machine) -> Finding:
+    model = machine.text("/proc/device-tree/model")
+    if model is not None and model.startswith("Raspberry Pi"):
+        return Finding.ok("board", model)
+    return Finding.bad(
+        "board",
+        model or "no Raspberry Pi",
+        "run the daemon on a Raspberry Pi, or try it here with 'veilcamd serve --simulate'",
+    )
+
+
+def _package(machine: Machine, name: str) -> Finding:
+    if machine.installed(name):
+        return Finding.ok(name, "installed")
+    remedy = PI_PACKAGES if name in ("spidev", "gpiod") else APT_PACKAGES
+    return Finding.bad(name, "not installed", remedy)
+
+
+def _spi(machine: Machine, wiring: Wiring) -> Finding:
+    node = machine.path(wiring.spi)
+    if not node.exists():
+        texts = (machine.text(f"/boot{folder}/config.txt") or "" for folder in ("/firmware", ""))
+        on = any(re.search(r"^\s*dtparam=spi=on\s*$", text, re.MULTILINE) for text in texts)
+        return Finding.bad(
+            "panel bus",
+            f"there is no {wiring.spi}",
+            "SPI is switched on in config.txt: restart, or give another --spi"
+            if on
+            else "sudo raspi-config nonint do_spi 0, then restart",
+        )
+    if not machine.may_write(node):
+        return Finding.bad("panel bus", f"{wiring.spi} is not yours to open", _join("spi"))
+    return Finding.ok("panel bus", str(wiring.spi))
+
+
+def _clock_of_bus(wiring: Wiring) -> Finding:
+    found = f"{wiring.spi_hz:,} Hz"
+    if wiring.spi_hz > MOST_PER_SECOND and not wiring.allow_fast_spi:
+        return Finding.bad(
+            "bus clock",
+            f"{found}, too fast for the panel",
+            f"give --spi-hz {MOST_PER_SECOND} or less, or --allow-fast-spi",
+        )
+    return Finding.ok("bus clock", found)
+
+
+def _tab(wiring: Wiring) -> Finding:
+    if wiring.panel_tab is None:
+        return Finding.bad(
+            "panel tab",
+            "not known",
+            "give --panel-tab (or VEILCAM_PANEL_TAB) red, black or green, "
+            "the colour of the tab on the panel's film",
+        )
+    return Finding.ok("panel tab", wiring.panel_tab)
+
+
+def _lines(machine: Machine, wiring: Wiring) -> Iterator[Finding]:
+    lines = (("line of D/C", wiring.data_line), ("line of RESET", wiring.reset_line))
+    names = ["GPIO chip", *(name for name, _ in lines)]
+    if not machine.installed("gpiod"):
+        yield from (Finding.skipped(name, "needs gpiod") for name in names)
+        return
+    chips = machine.chips()
+    wanted = GPIO_CHIPS if wiring.gpio_chip is None else (wiring.gpio_chip,)
+    label = next((label for label in wanted if label in chips), None)
+    if label is None:
+        yield Finding.bad(
+            "GPIO chip",
+            f"no {' or '.join(wanted)}, but {', '.join(chips) or 'none that you may open'}",
+            "give --gpio-chip the label of yours" if chips else _join("gpio"),
+        )
+        yield from (Finding.skipped(name, "needs the GPIO chip") for name in names[1:])
+        return
+    yield Finding.ok("GPIO chip", f"{label}, {chips[label]}")
+    for name, line in lines:
+        try:
+            user = machine.line_user(chips[label], line)
+        except (OSError, ValueError) as error:
+            yield Finding.bad(name, f"line {line}: {error}", "give a line that the chip has")
+            continue
+        if user is None:
+            yield Finding.ok(name, f"{line}, free")
+        else:
+            yield Finding.bad(
+                name,
+                f"{line}, used by {user}",
+                "end what uses it (a running veilcamd, or an overlay in config.txt), or wire "
+                "another line",
+            )
+
+
+def _frame_memory(machine: Machine) -> Finding:
+    heaps = sorted(machine.path("/dev/dma_heap").glob("*"))
+    if not heaps:
+        return Finding.bad(
+            "frame memory", "there is no /dev/dma_heap", "use a current Raspberry Pi OS"
+        )
+    if not any(machine.may_write(heap) for heap in heaps):
+        return Finding.bad("frame memory", "/dev/dma_heap is not yours to open", _join("video"))
+    return Finding.ok("frame memory", "/dev/dma_heap")
+
+
+def _camera(machine: Machine, wiring: Wiring) -> Finding:
+    if not (machine.installed("picamera2") and machine.installed("libcamera")):
+        return Finding.skipped("camera", "needs libcamera and picamera2")
+    try:
+        camera = machine.open_camera(wiring.camera_number)
+    except DeviceError as error:
+        found, _, remedy = str(error).partition(": ")
+        return Finding.bad("camera", found, remedy)
+    try:
+        model = str(camera.camera_properties.get("Model", "unknown"))
+    finally:
+        camera.close()
+    if "imx477" not in model:
+        return Finding.bad("camera", model, "connect a Raspberry Pi HQ camera (IMX477)")
+    return Finding.ok("camera", f"{model}, number {wiring.camera_number}")
+
+
+def _state_dir(machine: Machine, directory: Path) -> Finding:
+    path = machine.path(directory)
+    if not path.exists():
+        if machine.may_write(_nearest(path)):
+            return Finding.ok("state directory", f"{directory}, made at the first start")
+        return Finding.bad(
+            "state directory",
+            f"there is no {directory}, and you may not make it",
+            f"sudo install -d -m 700 -o $USER {directory}, or give another --state-dir",
+        )
+    if not (path.is_dir() and machine.may_write(path)):
+        return Finding.bad(
+            "state directory",
+            f"{directory} cannot be written",
+            f"sudo chown $USER {directory}, or give another --state-dir",
+        )
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077:
+        return Finding.bad(
+            "state directory",
+            f"{directory}: others may look ({mode:04o})",
+            f"chmod 700 {directory}",
+        )
+    return Finding.ok("state directory", str(directory))
+
+
+def _room(machine: Machine, directory: Path) -> Finding:
+    free = machine.free(_nearest(machine.path(directory)))
+    found = f"{free / 2**20:,.0f} MiB free"
+    if free < LEAST_ROOM:
+        return Finding.bad("disk", found, "make room: without it no mask can be shown")
+    return Finding.ok("disk", found)
+
+
+def _bundle(machine: Machine, plan: Plan) -> Iterator[Finding]:
+    if plan.bundle is None:
+        yield Finding.bad("bundle", "none named", "give --bundle, or VEILCAM_BUNDLE")
+        yield Finding.skipped("mask secret", "needs the bundle")
+        return
+    try:
+        bundle = read_bundle(plan.bundle)
+    except BundleError as error:
+        yield Finding.bad("bundle", str(error), "make it again with 'veilcam-train', or copy it")
+        yield Finding.skipped("mask secret", "needs the bundle")
+        return
+    yield Finding.ok("bundle", f"{plan.bundle}: {bundle.task}, {bundle.mode}")
+    if bundle.mode != "fresh":
+        yield Finding.ok("mask secret", "none needed: the bundle holds pairs")
+        return
+    sealed = Path("/etc/credstore.encrypted/veilcam.mask-key")
+    if plan.mask_secret is None and machine.path(sealed).exists():
+        yield Finding.ok("mask secret", f"{sealed}, given by systemd")
+        return
+    try:
+        find_secret(plan.mask_secret)
+    except StartError as error:
+        found, _, remedy = str(error).partition(": ")
+        yield Finding.bad("mask secret", found, remedy or "make one with 'veilcamd secret FILE'")
+    else:
+        yield Finding.ok("mask secret", f"{plan.mask_secret or 'credential'}, yours alone")
+
+
+def _wall_clock(machine: Machine) -> Finding:
+    told = machine.run("timedatectl", "show", "--property=NTPSynchronized", "--value")
+    if told == "yes":
+        return Finding.ok("wall clock", "synchronised")
+    return Finding.bad(
+        "wall clock",
+        "not synchronised" if told == "no" else "timedatectl does not say",
+        "sudo timedatectl set-ntp true; a lost state directory is safe with the right time only",
+    )
+
+
+def _systemd(machine: Machine) -> Finding:
+    told = re.match(r"systemd (\d+)", machine.run("systemctl", "--version") or "")
+    if told is None:
+        return Finding.bad(
+            "systemd", "not there", "use a system with systemd, or start the daemon by other means"
+        )
+    if int(told[1]) < LEAST_SYSTEMD:
+        return Finding.bad("systemd", told[1], f"update the system: {LEAST_SYSTEMD} or later")
+    return Finding.ok("systemd", told[1])
+
+
+def _nearest(path: Path) -> Path:
+    """The path, or the directory above that there is."""
+    while not path.exists():
+        path = path.parent
+    return path
+
+
+def _join(group: str) -> str:
+    return f"sudo usermod -aG {group} $USER, then log in again"

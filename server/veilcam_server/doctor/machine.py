@@ -1,0 +1,73 @@
+"""The machine as a doctor sees it: files, packages, programs and devices; tests have another."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from veilcam_server.devices.linux_bus import gpio_chips, line_user
+from veilcam_server.devices.picamera import open_picamera2
+
+
+def _installed(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def _may_write(path: Path) -> bool:
+    return os.access(path, os.R_OK | os.W_OK)
+
+
+def _run(*command: str) -> str | None:
+    """What a program prints; None if it is not there or fails."""
+    if shutil.which(command[0]) is None:
+        return None
+    try:
+        done = subprocess.run(  # noqa: S603 - of our own choice
+            command, capture_output=True, text=True, timeout=10, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def _free(path: Path) -> int:
+    return shutil.disk_usage(path).free
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """Where a doctor looks."""
+
+    root: Path = Path("/")
+    installed: Callable[[str], bool] = _installed
+    """Whether a module can be imported."""
+    may_write: Callable[[Path], bool] = _may_write
+    """Whether this user may read and write a file."""
+    run: Callable[..., str | None] = _run
+    """What a program prints; None if it is not there or fails."""
+    free: Callable[[Path], int] = _free
+    """Room on the disk of a directory [bytes]."""
+    chips: Callable[[], Mapping[str, Path]] = gpio_chips
+    """GPIO chips by label; needs gpiod."""
+    line_user: Callable[[Path, int], str | None] = line_user
+    """Who has a line; needs gpiod."""
+    open_camera: Callable[[int], Any] = open_picamera2
+    """Opens a camera; needs picamera2."""
+    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
+
+    def path(self, path: Path | str) -> Path:
+        """Return an absolute path as it is on this machine."""
+        return self.root / str(path).lstrip("/")
+
+    def text(self, path: Path | str) -> str | None:
+        """Return a file's text; None if it cannot be read."""
+        try:
+            return self.path(path).read_text("utf-8", "replace").strip("\0\n ")
+        except OSError:
+            return None

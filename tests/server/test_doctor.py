@@ -1,0 +1,265 @@
+"""The doctor on machines that have everything but one thing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from veilcam_server import doctor as package
+from veilcam_server.cli import app
+from veilcam_server.devices import DeviceMissingError
+from veilcam_server.doctor import Finding, Machine, Plan, examine
+from veilcam_server.wiring import Wiring
+
+runner = CliRunner()
+PROGRAMS = {
+    ("timedatectl", "show", "--property=NTPSynchronized", "--value"): "yes",
+    ("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT",
+}
+
+
+@dataclass
+class Bed:
+    """A machine in a folder, which a test makes ill."""
+
+    root: Path
+    locked: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    programs: dict[tuple[str, ...], str] = field(default_factory=PROGRAMS.copy)
+    room: int = 10 * 2**30
+    chips: Mapping[str, Path] = field(
+        default_factory=lambda: {"pinctrl-rp1": Path("/dev/gpiochip0")}
+    )
+    users: dict[int, str] = field(default_factory=dict)
+    camera: str | Exception = "imx477"
+    opened: list[int] = field(default_factory=list)
+    closed: list[bool] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.write("/proc/device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0")
+        self.write("/boot/firmware/config.txt", "# a comment\ndtparam=spi=on\n")
+        for name in ("/dev/spidev0.0", "/dev/dma_heap/linux,cma", "/dev/dma_heap/system"):
+            self.write(name, "")
+        (self.root / "var/lib/veilcam").mkdir(parents=True, mode=0o700)
+
+    def write(self, path: str, text: str) -> None:
+        file = self.root / path.lstrip("/")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+
+    def remove(self, path: str) -> None:
+        (self.root / path.lstrip("/")).unlink()
+
+    def open_camera(self, number: int) -> Any:
+        if isinstance(self.camera, Exception):
+            raise self.camera
+        self.opened.append(number)
+        return SimpleNamespace(
+            camera_properties={"Model": self.camera}, close=lambda: self.closed.append(True)
+        )
+
+    @property
+    def machine(self) -> Machine:
+        return Machine(
+            root=self.root,
+            installed=lambda name: name not in self.missing,
+            may_write=lambda path: "/" + str(path.relative_to(self.root)) not in self.locked,
+            run=lambda *command: self.programs.get(command),
+            free=lambda _: self.room,
+            chips=lambda: self.chips,
+            line_user=lambda _, line: self.users.get(line),
+            open_camera=self.open_camera,
+        )
+
+
+@pytest.fixture
+def bed(tmp_path: Path) -> Bed:
+    return Bed(tmp_path / "root")
+
+
+@pytest.fixture
+def plan(bundle_file: Path) -> Plan:
+    return Plan(Wiring(panel_tab="green"), Path("/var/lib/veilcam"), bundle_file)
+
+
+def findings(bed: Bed, plan: Plan) -> dict[str, Finding]:
+    found = list(examine(bed.machine, plan))
+    assert len({finding.name for finding in found}) == len(found)
+    # Whatever is wrong, there is something to do about it, and it fits a line.
+    for finding in found:
+        assert (finding.remedy is not None) == (finding.outcome == "bad")
+        assert "\n" not in finding.found + str(finding.remedy)
+    return {finding.name: finding for finding in found}
+
+
+def test_a_machine_that_has_everything(bed: Bed, plan: Plan) -> None:
+    found = findings(bed, plan)
+    assert {finding.outcome for finding in found.values()} == {"ok"}
+    assert len(found) == 19
+    assert found["board"].found == "Raspberry Pi 5 Model B Rev 1.0"
+    assert bed.opened == [0]
+    assert bed.closed == [True]
+
+
+Illness = Callable[[Bed], object]
+ILLNESSES: list[tuple[Illness, str, str, str]] = [
+    (lambda bed: bed.remove("/proc/device-tree/model"), "board", "no Raspberry Pi", "--simulate"),
+    (lambda bed: bed.missing.append("spidev"), "spidev", "not installed", "pip install"),
+    (lambda bed: bed.missing.append("gpiod"), "gpiod", "not installed", "pip install"),
+    (lambda bed: bed.missing.append("libcamera"), "libcamera", "not installed", "apt install"),
+    (lambda bed: bed.missing.append("picamera2"), "picamera2", "not installed", "apt install"),
+    (lambda bed: bed.remove("/dev/spidev0.0"), "panel bus", "there is no", "config.txt: restart"),
+    (lambda bed: bed.locked.append("/dev/spidev0.0"), "panel bus", "not yours", "-aG spi"),
+    (lambda bed: setattr(bed, "chips", {}), "GPIO chip", "none that you may open", "-aG gpio"),
+    (
+        lambda bed: setattr(bed, "chips", {"gpio-sim": Path("/dev/gpiochip7")}),
+        "GPIO chip",
+        "but gpio-sim",
+        "--gpio-chip",
+    ),
+    (lambda bed: bed.users.update({25: "veilcamd"}), "line of D/C", "used by veilcamd", "end what"),
+    (lambda bed: bed.users.update({24: "fan"}), "line of RESET", "24, used by fan", "another line"),
+    (
+        lambda bed: bed.locked.extend(["/dev/dma_heap/linux,cma", "/dev/dma_heap/system"]),
+        "frame memory",
+        "not yours",
+        "-aG video",
+    ),
+    (
+        lambda bed: setattr(
+            bed, "camera", DeviceMissingError("there is no camera 0: check its cable")
+        ),
+        "camera",
+        "there is no camera 0",
+        "check its cable",
+    ),
+    (lambda bed: setattr(bed, "camera", "ov5647"), "camera", "ov5647", "HQ camera"),
+    (lambda bed: bed.locked.append("/var/lib/veilcam"), "state directory", "written", "chown"),
+    (
+        lambda bed: (bed.root / "var/lib/veilcam").chmod(0o755),
+        "state directory",
+        "others may look (0755)",
+        "chmod 700",
+    ),
+    (lambda bed: setattr(bed, "room", 2**20), "disk", "1 MiB free", "make room"),
+    (lambda bed: bed.programs.update({next(iter(PROGRAMS)): "no"}), "wall clock", "not syn", "ntp"),
+    (lambda bed: bed.programs.clear(), "systemd", "not there", "systemd"),
+    (
+        lambda bed: bed.programs.update({("systemctl", "--version"): "systemd 247 (247.3)"}),
+        "systemd",
+        "247",
+        "250 or later",
+    ),
+]
+
+
+@pytest.mark.parametrize(("illness", "name", "found", "remedy"), ILLNESSES)
+def test_what_is_missing_is_named_and_how_to_get_it(
+    bed: Bed, plan: Plan, illness: Illness, name: str, found: str, remedy: str
+) -> None:
+    illness(bed)
+    finding = findings(bed, plan)[name]
+    assert finding.outcome == "bad"
+    assert found in finding.found
+    assert remedy in str(finding.remedy)
+
+
+def test_spi_that_is_off_is_switched_on(bed: Bed, plan: Plan) -> None:
+    bed.remove("/dev/spidev0.0")
+    bed.write("/boot/firmware/config.txt", "#dtparam=spi=on\n")
+    assert "raspi-config nonint do_spi 0" in str(findings(bed, plan)["panel bus"].remedy)
+
+
+def test_what_needs_something_else_waits_for_it(bed: Bed, plan: Plan) -> None:
+    bed.missing += ["gpiod", "libcamera"]
+    found = findings(bed, replace(plan, bundle=None))
+    waiting = {name for name, finding in found.items() if finding.outcome == "skipped"}
+    assert waiting == {"GPIO chip", "line of D/C", "line of RESET", "camera", "mask secret"}
+    assert not bed.opened
+
+
+def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: Plan) -> None:
+    wiring = Wiring(spi=Path("/dev/spidev1.0"), spi_hz=16_000_000, data_line=5, camera_number=1)
+    bed.users[5] = "somebody"
+    found = findings(bed, replace(plan, wiring=wiring))
+    for name, text in (
+        ("panel bus", "/dev/spidev1.0"),
+        ("bus clock", "too fast"),
+        ("panel tab", "not known"),
+        ("line of D/C", "5, used by somebody"),
+    ):
+        assert found[name].outcome == "bad"
+        assert text in found[name].found
+    assert bed.opened == [1]
+    fast = replace(plan, wiring=wiring.model_copy(update={"allow_fast_spi": True}))
+    assert findings(bed, fast)["bus clock"].outcome == "ok"
+
+
+def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: Plan) -> None:
+    elsewhere = replace(plan, state_dir=Path("/var/lib/other/deep"))
+    assert "made at the first start" in findings(bed, elsewhere)["state directory"].found
+    bed.locked.append("/var/lib")
+    finding = findings(bed, elsewhere)["state directory"]
+    assert finding.outcome == "bad"
+    assert "install -d -m 700" in str(finding.remedy)
+
+
+def test_bundle_and_secret(
+    bed: Bed, plan: Plan, fresh_file: Path, secret_file: Path, tmp_path: Path
+) -> None:
+    assert "holds pairs" in findings(bed, plan)["mask secret"].found
+    damaged = tmp_path / "damaged.veilcam"
+    damaged.write_bytes(fresh_file.read_bytes()[:-100])
+    found = findings(bed, replace(plan, bundle=damaged))
+    assert (found["bundle"].outcome, found["mask secret"].outcome) == ("bad", "skipped")
+
+    fresh = replace(plan, bundle=fresh_file)
+    assert "veilcamd secret FILE" in str(findings(bed, fresh)["mask secret"].remedy)
+    given = replace(fresh, mask_secret=secret_file)
+    found = findings(bed, given)
+    assert found["mask secret"].outcome == "ok"
+    assert secret_file.read_text().strip()[:8] not in repr(found)
+    secret_file.chmod(0o644)
+    assert findings(bed, given)["mask secret"].outcome == "bad"
+    bed.write("/etc/credstore.encrypted/veilcam.mask-key", "sealed")
+    assert "given by systemd" in findings(bed, fresh)["mask secret"].found
+
+
+@pytest.mark.skipif(Path("/proc/device-tree/model").exists(), reason="this is a board")
+def test_the_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
+    """On a computer that is no Raspberry Pi, with the real checks."""
+    state = ["--state-dir", str(tmp_path / "state")]
+    result = runner.invoke(app, ["doctor", *state])
+    assert result.exit_code == 1
+    assert "no Raspberry Pi" in result.stdout
+    assert "to fix" in result.stdout
+    assert not (tmp_path / "state").exists()
+    result = runner.invoke(app, ["doctor", "--json", "--data-line", "7", *state])
+    assert result.exit_code == 1
+    entries = {entry["name"]: entry for entry in json.loads(result.stdout)}
+    assert entries["board"]["outcome"] == "bad"
+    assert entries["panel tab"]["remedy"].startswith("give --panel-tab")
+    result = runner.invoke(app, ["doctor", "--spi-hz", "1", *state])
+    assert result.exit_code == 1
+    assert "--spi-hz" in result.stderr
+
+
+def test_the_command_ends_well_where_all_is_well(
+    bed: Bed, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(package, "Machine", lambda: bed.machine)
+    options = ["--state-dir", str(plan.state_dir), "--bundle", str(plan.bundle)]
+    result = runner.invoke(app, ["doctor", "--panel-tab", "green", *options])
+    assert result.exit_code == 0, result.stdout
+    assert "all is well" in result.stdout
+    monkeypatch.setenv("VEILCAM_PANEL_TAB", "red")
+    monkeypatch.setenv("VEILCAM_BUNDLE", str(plan.bundle))
+    result = runner.invoke(app, ["doctor", "--state-dir", str(plan.state_dir)])
+    assert result.exit_code == 0, result.stdout
