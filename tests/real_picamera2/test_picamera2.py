@@ -231,6 +231,48 @@ def test_one_that_was_opened_elsewhere_can_be_closed_here(bench: Bench) -> None:
     assert not any(camera.is_open for camera in bench.cameras)
 
 
+def test_captures_go_on_through_failures_again_and_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("in picamera2's own thread")
+
+    def kill_loop(camera: Any) -> None:
+        camera.pre_callback = fail
+        loop = camera._preview.thread
+        wait_until(lambda: not loop.is_alive())
+
+    def kill_listener(camera: Any) -> None:
+        listener = camera._cm.thread
+        with monkeypatch.context() as broken:
+            broken.setattr(RawRequest, "__init__", fail)
+            wait_until(lambda: not listener.is_alive())
+
+    def hang(camera: Any) -> None:
+        camera.held = [camera.capture_request(wait=5.0) for _ in range(BUFFERS)]
+
+    def forget(camera: Any) -> None:
+        camera.told = {}
+        frames = camera.frames
+        wait_until(lambda: bool(camera.frames > frames + 2 * BUFFERS))
+
+    failures = [kill_loop, kill_listener, hang, forget] * 5
+    readings = errors = 0
+    for number in range(600):
+        if number % 30 == 15:
+            failures[number // 30](bench.cameras[-1])
+        fence = time.monotonic()
+        try:
+            assert bench.sensor.capture(fence, 0.5).started_at >= fence
+            readings += 1
+        except SensorError:
+            errors += 1
+            assert number % 30 == 15
+    assert (readings, errors) == (580, 20)
+    assert len(bench.cameras) == 21
+    assert [camera.is_open for camera in bench.cameras] == [False] * 20 + [True]
+
+
 def test_opening_and_closing_leave_nothing_behind() -> None:
     def held() -> tuple[int, int]:
         gc.collect()

@@ -121,6 +121,12 @@ class PlainPicamera2(Picamera2):  # type: ignore[misc]
     def _get_raw_modes(self) -> list[dict[str, Any]]:
         return [{"format": f"SRGGB{MODE.bit_depth}", "size": MODE.size}]
 
+    def _make_requests(self) -> list[Any]:
+        # The virtual pipeline still reads a request that it has just completed; one that is dropped
+        # at that moment, as by a listener that dies, is memory that is gone.
+        self.requests = super()._make_requests()
+        return self.requests
+
 
 class RawPicamera2(PlainPicamera2):
     """A camera with raw frames: its one stream is the raw one, too."""
