@@ -121,7 +121,7 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
     (
         lambda bed: setattr(bed, "chips", {"gpio-sim": Path("/dev/gpiochip7")}),
         "GPIO chip",
-        "but gpio-sim",
+        "there is gpio-sim",
         "--gpio-chip",
     ),
     (lambda bed: bed.users.update({25: "veilcamd"}), "line of D/C", "used by veilcamd", "end what"),
@@ -162,7 +162,7 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
 
 @pytest.mark.parametrize(("illness", "name", "found", "remedy"), ILLNESSES)
 def test_what_is_missing_is_named_and_how_to_get_it(
-    bed: Bed, plan: Plan, illness: Illness, name: str, found: str, remedy: str
+    bed: Bed, plan: Plan, *, illness: Illness, name: str, found: str, remedy: str
 ) -> None:
     illness(bed)
     finding = findings(bed, plan)[name]

@@ -123,7 +123,7 @@ def _lines(machine: Machine, wiring: Wiring) -> Iterator[Finding]:
     if label is None:
         yield Finding.bad(
             "GPIO chip",
-            f"no {' or '.join(wanted)}, but {', '.join(chips) or 'none that you may open'}",
+            f"no {' or '.join(wanted)}; there is {', '.join(chips) or 'none that you may open'}",
             "give --gpio-chip the label of yours" if chips else _join("gpio"),
         )
         yield from (Finding.skipped(name, "needs the GPIO chip") for name in names[1:])
@@ -163,8 +163,7 @@ def _camera(machine: Machine, wiring: Wiring) -> Finding:
     try:
         camera = machine.open_camera(wiring.camera_number)
     except DeviceError as error:
-        found, _, remedy = str(error).partition(": ")
-        return Finding.bad("camera", found, remedy)
+        return Finding.bad("camera", *_halves(error))
     try:
         model = str(camera.camera_properties.get("Model", "unknown"))
     finally:
@@ -216,7 +215,8 @@ def _bundle(machine: Machine, plan: Plan) -> Iterator[Finding]:
     try:
         bundle = read_bundle(plan.bundle)
     except BundleError as error:
-        yield Finding.bad("bundle", str(error), "make it again with 'veilcam-train', or copy it")
+        found, remedy = _halves(error, plan.bundle)
+        yield Finding.bad("bundle", f"{plan.bundle}: {found}", remedy)
         yield Finding.skipped("mask secret", "needs the bundle")
         return
     yield Finding.ok("bundle", f"{plan.bundle}: {bundle.task}, {bundle.mode}")
@@ -230,8 +230,7 @@ def _bundle(machine: Machine, plan: Plan) -> Iterator[Finding]:
     try:
         find_secret(plan.mask_secret)
     except StartError as error:
-        found, _, remedy = str(error).partition(": ")
-        yield Finding.bad("mask secret", found, remedy or "make one with 'veilcamd secret FILE'")
+        yield Finding.bad("mask secret", *_halves(error))
     else:
         yield Finding.ok("mask secret", f"{plan.mask_secret or 'credential'}, yours alone")
 
@@ -256,6 +255,12 @@ def _systemd(machine: Machine) -> Finding:
     if int(told[1]) < LEAST_SYSTEMD:
         return Finding.bad("systemd", told[1], f"update the system: {LEAST_SYSTEMD} or later")
     return Finding.ok("systemd", told[1])
+
+
+def _halves(error: Exception, path: Path | None = None) -> tuple[str, str]:
+    """What is wrong, ``path`` left out, and what to do: our errors say both, a colon between."""
+    found, _, remedy = str(error).removeprefix(f"{path}: ").rpartition(": ")
+    return (found, remedy) if found else (remedy, "export or copy it again")
 
 
 def _nearest(path: Path) -> Path:
