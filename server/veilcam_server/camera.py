@@ -2,9 +2,7 @@
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
 checked before and after (the fence), or it is an error. No capture is taken unless a self test has
-proven that the panel hides the scene. When the panel fails, the mask shown before is put back; when
-that fails too, or the test does, the panel is made opaque and captures stop: state ``safe``, or
-``degraded`` where nothing says that the panel is at fault.
+proven that the panel hides the scene (``masked_panel.py``).
 """
 
 from __future__ import annotations
@@ -13,27 +11,21 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from datetime import UTC, datetime
 
 from veilcam_client.models import RotationOff, RotationPolicy, State
-from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.devices.protocols import Device
-from veilcam_server.errors import (
-    EpochError,
-    FenceError,
-    NotReadyError,
-    RotationImpossibleError,
-    UndecidedError,
-)
+from veilcam_server.errors import FenceError, NotReadyError, RotationImpossibleError
 from veilcam_server.fence import Fence, check_exposure
 from veilcam_server.health import Health, stamped
+from veilcam_server.masked_panel import MaskedPanel
 from veilcam_server.masks import MaskSource
 from veilcam_server.preparation import Preparation, Prepared
 from veilcam_server.proof import EVERY, Proof
 from veilcam_server.rotation import due_in, reusable
 from veilcam_server.self_test import SelfTest
-from veilcam_server.showing import Captured, Lateness, Showing
+from veilcam_server.showing import Captured, Lateness
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
@@ -69,13 +61,9 @@ class MaskedCamera:
         self._health = Health(fence.settle + fence.timeout + _MARGIN)
         self._device, self._preparation = stamped(device, self._health), preparation
         self._shape, self._fence = shape, fence
-        self._proof = Proof(test, self._device, fence, every=test_every)
-        self._on_mask: Callable[[str], None] = _ignore
-        self._on_state: Callable[[State, str | None], None] = _ignore
+        proof = Proof(test, self._device, fence, every=test_every)
+        self._panel = MaskedPanel(self._device.display, preparation, proof)
         self._lock = threading.Lock()
-        self._showing: Showing | None = None
-        self._state: State = "starting"
-        self._detail: str | None = None
         self.lateness = Lateness()
         self.policy = policy
 
@@ -94,13 +82,13 @@ class MaskedCamera:
             on_state: takes the new state, and why it is not ``ready``.
             on_ready: takes nothing; made on another thread.
         """
-        self._on_mask, self._on_state = on_mask, on_state
+        self._panel.on_mask, self._panel.on_state = on_mask, on_state
         self._preparation.on_ready = on_ready
 
     @property
     def state(self) -> tuple[State, str | None]:
         """What the camera is doing, and why it is not ready."""
-        return self._state, self._detail
+        return self._panel.state
 
     def healthy(self) -> bool:
         """Whether panel and camera still answer."""
@@ -125,12 +113,12 @@ class MaskedCamera:
     @property
     def present(self) -> tuple[str | None, int]:
         """Name of the epoch shown (None: no mask) and the captures taken under it."""
-        showing = self._showing
+        showing = self._panel.showing
         return (None, 0) if showing is None else (showing.epoch, showing.captures)
 
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
-        showing = self._showing
+        showing = self._panel.showing
         if showing is None:
             return math.inf
         return due_in(
@@ -142,9 +130,7 @@ class MaskedCamera:
 
     def test_due_in(self) -> float:
         """Seconds until the panel must be tested, or tested again after a test that failed."""
-        if self._state == "stopping":
-            return math.inf
-        return 0.0 if self._showing is None else self._proof.holds_for()
+        return math.inf if self._stopping else self._panel.proven_for()
 
     def test_if_due(self) -> None:
         """Test the panel if that is due, and show the mask again; raises as :meth:`rotate`.
@@ -152,10 +138,10 @@ class MaskedCamera:
         From the states ``safe`` and ``degraded`` this is the way back, and shows another mask.
         """
         with self._lock:
-            if self._showing is None:
+            if self._panel.showing is None:
                 self._rotate()
             else:
-                self._test_again()
+                self._panel.test()
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -190,7 +176,8 @@ class MaskedCamera:
                 raise RotationImpossibleError(
                     "this keyring holds one mask only: turn the rotation of masks off first"
                 )
-            self._show(first, source)
+            self._require_running()
+            self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:
         """Show another mask if the policy wants it and one is ready; raises as :meth:`rotate`."""
@@ -215,10 +202,10 @@ class MaskedCamera:
             begun = time.monotonic()
             if self.due_in() <= 0 and not self._may_reuse():
                 self._rotate()
-            self._test_again()
-            showing = self._showing
+            self._panel.test()
+            showing = self._panel.showing
             if showing is None:
-                raise NotReadyError(self._detail or "no mask is shown yet: try again")
+                raise NotReadyError(self.state[1] or "no mask is shown yet: try again")
             rotated = time.monotonic()
             not_before = showing.completed_at + self._fence.settle
             taken_at = datetime.now(UTC)
@@ -226,7 +213,7 @@ class MaskedCamera:
             ended = time.monotonic()
             # Counted before it is checked: the light was collected, whatever comes of it.
             showing.captures += 1
-            if self._showing is not showing:
+            if self._panel.showing is not showing:
                 raise FenceError("the mask changed during the exposure, which was thrown away")
             check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
             waited = max(0.0, not_before - rotated)
@@ -250,80 +237,33 @@ class MaskedCamera:
             DisplayError: the panel could not be made opaque; the device is let go all the same.
         """
         with self._lock:
-            if self._state == "stopping":
+            if self._stopping:
                 return
-            self._enter("stopping", "the daemon is stopping")
-            self._showing = None
+            self._panel.end()
             with ExitStack() as stack:
                 stack.callback(self._preparation.close)
                 self._device.close()
 
     def _may_reuse(self) -> bool:
         """Whether a mask that is due may serve this capture, too."""
-        showing = self._showing
+        showing = self._panel.showing
         if showing is None or not self._preparation.under_way:
             return False
         return showing.reuse(reusable(self._policy), self.lateness)
 
     def _rotate(self) -> None:
         self._require_running()
-        if self._showing is not None:
+        if self._panel.showing is not None:
             self._require_another()
         # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
-        self._show(self._preparation.take())
+        self._panel.show(self._preparation.take())
 
-    def _show(self, prepared: Prepared, source: MaskSource | None = None) -> None:
-        """Show a mask; with ``source``, which it comes from, the next ones come from there too."""
-        self._require_running()
-        previous = self._showing
-        self._preparation.record(prepared.mask)
-        self._prove()
-        # From here on no mask counts as shown until the panel has confirmed one.
-        self._showing = None
-        try:
-            shown = self._device.display.show(prepared.mask.levels)
-        except DeviceError as error:
-            self._put_back(previous)
-            raise DisplayError(f"the mask could not be changed: {error}") from error
-        except BaseException:
-            self._put_back(previous)
-            raise
-        self._showing = Showing(
-            prepared.mask, prepared.epoch.name, shown.completed_at, shown.completed_at
-        )
-        if source is not None:
-            self._preparation.serve(source)
-        self._enter("ready", None)
-        self._on_mask(prepared.epoch.name)
-        if self._preparation.renewable:
-            self._preparation.begin()
-
-    def _prove(self) -> None:
-        """Test the panel if that is due; it then shows opaque, also after a test that failed."""
-        if self._proof.holds_for() > 0:
-            return
-        self._showing = None
-        if self._state in ("starting", "ready"):
-            self._enter("self-test", "the panel is being tested")
-        try:
-            self._proof.renew()
-        except BaseException as error:
-            # What the panel cannot be blamed for is not called its failure.
-            blameless = isinstance(error, (UndecidedError, SensorError, FenceError))
-            known = isinstance(error, (NotReadyError, DeviceError, FenceError))
-            reason = str(error) if known else "the self test broke off"
-            self._make_opaque("degraded" if blameless else "safe", reason)
-            raise
-
-    def _test_again(self) -> None:
-        """Test the panel if that is due and a mask is shown, and put that back."""
-        showing = self._showing
-        if showing is not None and self._proof.holds_for() <= 0:
-            self._prove()
-            self._put_back(showing)
+    @property
+    def _stopping(self) -> bool:
+        return self.state[0] == "stopping"
 
     def _require_running(self) -> None:
-        if self._state == "stopping":
+        if self._stopping:
             raise NotReadyError("the daemon is stopping")
 
     def _require_another(self) -> None:
@@ -331,40 +271,3 @@ class MaskedCamera:
             raise RotationImpossibleError(
                 "the bundle holds one pair only: serve a bundle with two or more to change masks"
             )
-
-    def _put_back(self, previous: Showing | None) -> None:
-        """After a failed write, or a test: the mask from before, or else opaque."""
-        if previous is not None:
-            try:
-                shown = self._device.display.show(previous.mask.levels)
-            except DeviceError:
-                pass
-            else:
-                previous.completed_at = shown.completed_at
-                self._showing = previous
-                # Should it not be recorded, another mask than the next is left out: no harm.
-                with suppress(EpochError):
-                    self._preparation.record(previous.mask)
-                if self._preparation.renewable:
-                    self._preparation.begin()
-                self._enter("ready", None)
-                return
-        self._make_opaque("safe", "the panel failed and was made opaque: it is tried again")
-
-    def _make_opaque(self, state: State, reason: str) -> None:
-        """Captures stop."""
-        try:
-            self._device.display.blank()
-        except DeviceError:
-            state = "safe"
-            reason = "the panel failed and cannot be made opaque: check its power and wiring"
-        self._enter(state, reason)
-
-    def _enter(self, state: State, detail: str | None) -> None:
-        if (state, detail) != (self._state, self._detail):
-            self._state, self._detail = state, detail
-            self._on_state(state, detail)
-
-
-def _ignore(*_: object) -> None:
-    """Nobody listens."""

@@ -181,8 +181,10 @@ class Service:
     async def rotate(self) -> Rotation:
         """Show another mask now; raises as :meth:`MaskedCamera.rotate`, or the queue is full."""
         with self._queue.admitted():
-            await self._on_device(self._camera.rotate)
-        self._upkeep.wake()
+            try:
+                await self._on_device(self._camera.rotate)
+            finally:
+                self._upkeep.wake()
         return self.rotation()
 
     async def capture(self) -> Capture:

@@ -79,6 +79,8 @@ class Upkeep:
             pause = await self._attempt(
                 self._rotating, self._camera.rotate_if_due, "rotation", pause
             )
+            # A panel that failed was set up anew, and is no longer proven.
+            self._test_changed.set()
 
     async def _test(self) -> None:
         """Test the panel when that is due, and find the way back to ``ready``."""

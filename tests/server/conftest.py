@@ -16,6 +16,7 @@ import pytest
 import structlog
 import torch
 
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.models import Device as DeviceInfo
 from veilcam_client.models import Release, RotationOff, RotationPolicy
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
@@ -196,6 +197,7 @@ class Bench:
     test: FakeTest = field(default_factory=FakeTest)
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
+    calibration: SignedCalibration | None = None
 
     def camera(
         self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
@@ -238,13 +240,14 @@ class Bench:
             Identity(
                 DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
                 keyrings.info,
+                calibration=self.calibration,
             ),
             keyrings,
             form=self.release,
             queue_limit=queue_limit,
             heartbeat=0.05,
         )
-        on_mask, on_state = camera._on_mask, camera._on_state
+        on_mask, on_state = camera._panel.on_mask, camera._panel.on_state
 
         def mask(epoch: str) -> None:
             self.epochs.append(epoch)

@@ -235,6 +235,20 @@ def test_an_unforeseen_error_of_a_driver_does_not_leave_a_half_written_mask(benc
     assert bench.pair_shown() == index
 
 
+@pytest.mark.parametrize("defects", [2, 3])
+def test_defects_of_a_driver_end_opaque_or_are_told(bench: Bench, defects: int) -> None:
+    camera = bench.camera()
+    bench.display.faults = [ZeroDivisionError()] * defects
+    with pytest.raises(ZeroDivisionError):
+        camera.rotate()
+    state, detail = camera.state
+    assert state == "safe"
+    assert ("cannot be made opaque" in str(detail)) == (defects == 3)
+    assert camera.present == (None, 0)
+    camera.rotate()
+    assert camera.state == ("ready", None)
+
+
 def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
     bench: Bench, display_fault: DisplayError
 ) -> None:
@@ -319,6 +333,6 @@ def test_secrets_stay_out_of_representations(bench: Bench) -> None:
     bench.sensor.reading = np.full((4, 5), 0.123456, np.float32)
     captured = camera.capture()
     assert "0.123" not in repr(captured)
-    assert camera._showing is not None
-    assert "array" not in repr(camera._showing)
+    assert camera._panel.showing is not None
+    assert "array" not in repr(camera._panel.showing)
     assert "tensor" not in repr(captured)
