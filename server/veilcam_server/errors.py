@@ -164,3 +164,10 @@ class KeyringsBusyError(Exception):
 
 class KeyringStoreError(Exception):
     """A keyring could not be made durable."""
+
+
+class InferenceError(Exception):
+    """A classifier gave no numbers for a reading."""
+
+    def __init__(self) -> None:
+        super().__init__("the classifier gave no probabilities for this reading: train it again")

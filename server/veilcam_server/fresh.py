@@ -69,7 +69,8 @@ class FreshSource:
         calibration: how the camera departs from the bundle's; decoders are prepared for it.
 
     Raises:
-        StartError: the label is not valid, or the calibration is of another panel.
+        StartError: the label is not valid, the calibration is of another panel, or the bundle's
+            numbers give no decoder.
     """
 
     def __init__(
@@ -95,7 +96,8 @@ class FreshSource:
         )
         try:
             self._decoding = self._frame.decoding()
-            self._frame.shown(self._levels(self._secret, 0))
+            # A mask that is never shown: what cannot be decoded is found now, and not on the way.
+            self.make(0, "")
         except OpticsError as error:
             raise StartError(str(error)) from None
         self._names = EpochNames(secret, self._device)

@@ -9,7 +9,8 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from veilcam_training.bundle import LayerRecord, build_classifier
+from veilcam_server.errors import InferenceError
+from veilcam_training.bundle import BundleError, LayerRecord, build_classifier
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,16 +38,29 @@ class Classifier:
         labels: tuple[str, ...],
         inputs: int,
     ) -> Self:
-        """Build the network and run it once, so that the first capture is not slower."""
+        """Build the network and run it once, so that the first capture is not slower.
+
+        Raises:
+            BundleError: it gives no numbers, even for a dark scene.
+        """
         classifier = cls(labels, build_classifier(layers, weights))
-        with torch.inference_mode():
-            classifier.module(torch.zeros(1, inputs))
+        try:
+            classifier.classify(torch.zeros(1, inputs))
+        except InferenceError:
+            raise BundleError("a classifier gives NaN or infinity: train it again") from None
         return classifier
 
     def classify(self, inputs: Tensor) -> Verdict:
-        """Classify one sample, (1, inputs)."""
+        """Classify one sample, (1, inputs).
+
+        Raises:
+            InferenceError: the network gives NaN or infinity for it.
+        """
         with torch.inference_mode():
-            scores = self.module(inputs).double().softmax(dim=1)[0]
+            logits = self.module(inputs).double()
+        if not bool(torch.isfinite(logits).all()):
+            raise InferenceError
+        scores = logits.softmax(dim=1)[0]
         best = int(scores.argmax())
         return Verdict(
             self.labels[best],

@@ -20,6 +20,7 @@ from veilcam_server.errors import (
     ForbiddenError,
     HostRefusedError,
     IdempotencyError,
+    InferenceError,
     KeyringInUseError,
     KeyringInvalidError,
     KeyringsBusyError,
@@ -85,6 +86,7 @@ PROBLEMS: Mapping[str, ProblemType] = {
     "sensor_timeout": ProblemType(503, "The sensor gave no reading in time", retryable=True),
     "fence_violated": ProblemType(503, "The reading could not be trusted", retryable=True),
     "tokens_unavailable": ProblemType(503, "The tokens are out of reach", retryable=True),
+    "inference_failed": ProblemType(503, "The classifier gave no probabilities"),
     "keyrings_busy": ProblemType(503, "The keyrings are being changed", retryable=True),
     "keyring_not_stored": ProblemType(503, "The keyring is not durable", retryable=True),
     "epoch_not_recorded": ProblemType(503, "The mask epoch is not durable", retryable=True),
@@ -119,6 +121,7 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (SensorError, "sensor_failed"),
     (FenceError, "fence_violated"),
     (EpochError, "epoch_not_recorded"),
+    (InferenceError, "inference_failed"),
 )
 _HTTP_CODES = {
     code: name

@@ -108,7 +108,7 @@ async def capture(
 @router.post(
     "/classifications",
     dependencies=[requires("classify"), unleased()],
-    responses=problems(*BODY, *DEVICE, "embedding_withheld"),
+    responses=problems(*BODY, *DEVICE, "embedding_withheld", "inference_failed"),
 )
 async def classify(
     service: ServiceDep,

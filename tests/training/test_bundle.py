@@ -28,7 +28,19 @@ from veilcam_training.bundle import (
     read_bundle,
     write_bundle,
 )
-from veilcam_training.bundle.layers import BatchNorm, LayerRecord, Linear, ReLU
+from veilcam_training.bundle.classifier import count_operations
+from veilcam_training.bundle.layers import (
+    GELU,
+    BatchNorm,
+    Conv2d,
+    Flatten,
+    LayerRecord,
+    Linear,
+    ReLU,
+    Reshape,
+    Residual,
+    Resize,
+)
 
 Parts = dict[str, bytes]
 
@@ -318,3 +330,60 @@ def test_accuracy_is_a_share() -> None:
         Accuracy(93.0, "MNIST", 10)
     with pytest.raises(BundleError, match="at least 1"):
         Accuracy(0.93, "MNIST", 0)
+
+
+def heavy(*layers: LayerRecord) -> Bundle:
+    """A bundle whose classifiers begin with ``layers`` on an image of 3 x 4."""
+    around = (Reshape(shape=(1, 3, 4)), *layers, Flatten(), Linear(inputs=12, outputs=10))
+    with torch.device("meta"):
+        shapes = build_untrained(around).state_dict()
+    weights = {name: torch.zeros(tensor.shape) for name, tensor in shapes.items()}
+    pair = dataclasses.replace(make_pair(1), layers=around, weights=weights)
+    return dataclasses.replace(make_bundle(), pairs=(pair,))
+
+
+def test_classifiers_that_take_too_much_work(tmp_path: Path) -> None:
+    wide = (Resize(rows=2048, columns=4096), GELU()) * 5
+    bundle = heavy(*wide, Resize(rows=3, columns=4))
+    write_bundle(tmp_path / "a.veilcam", bundle)
+    more = dataclasses.replace(bundle, pairs=bundle.pairs * 8)
+    with pytest.raises(BundleError, match=r"together take .* products: use at most"):
+        write_bundle(tmp_path / "b.veilcam", more)
+
+
+def test_a_convolution_that_takes_too_much_memory(tmp_path: Path) -> None:
+    large = Resize(rows=256, columns=256)
+    kernel = Conv2d(inputs=1, outputs=1, kernel=17, padding=8)
+    with pytest.raises(BundleError, match="numbers under its kernels"):
+        write_bundle(tmp_path / "a.veilcam", heavy(large, kernel, Resize(rows=3, columns=4)))
+
+
+def test_too_many_layers_together(tmp_path: Path) -> None:
+    bundle = heavy(*(ReLU(),) * 120)
+    more = dataclasses.replace(bundle, pairs=bundle.pairs * 140)
+    with pytest.raises(BundleError, match="too many layers: use 16384"):
+        write_bundle(tmp_path / "a.veilcam", more)
+
+
+def test_products_are_counted() -> None:
+    layers = (
+        Reshape(shape=(1, 3, 4)),
+        Residual(layers=(Conv2d(inputs=1, outputs=1),)),
+        Flatten(),
+        Linear(inputs=12, outputs=10),
+    )
+    values = 12 + (12 + 12) + 12 + 10
+    assert count_operations(layers, 12) == 16 * values + 12 * 9 + 12 * 10
+
+
+def test_a_small_file_that_unpacks_to_much(path: Path) -> None:
+    replace_part(path, "weights.safetensors", bytes(17 * 2**20))
+    refuse(path, "weights.safetensors has .* bytes: use at most")
+
+
+def test_a_reason_is_one_short_line(path: Path) -> None:
+    pack(path, {**unpack(path), "x\n" * 9000: b""})
+    with pytest.raises(BundleError, match="unknown part") as caught:
+        read_bundle(path)
+    assert len(str(caught.value)) < 500
+    assert "\n" not in str(caught.value)

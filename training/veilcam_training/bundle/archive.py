@@ -41,6 +41,12 @@ MAX_PART = {
     SCENES: 256 * MEBIBYTE,
 }
 """Largest size of each part after decompression [bytes]."""
+FREE, RATIO = 16 * MEBIBYTE, 4
+"""All parts together may unpack to so many bytes, and to so many times the size of the file: more
+than weights and masks ever do, and a small file cannot fill the memory."""
+
+LONGEST_REASON = 300
+"""Of a refusal [letters]."""
 
 
 def read_bundle(path: Path) -> Bundle:
@@ -59,7 +65,10 @@ def read_bundle(path: Path) -> Bundle:
     try:
         return _read(path)
     except BundleError as error:
-        raise BundleError(f"{path}: {error}") from None
+        # It may quote what the file holds, which can be anything.
+        reason = " ".join(str(error).split())
+        shown = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]}..."
+        raise BundleError(f"{path}: {shown}") from None
 
 
 def write_bundle(path: Path, bundle: Bundle) -> None:
@@ -116,7 +125,7 @@ def _read(path: Path) -> Bundle:
         raise BundleError(f"cannot be read ({error.strerror}): check the file") from None
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            parts = _parts(archive)
+            parts = _parts(archive, FREE + RATIO * size)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
         if isinstance(error, BundleError):
             raise
@@ -147,8 +156,13 @@ def _read(path: Path) -> Bundle:
     return dataclasses.replace(bundle, digest=_sha256(data))
 
 
-def _parts(archive: zipfile.ZipFile) -> dict[str, bytes]:
-    """All parts, none larger than it may be, whatever the archive says about itself."""
+def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:
+    """All parts, none larger than it may be, whatever the archive says about itself.
+
+    Args:
+        archive: open.
+        left: what all of them together may unpack to [bytes].
+    """
     names = [entry.filename for entry in archive.infolist()]
     for name in names:
         if name not in MAX_PART:
@@ -159,7 +173,7 @@ def _parts(archive: zipfile.ZipFile) -> dict[str, bytes]:
         )
     parts = {}
     for name in names:
-        entry, limit = archive.getinfo(name), MAX_PART[name]
+        entry, limit = archive.getinfo(name), min(MAX_PART[name], left)
         if entry.flag_bits & 1 or entry.compress_type not in (
             zipfile.ZIP_STORED,
             zipfile.ZIP_DEFLATED,
@@ -171,6 +185,7 @@ def _parts(archive: zipfile.ZipFile) -> dict[str, bytes]:
             parts[name] = stream.read(limit + 1)
         if len(parts[name]) > limit:
             raise BundleError(f"{name} has more than {limit} bytes")
+        left -= len(parts[name])
     return parts
 
 

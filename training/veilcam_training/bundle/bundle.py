@@ -13,13 +13,22 @@ import torch
 from pydantic import JsonValue
 
 from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_training.bundle.classifier import build_untrained, check_weights, output_shape
+from veilcam_training.bundle.classifier import (
+    build_untrained,
+    check_weights,
+    count_operations,
+    output_shape,
+)
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Fresh, check_fresh
 from veilcam_training.bundle.layers import LayerRecord
 
 MAX_PAIRS = 4096
 MAX_LABELS = 1024
+MAX_LAYERS = 2**14
+"""Of all classifiers of a bundle."""
+MAX_OPERATIONS = 2**33
+"""Products that all classifiers of a bundle may take for one sample each: some seconds."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +93,20 @@ def check_bundle(bundle: Bundle) -> None:
         raise BundleError("task is not valid: use a name of 1 to 64 letters")
     if not 2 <= len(bundle.labels) <= MAX_LABELS or len(set(bundle.labels)) != len(bundle.labels):
         raise BundleError(f"labels are not valid: use 2 to {MAX_LABELS} different names")
+    records = bundle.pairs if bundle.fresh is None else (bundle.fresh,)
+    if sum(len(record.layers) for record in records) > MAX_LAYERS:
+        raise BundleError(f"all classifiers together have too many layers: use {MAX_LAYERS}")
     if bundle.mode == "fresh":
         _check_fresh(bundle)
     elif bundle.mode == "pairs":
         _check_pairs(bundle)
     else:
         raise BundleError(f"mode = {bundle.mode} is not valid: use 'pairs' or 'fresh'")
+    products = sum(count_operations(record.layers, bundle.inputs) for record in records)
+    if products > MAX_OPERATIONS:
+        raise BundleError(
+            f"all classifiers together take {products} products: use at most {MAX_OPERATIONS}"
+        )
 
 
 def _check_fresh(bundle: Bundle) -> None:

@@ -9,7 +9,13 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_training.bundle.errors import BundleError
-from veilcam_training.bundle.layers import LayerRecord, LayerShapeError, Shape, checked_shape
+from veilcam_training.bundle.layers import (
+    LayerRecord,
+    LayerShapeError,
+    Shape,
+    checked_shape,
+    operations,
+)
 
 MAX_LAYERS = 128
 MAX_PARAMETERS = 2**27
@@ -30,6 +36,16 @@ def output_shape(layers: Sequence[LayerRecord], inputs: int) -> Shape:
         except LayerShapeError as error:
             raise BundleError(f"layer {index} ({layer.kind}) {error}: train it again") from None
     return shape
+
+
+def count_operations(layers: Sequence[LayerRecord], inputs: int) -> int:
+    """Products that checked layers take for one sample of ``inputs`` numbers."""
+    shape: Shape = (inputs,)
+    total = 0
+    for layer in layers:
+        total += operations(layer, shape)
+        shape = layer.output_shape(shape)
+    return total
 
 
 def build_untrained(layers: Sequence[LayerRecord]) -> nn.Sequential:

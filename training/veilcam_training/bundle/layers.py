@@ -19,7 +19,9 @@ Side = Annotated[int, Field(ge=1, le=4096)]
 Small = Annotated[int, Field(ge=1, le=64)]
 
 MAX_VALUES = 2**24
-"""Most numbers that one sample may occupy between two layers."""
+"""Most numbers that one sample may occupy between two layers, or within a convolution."""
+_PER_VALUE = 16
+"""What any layer is taken to cost for each number that it gives: as much as so many products."""
 
 
 class LayerShapeError(ValueError):
@@ -244,6 +246,9 @@ class Conv2d(_Record):
             (side + 2 * self.padding - self.kernel) // self.stride + 1 for side in shape[1:]
         )
         _require(min(rows, columns) >= 1, shape, f"an image that holds a kernel of {self.kernel}")
+        # On the way it is unfolded: every pixel as often as a kernel sees it.
+        unfolded = self.inputs * self.kernel**2 * rows * columns
+        _require(unfolded <= MAX_VALUES, shape, f"at most {MAX_VALUES} numbers under its kernels")
         return (self.outputs, rows, columns)
 
 
@@ -332,6 +337,23 @@ def checked_shape(layer: _HasShape, shape: Shape) -> Shape:
     after = layer.output_shape(shape)
     _require(math.prod(after) <= MAX_VALUES, shape, f"at most {MAX_VALUES} numbers after it")
     return after
+
+
+def operations(layer: PlainLayer | Residual, shape: Shape) -> int:
+    """Products that ``layer`` takes for one sample of ``shape``, which it fits."""
+    if isinstance(layer, Residual):
+        total = 0
+        for inner in layer.layers:
+            total += operations(inner, shape)
+            shape = inner.output_shape(shape)
+        return total + _PER_VALUE * math.prod(shape)
+    values = math.prod(layer.output_shape(shape))
+    if isinstance(layer, Linear):
+        return values * (layer.inputs + _PER_VALUE)
+    if isinstance(layer, Conv2d):
+        return values * (layer.inputs // layer.groups * layer.kernel**2 + _PER_VALUE)
+    # Pooling looks at every number that goes in.
+    return max(values, math.prod(shape)) * _PER_VALUE
 
 
 class AffineModule(nn.Module):
