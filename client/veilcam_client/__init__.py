@@ -8,6 +8,7 @@ with Camera("http://127.0.0.1:8787") as camera:
 
 from importlib.metadata import version
 
+from veilcam_client.calibration_models import CalibrationRecord, SignedCalibration
 from veilcam_client.camera import DEFAULT_URL, AsyncCamera, Camera
 from veilcam_client.decoding import SceneDecoder
 from veilcam_client.diagnostics import Diagnostics
@@ -31,10 +32,12 @@ from veilcam_client.events import (
     Event,
     Fault,
     Gap,
+    KeyringChanged,
     MaskChanged,
     RotationChanged,
     StateChanged,
 )
+from veilcam_client.keyrings import Keyring
 from veilcam_client.leases import Lease, NewLease
 from veilcam_client.models import (
     Capture,
@@ -56,6 +59,7 @@ __all__ = [
     "ApiError",
     "AsyncCamera",
     "BusyError",
+    "CalibrationRecord",
     "Camera",
     "Capture",
     "CaptureTaken",
@@ -72,6 +76,8 @@ __all__ = [
     "ForbiddenError",
     "Gap",
     "InvalidRequestError",
+    "Keyring",
+    "KeyringChanged",
     "Lease",
     "LeasedError",
     "MaskChanged",
@@ -86,6 +92,7 @@ __all__ = [
     "SceneDecoder",
     "Scope",
     "ServerError",
+    "SignedCalibration",
     "StateChanged",
     "Status",
     "Token",

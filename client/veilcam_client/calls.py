@@ -13,7 +13,9 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.diagnostics import Diagnostics
+from veilcam_client.keyrings import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
 from veilcam_client.leases import Lease, LeaseRequest, NewLease
 from veilcam_client.models import (
     Capture,
@@ -51,6 +53,11 @@ def _headers(*, body: bool = False, post: bool = False) -> dict[str, str]:
 def status() -> Call[Status]:
     """GET /v1/status."""
     return Call("GET", "/v1/status", Status, headers=_headers())
+
+
+def calibration() -> Call[SignedCalibration]:
+    """GET /v1/calibration."""
+    return Call("GET", "/v1/calibration", SignedCalibration, headers=_headers())
 
 
 def capture() -> Call[Capture]:
@@ -138,3 +145,25 @@ def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Ca
 def revoke_token(token_id: str) -> Call[Token]:
     """DELETE /v1/tokens/ID."""
     return Call("DELETE", f"/v1/tokens/{quote(token_id, safe='')}", Token, headers=_headers())
+
+
+def keyrings() -> Call[Keyrings]:
+    """GET /v1/keyrings."""
+    return Call("GET", "/v1/keyrings", Keyrings, headers=_headers())
+
+
+def install_keyring(bundle: bytes) -> Call[Keyring]:
+    """POST /v1/keyrings; to repeat it changes nothing."""
+    headers = {**_headers(), "Content-Type": BUNDLE_MEDIA_TYPE}
+    return Call("POST", "/v1/keyrings", Keyring, bundle, headers)
+
+
+def activate_keyring(digest: str) -> Call[Keyring]:
+    """POST /v1/keyrings/DIGEST/activate."""
+    path = f"/v1/keyrings/{quote(digest, safe='')}/activate"
+    return Call("POST", path, Keyring, headers=_headers(post=True))
+
+
+def remove_keyring(digest: str) -> Call[Keyrings]:
+    """DELETE /v1/keyrings/DIGEST."""
+    return Call("DELETE", f"/v1/keyrings/{quote(digest, safe='')}", Keyrings, headers=_headers())

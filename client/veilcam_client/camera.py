@@ -9,8 +9,10 @@ from types import TracebackType
 from typing import Self
 
 from veilcam_client import calls
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.events import Event
+from veilcam_client.keyrings import Keyring
 from veilcam_client.leases import Lease, NewLease
 from veilcam_client.models import Capture, Classification, Rotation, RotationPolicy, Status
 from veilcam_client.retry import RetryPolicy
@@ -78,6 +80,10 @@ class Camera:
         """State, device, bundle, rotation and queue of the daemon."""
         return self._transport.send(calls.status())
 
+    def calibration(self) -> SignedCalibration:
+        """What the camera found out about itself; code ``not_calibrated`` before it did."""
+        return self._transport.send(calls.calibration())
+
     def capture(self) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array."""
         return self._transport.send(calls.capture())
@@ -141,6 +147,22 @@ class Camera:
         """Let a token do nothing any more."""
         return self._transport.send(calls.revoke_token(token_id))
 
+    def keyrings(self) -> tuple[Keyring, ...]:
+        """All keyrings; one of them is ``active``."""
+        return (self._transport.send(calls.keyrings())).keyrings
+
+    def install_keyring(self, bundle: bytes) -> Keyring:
+        """Hand over the content of a bundle; it is checked, and not used yet."""
+        return self._transport.send(calls.install_keyring(bundle))
+
+    def activate_keyring(self, digest: str) -> Keyring:
+        """Take masks and classifiers from this keyring from now on."""
+        return self._transport.send(calls.activate_keyring(digest))
+
+    def remove_keyring(self, digest: str) -> tuple[Keyring, ...]:
+        """Remove a keyring that is not in use for good; return those that are left."""
+        return (self._transport.send(calls.remove_keyring(digest))).keyrings
+
     def events(self, *, last_event_id: str | None = None) -> Iterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""
         return self._transport.events(last_event_id)
@@ -182,6 +204,10 @@ class AsyncCamera:
     async def status(self) -> Status:
         """State, device, bundle, rotation and queue of the daemon."""
         return await self._transport.send(calls.status())
+
+    async def calibration(self) -> SignedCalibration:
+        """What the camera found out about itself; code ``not_calibrated`` before it did."""
+        return await self._transport.send(calls.calibration())
 
     async def capture(self) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array."""
@@ -247,6 +273,22 @@ class AsyncCamera:
     async def revoke_token(self, token_id: str) -> Token:
         """Let a token do nothing any more."""
         return await self._transport.send(calls.revoke_token(token_id))
+
+    async def keyrings(self) -> tuple[Keyring, ...]:
+        """All keyrings; one of them is ``active``."""
+        return (await self._transport.send(calls.keyrings())).keyrings
+
+    async def install_keyring(self, bundle: bytes) -> Keyring:
+        """Hand over the content of a bundle; it is checked, and not used yet."""
+        return await self._transport.send(calls.install_keyring(bundle))
+
+    async def activate_keyring(self, digest: str) -> Keyring:
+        """Take masks and classifiers from this keyring from now on."""
+        return await self._transport.send(calls.activate_keyring(digest))
+
+    async def remove_keyring(self, digest: str) -> tuple[Keyring, ...]:
+        """Remove a keyring that is not in use for good; return those that are left."""
+        return (await self._transport.send(calls.remove_keyring(digest))).keyrings
 
     def events(self, *, last_event_id: str | None = None) -> AsyncIterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from pydantic import ValidationError
 
-from veilcam_client import token_command
+from veilcam_client import keyring_command, token_command
 from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.models import (
     EveryCaptures,
@@ -48,6 +48,7 @@ app = typer.Typer(
     "12 leased.",
 )
 app.add_typer(token_command.app, name="token")
+app.add_typer(keyring_command.app, name="keyring")
 
 
 @app.callback()

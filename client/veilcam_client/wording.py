@@ -17,6 +17,7 @@ from veilcam_client.events import (
     RotationChanged,
     StateChanged,
 )
+from veilcam_client.keyrings import Keyring
 from veilcam_client.models import (
     BundleInfo,
     EverySeconds,
@@ -90,6 +91,14 @@ def _trouble_in_words(event: Fault | Gap) -> str:
     if isinstance(event, Fault):
         return f"{event.code}: {event.detail}"
     return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"
+
+
+def keyring_in_words(keyring: Keyring) -> str:
+    """What a keyring is, in one line; a star stands at the one in use."""
+    star, held = ("*" if keyring.active else " "), keyring.bundle
+    content = "damaged" if held is None else f"{held.task}, {masks_in_words(held)}"
+    own = "  configured" if keyring.configured else ""
+    return f"{star} {keyring.digest[:12]}  {keyring.size / 1e6:7.1f} MB  {content}{own}"
 
 
 def token_in_words(token: Token) -> str:

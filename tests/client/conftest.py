@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, TypeAlias
 
 import httpx
@@ -83,7 +85,31 @@ DIAGNOSTICS = {
     "fault_counts": {"sensor_failed": 1},
     "audit_lost": 0,
 }
+KEYRING: dict[str, Any] = {
+    "digest": "ab" * 32,
+    "size": 2_300_000,
+    "active": False,
+    "configured": False,
+    "bundle": {
+        "digest": "ab" * 32,
+        "task": "fashion",
+        "mode": "pairs",
+        "labels": ["7", "1"],
+        "embedding_shape": [2, 3],
+        "pairs": 5,
+    },
+}
+KEYRINGS: dict[str, list[dict[str, Any]]] = {
+    "keyrings": [
+        {**KEYRING, "digest": "cd" * 32, "active": True, "configured": True, "bundle": None},
+        KEYRING,
+    ]
+}
 ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
+    ("GET", "/v1/keyrings"): KEYRINGS,
+    ("POST", "/v1/keyrings"): KEYRING,
+    ("POST", f"/v1/keyrings/{'ab' * 32}/activate"): {**KEYRING, "active": True},
+    ("DELETE", f"/v1/keyrings/{'ab' * 32}"): {"keyrings": KEYRINGS["keyrings"][:1]},
     ("GET", "/v1/lease"): LEASE,
     ("POST", "/v1/lease"): {**LEASE, "secret": "5ec2e7"},
     ("DELETE", "/v1/lease"): {"held": False, "owner": None, "expires_in_s": None, "mine": False},
@@ -157,3 +183,34 @@ def make_problem() -> Problem:
 @pytest.fixture
 def answers() -> dict[str, Any]:
     return {"status": STATUS, "capture": CAPTURE, "classification": CLASSIFICATION}
+
+
+@pytest.fixture
+def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    class Handler(BaseHTTPRequestHandler):
+        def handle_one(self) -> None:
+            length = int(self.headers.get("Content-Length", 0))
+            request = httpx.Request(
+                self.command, f"http://x{self.path}", content=self.rfile.read(length)
+            )
+            answer = daemon(request)
+            self.send_response(answer.status_code)
+            for name, value in answer.headers.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(answer.content)
+
+        do_GET = do_POST = do_PUT = do_DELETE = handle_one  # noqa: N815 - the names http.server looks for
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    address = f"http://127.0.0.1:{server.server_port}"
+    monkeypatch.setenv("VEILCAM_URL", address)
+    yield address
+    server.shutdown()
+    server.server_close()
+    thread.join()

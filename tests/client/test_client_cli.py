@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
-from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,37 +19,6 @@ if TYPE_CHECKING:
 runner = CliRunner()
 
 
-@pytest.fixture
-def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    class Handler(BaseHTTPRequestHandler):
-        def handle_one(self) -> None:
-            length = int(self.headers.get("Content-Length", 0))
-            request = httpx.Request(
-                self.command, f"http://x{self.path}", content=self.rfile.read(length)
-            )
-            answer = daemon(request)
-            self.send_response(answer.status_code)
-            for name, value in answer.headers.items():
-                self.send_header(name, value)
-            self.end_headers()
-            self.wfile.write(answer.content)
-
-        do_GET = do_POST = do_PUT = do_DELETE = handle_one  # noqa: N815 - the names http.server looks for
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
-    thread.start()
-    address = f"http://127.0.0.1:{server.server_port}"
-    monkeypatch.setenv("VEILCAM_URL", address)
-    yield address
-    server.shutdown()
-    server.server_close()
-    thread.join()
-
-
 @pytest.mark.usefixtures("url")
 @pytest.mark.parametrize(
     ("arguments", "shown"),
@@ -65,6 +31,12 @@ def url(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         (["token", "list"], ["0123456789ab", "until it is revoked", "2026-01-03", "a lamp"]),
         (["token", "create", "--label", "a lamp", "--scope", "classify"], ["vc_0123456789ab_5"]),
         (["token", "revoke", "0123456789ab"], ["revoked 0123456789ab"]),
+        (
+            ["keyring", "list"],
+            ["* cdcdcdcdcdcd", "damaged  configured", "  abab", "fashion, 5 masks"],
+        ),
+        (["keyring", "activate", "ab"], ["* abababababab      2.3 MB"]),
+        (["keyring", "remove", "ab"], ["* cdcdcdcdcdcd"]),
         (["diagnostics"], ["veilcam 9.9", "queue_limit 8", "5 capture", "sensor_failed: no frame"]),
     ],
 )
