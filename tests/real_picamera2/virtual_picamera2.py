@@ -124,8 +124,8 @@ class PlainPicamera2(Picamera2):  # type: ignore[misc]
     def _make_requests(self) -> list[Any]:
         # The virtual pipeline still reads a request that it has just completed; one that is dropped
         # at that moment, as by a listener that dies, is memory that is gone.
-        self.requests = super()._make_requests()
-        return self.requests
+        self.requests = requests = list(super()._make_requests())
+        return requests
 
 
 class RawPicamera2(PlainPicamera2):

@@ -78,8 +78,8 @@ def open_picamera2(number: int = 0) -> Picamera:
             ) from None
         # pip brings picamera2 alone; these come with the system.
         raise DeviceMissingError(
-            f"picamera2 needs the module {error.name}: run apt install python3-picamera2, and make "
-            "the environment with --system-site-packages"
+            f"picamera2 needs the module {error.name}: run apt install python3-libcamera "
+            "python3-kms++, and make the environment with --system-site-packages"
         ) from None
     try:
         camera: Picamera = picamera2.Picamera2(number)

@@ -404,7 +404,7 @@ def test_a_camera_that_cannot_be_opened_says_what_to_do(
     ("missing", "message"),
     [
         ("picamera2", r"run pip install 'veilcam\[server,pi\]'"),
-        ("libcamera", "the module libcamera: run apt install python3-picamera2"),
+        ("libcamera", "the module libcamera: run apt install python3-libcamera"),
     ],
 )
 def test_what_is_not_installed_is_named(
