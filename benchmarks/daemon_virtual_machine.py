@@ -64,8 +64,8 @@ def boot(build: Path) -> Iterator[str]:
     results = build / "results"
     results.unlink(missing_ok=True)
     machine = [
-        *("qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max"),
-        *("-smp", "2", "-m", "2048", "-display", "none", "-no-reboot", "-net", "none"),
+        *("qemu-system-x86_64", "-accel", "tcg,thread=multi,tb-size=256", "-cpu", "max"),
+        *("-smp", "2", "-m", "1536", "-display", "none", "-no-reboot", "-net", "none"),
         *("-kernel", str(build / "vmlinuz"), "-initrd", str(build / "initrd.gz")),
         *("-append", "console=ttyS0 quiet systemd.show_status=false"),
         *("-drive", f"file={build / 'disk.img'},format=raw,if=virtio,snapshot=on"),
