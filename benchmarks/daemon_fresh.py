@@ -149,8 +149,9 @@ class MarkedSource(FreshSource):
     """The daemon's own source, whose readers can be told apart."""
 
     def __init__(self, bundle: Bundle, secret: Secret, fingerprints: Fingerprints) -> None:
-        super().__init__(bundle, secret, form="white")
+        # First: a source makes a mask while it is built, to find faults then and not on the way.
         self._fingerprints = fingerprints
+        super().__init__(bundle, secret, form="white")
 
     def make(self, counter: int, last_mark: str) -> Mask:
         """Prepare an epoch."""

@@ -76,11 +76,13 @@ class Upkeep:
                 # A mask that is due waits for the next one here, where it keeps no capture waiting.
                 await _wait(self._rotation_changed, due if due > 0 else math.inf)
                 continue
-            pause = await self._attempt(
-                self._rotating, self._camera.rotate_if_due, "rotation", pause
-            )
+            if await _succeeds(self._rotating, self._camera.rotate_if_due, "rotation"):
+                pause = self._first_pause
+                continue
             # A panel that failed was set up anew, and is no longer proven.
             self._test_changed.set()
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
 
     async def _test(self) -> None:
         """Test the panel when that is due, and find the way back to ``ready``."""
@@ -89,22 +91,15 @@ class Upkeep:
             self._test_changed.clear()
             due = self._camera.test_due_in()
             if due > 0:
+                pause = self._first_pause
                 await _wait(self._test_changed, due)
                 continue
-            pause = await self._attempt(self._testing, self._camera.test_if_due, "self test", pause)
-
-    async def _attempt(
-        self, on_device: OnDevice, work: Callable[[], None], name: str, pause: float
-    ) -> float:
-        """Do ``work``; after a failure wait, and return what to wait after the next one."""
-        try:
-            await on_device(work)
-        except Exception as error:
-            if code_of(error) is None:
-                log.error("defect", error=type(error).__name__, during=name)
-            await asyncio.sleep(pause)
-            return min(2 * pause, LONGEST_PAUSE)
-        return self._first_pause
+            if self._camera.state[0] != "ready":
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+                if self._camera.test_due_in() > 0:
+                    continue
+            await _succeeds(self._testing, self._camera.test_if_due, "self test")
 
     async def _live(self, every: float) -> None:
         """Say that the event loop runs and that the device answers."""
@@ -126,3 +121,14 @@ async def _wait(event: asyncio.Event, seconds: float) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(seconds if math.isfinite(seconds) else None):
             await event.wait()
+
+
+async def _succeeds(on_device: OnDevice, work: Callable[[], None], name: str) -> bool:
+    """Whether ``work`` did not fail; the state tells of failures that are known."""
+    try:
+        await on_device(work)
+    except Exception as error:
+        if code_of(error) is None:
+            log.error("defect", error=type(error).__name__, during=name)
+        return False
+    return True
