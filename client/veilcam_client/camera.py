@@ -10,6 +10,7 @@ from typing import Self
 
 from veilcam_client import calls
 from veilcam_client.calibration_models import SignedCalibration
+from veilcam_client.credentials import Credentials
 from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.events import Event
 from veilcam_client.keyrings import Keyring
@@ -57,8 +58,8 @@ class Camera:
         ca_file: str | os.PathLike[str] | None = None,
         http_client: HttpClient | None = None,
     ) -> None:
-        retry = RetryPolicy(retries=max_retries)
-        options = Options(url, connect_timeout, read_timeout, retry, token, ca_file)
+        retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
+        options = Options(url, connect_timeout, read_timeout, retry, credentials)
         self._transport = Transport(options, http_client)
 
     def __enter__(self) -> Self:
@@ -107,13 +108,13 @@ class Camera:
     def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
         taken = self._transport.send(calls.take_lease(seconds, owner))
-        self._transport.headers.lease = taken.secret
+        self._transport.options.credentials.lease = taken.secret
         return taken
 
     def release_lease(self) -> Lease:
         """Hold the camera no longer."""
         released = self._transport.send(calls.release_lease())
-        self._transport.headers.lease = None
+        self._transport.options.credentials.lease = None
         return released
 
     @contextmanager
@@ -182,8 +183,8 @@ class AsyncCamera:
         ca_file: str | os.PathLike[str] | None = None,
         http_client: AsyncHttpClient | None = None,
     ) -> None:
-        retry = RetryPolicy(retries=max_retries)
-        options = Options(url, connect_timeout, read_timeout, retry, token, ca_file)
+        retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
+        options = Options(url, connect_timeout, read_timeout, retry, credentials)
         self._transport = AsyncTransport(options, http_client)
 
     async def __aenter__(self) -> Self:
@@ -232,13 +233,13 @@ class AsyncCamera:
     async def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
         taken = await self._transport.send(calls.take_lease(seconds, owner))
-        self._transport.headers.lease = taken.secret
+        self._transport.options.credentials.lease = taken.secret
         return taken
 
     async def release_lease(self) -> Lease:
         """Hold the camera no longer."""
         released = await self._transport.send(calls.release_lease())
-        self._transport.headers.lease = None
+        self._transport.options.credentials.lease = None
         return released
 
     @asynccontextmanager

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
-import os
-import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +14,7 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from veilcam_client.calls import Call
+from veilcam_client.credentials import Credentials
 from veilcam_client.errors import (
     ConnectError,
     ProtocolError,
@@ -45,15 +43,11 @@ class Options:
     connect_timeout: float
     read_timeout: float
     retry: RetryPolicy
-    token: str | None = field(default=None, repr=False)
-    ca_file: str | os.PathLike[str] | None = None
+    credentials: Credentials
     base: str = field(init=False)
     socket: str | None = field(init=False)
 
     def __post_init__(self) -> None:
-        for name, variable in (("token", "VEILCAM_TOKEN"), ("ca_file", "VEILCAM_CA_FILE")):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, os.environ.get(variable) or None)
         parts = urlsplit(self.url)
         if parts.scheme == "unix" and parts.path and not parts.netloc:
             base, socket = "http://localhost", parts.path
@@ -66,35 +60,17 @@ class Options:
         for name in ("connect_timeout", "read_timeout"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} = {getattr(self, name)} s is not valid: use > 0")
-        if self.token is not None:
-            # Neither message repeats the token.
-            if not (self.token.isascii() and self.token.isprintable() and " " not in self.token):
-                raise ValueError("the token is not valid: it starts with vc_ and has no spaces")
-            if parts.scheme == "http" and not _is_this_machine(parts.hostname or ""):
-                raise ValueError(
-                    f"url = {self.url!r} would send the token in the clear: use https://"
-                )
+        self.credentials.require_safe(self.url)
         object.__setattr__(self, "base", base)
         object.__setattr__(self, "socket", socket)
 
     def transport(self) -> httpx.HTTPTransport:
         """A transport of one's own; raises ValueError for a ``ca_file`` that cannot be used."""
-        return httpx.HTTPTransport(uds=self.socket, verify=self._trust())
+        return httpx.HTTPTransport(uds=self.socket, verify=self.credentials.trusted())
 
     def async_transport(self) -> httpx.AsyncHTTPTransport:
         """:meth:`transport` for asyncio."""
-        return httpx.AsyncHTTPTransport(uds=self.socket, verify=self._trust())
-
-    def _trust(self) -> ssl.SSLContext | bool:
-        if self.ca_file is None:
-            return True
-        try:
-            return ssl.create_default_context(cafile=self.ca_file)
-        except OSError as error:
-            reason = error.strerror or "no certificate in it"
-            raise ValueError(
-                f"ca_file = {os.fspath(self.ca_file)!r} cannot be used ({reason}): give a PEM file"
-            ) from None
+        return httpx.AsyncHTTPTransport(uds=self.socket, verify=self.credentials.trusted())
 
     def timeout(self, *, stream: bool = False) -> httpx.Timeout:
         """Limits of one request."""
@@ -116,24 +92,6 @@ class Options:
             ) from error
 
 
-class _Headers:
-    """What every request carries."""
-
-    def __init__(self, options: Options) -> None:
-        self._token = options.token
-        self.lease: str | None = None
-        """Secret of the lease that this client holds, where it was told one."""
-
-    def of(self, headers: Mapping[str, str]) -> dict[str, str]:
-        """``headers`` with token and lease."""
-        more = {}
-        if self._token is not None:
-            more["Authorization"] = f"Bearer {self._token}"
-        if self.lease is not None:
-            more["Veilcam-Lease"] = self.lease
-        return {**headers, **more}
-
-
 class Transport:
     """Sends calls with ``httpx.Client``."""
 
@@ -143,7 +101,7 @@ class Transport:
         client: HttpClient | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.options, self.headers = options, _Headers(options)
+        self.options = options
         self._sleep = sleep
         self._owned = client is None
         # trust_env off: a proxy meant for the web must not see a camera on this machine.
@@ -159,7 +117,7 @@ class Transport:
                         call.method,
                         self.options.base + call.path,
                         content=call.body,
-                        headers=self.headers.of(call.headers),
+                        headers=self.options.credentials.headers(call.headers),
                         timeout=self.options.timeout(),
                     )
                 return _read(call.answer, response)
@@ -195,7 +153,7 @@ class Transport:
             self._client.stream(
                 "GET",
                 f"{self.options.base}/v1/events",
-                headers=self.headers.of(_stream_headers(last_event_id)),
+                headers=self.options.credentials.headers(_stream_headers(last_event_id)),
                 timeout=self.options.timeout(stream=True),
             ) as response,
         ):
@@ -217,7 +175,7 @@ class AsyncTransport:
     """Sends calls with ``httpx.AsyncClient``."""
 
     def __init__(self, options: Options, client: AsyncHttpClient | None = None) -> None:
-        self.options, self.headers = options, _Headers(options)
+        self.options = options
         self._owned = client is None
         self._client = client or httpx.AsyncClient(
             transport=options.async_transport(), trust_env=False
@@ -233,7 +191,7 @@ class AsyncTransport:
                         call.method,
                         self.options.base + call.path,
                         content=call.body,
-                        headers=self.headers.of(call.headers),
+                        headers=self.options.credentials.headers(call.headers),
                         timeout=self.options.timeout(),
                     )
                 return _read(call.answer, response)
@@ -267,7 +225,7 @@ class AsyncTransport:
             async with self._client.stream(
                 "GET",
                 f"{self.options.base}/v1/events",
-                headers=self.headers.of(_stream_headers(last_event_id)),
+                headers=self.options.credentials.headers(_stream_headers(last_event_id)),
                 timeout=self.options.timeout(stream=True),
             ) as response:
                 if response.status_code != httpx.codes.OK:
@@ -282,13 +240,6 @@ class AsyncTransport:
         """Close the connections, unless the client was handed in."""
         if self._owned:
             await self._client.aclose()
-
-
-def _is_this_machine(host: str) -> bool:
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _stream_headers(last_event_id: str | None) -> dict[str, str]:

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Path, Request
 from veilcam_client.keyrings import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
 from veilcam_server.access import requires
 from veilcam_server.dependencies import OnceDep, ServiceDep, problems
+from veilcam_server.lease_routes import unleased
 
 PREFIX = "/v1/keyrings"
 
@@ -58,8 +59,10 @@ async def install(service: ServiceDep, request: Request) -> Keyring:
 
 @router.post(
     "/{digest}/activate",
+    dependencies=[unleased()],
     responses=problems(
-        "body_too_large", "invalid_request", "unknown_keyring", *_USE, *_CHANGE, *_DEVICE
+        *("body_too_large", "invalid_request", "unknown_keyring", "leased"),
+        *(*_USE, *_CHANGE, *_DEVICE),
     ),
 )
 async def activate(service: ServiceDep, once: OnceDep, digest: Digest) -> Keyring:

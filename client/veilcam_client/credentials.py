@@ -1,0 +1,71 @@
+"""Who asks, and whom to trust: a token, and the authority that vouches for the daemon."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+
+@dataclass(slots=True)
+class Credentials:
+    """What a client has beside an address.
+
+    Attributes:
+        token: that in ``VEILCAM_TOKEN`` if None.
+        ca_file: PEM file; that in ``VEILCAM_CA_FILE`` if None, else what the system trusts.
+        lease: secret of the lease that this client holds, where it was told one.
+
+    Raises:
+        ValueError: a token that is none; the message does not repeat it.
+    """
+
+    token: str | None = field(default=None, repr=False)
+    ca_file: str | os.PathLike[str] | None = None
+    lease: str | None = field(default=None, repr=False, init=False)
+
+    def __post_init__(self) -> None:
+        if self.token is None:
+            self.token = os.environ.get("VEILCAM_TOKEN") or None
+        if self.ca_file is None:
+            self.ca_file = os.environ.get("VEILCAM_CA_FILE") or None
+        given = self.token or "-"
+        if not (given.isascii() and given.isprintable() and " " not in given):
+            raise ValueError("the token is not valid: it starts with vc_ and has no spaces")
+
+    def require_safe(self, url: str) -> None:
+        """Raise ValueError if the token would go to another machine in the clear."""
+        parts = urlsplit(url)
+        if self.token and parts.scheme == "http" and not _is_this_machine(parts.hostname or ""):
+            raise ValueError(f"url = {url!r} would send the token in the clear: use https://")
+
+    def headers(self, headers: Mapping[str, str]) -> dict[str, str]:
+        """``headers`` with token and lease."""
+        more = {}
+        if self.token is not None:
+            more["Authorization"] = f"Bearer {self.token}"
+        if self.lease is not None:
+            more["Veilcam-Lease"] = self.lease
+        return {**headers, **more}
+
+    def trusted(self) -> ssl.SSLContext | bool:
+        """What TLS trusts; raises ValueError for a ``ca_file`` that cannot be used."""
+        if self.ca_file is None:
+            return True
+        try:
+            return ssl.create_default_context(cafile=self.ca_file)
+        except OSError as error:
+            reason = error.strerror or "no certificate in it"
+            raise ValueError(
+                f"ca_file = {os.fspath(self.ca_file)!r} cannot be used ({reason}): give a PEM file"
+            ) from None
+
+
+def _is_this_machine(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
