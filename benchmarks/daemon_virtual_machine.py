@@ -115,7 +115,7 @@ def main(
         subprocess.run([str(IMAGE), str(build)], check=True)
     console.print("machine: booting")
     for line in boot(build):
-        console.print(line.rstrip(), markup=False)
+        console.print(line.rstrip(), markup=False, soft_wrap=True)
     found = results(build)
     console.print(table(found))
     passed = len(found) == EXPECTED and all(result.passed for result in found)

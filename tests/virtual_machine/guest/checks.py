@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from veilcam_client import Camera, VeilcamError
+from veilcam_client import Camera, EveryCaptures, VeilcamError
 
 from . import panel, probe
 from .prepare import SHARED
@@ -109,11 +109,12 @@ class Checks:
             *("create", "--label", "checks", "--scope", "read:status", "--scope", "classify"),
             *("--state-dir", str(STATE)),
         ).splitlines()[-1]
-        states = []
         for url in URLS:
             with self._camera(url) as camera:
-                states.append(camera.status().state)
-        assert states == ["ready", "ready"], states
+                status = camera.status()
+            assert status.state == "ready", (url, status)
+            # Of /etc/veilcam/veilcam.env: JSON comes through whole.
+            assert status.rotation.policy == EveryCaptures(captures=1000), status
         return "unix and loopback"
 
     def tokens_are_wanted(self) -> str:
@@ -200,11 +201,21 @@ class Checks:
             Path("/srv/state").mkdir()
             shutil.chown("/srv/state", "veilcam")
             outside = json.loads(
-                run("runuser", "-u", "veilcam", "--", PYTHON, "-m", "guest.probe", "/srv/state")
+                run(
+                    "runuser",
+                    "-u",
+                    "veilcam",
+                    "--",
+                    PYTHON,
+                    "-m",
+                    "guest.probe",
+                    "attempts",
+                    "/srv/state",
+                )
             )
             with self._instead("Type=oneshot", "Restart=no", "WatchdogSec=0",
                 "StandardOutput=truncate:/run/panel/probe", f"Environment=MASK_KEY_DIGEST={digest}",
-                program=f"{PYTHON} -m guest.probe {STATE}"):  # fmt: skip
+                program=f"{PYTHON} -m guest.probe attempts,needs {STATE}"):  # fmt: skip
                 run("systemctl", "start", "veilcamd.service")
         inside = json.loads(Path("/run/panel/probe").read_text())
         impossible = [name for name, done in outside["attempts"].items() if done is not True]

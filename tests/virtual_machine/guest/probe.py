@@ -135,11 +135,13 @@ def _outcome(attempt: Callable[[], object]) -> bool | str:
 
 
 def main() -> None:
-    """Try everything with the folder of the first argument as state."""
-    state = Path(sys.argv[1])
-    tried = {name: _outcome(attempt) for name, attempt in attempts(state).items()}
-    can = {name: _outcome(need) for name, need in needs(state).items()}
-    json.dump({"attempts": tried, "needs": can}, sys.stdout)
+    """Try what the first argument says, with the folder of the second one as state."""
+    which, state = {"attempts": attempts, "needs": needs}, Path(sys.argv[2])
+    found = {
+        name: {what: _outcome(act) for what, act in which[name](state).items()}
+        for name in sys.argv[1].split(",")
+    }
+    json.dump(found, sys.stdout)
 
 
 if __name__ == "__main__":
