@@ -16,6 +16,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import asyncio
+import copy
 import dataclasses
 import hashlib
 import json
@@ -240,6 +241,8 @@ def places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]
 
 def edit(chance: random.Random, content: Any, value: Any) -> None:
     """Put ``value`` somewhere into a JSON document, or take something away."""
+    # A copy: what is changed here again must not change for other files.
+    value = copy.deepcopy(value)
     path = chance.choice(list(places(content))[1:])
     parent = content
     for step in path[:-1]:
@@ -406,11 +409,14 @@ MUTATIONS: tuple[Mutation, ...] = (
 )
 
 
-def mutated(seed: int, data: Sequence[bytes]) -> tuple[str, bytes]:
-    """The file of this seed, and how it came about."""
-    chance = random.Random(seed)
-    mutation = MUTATIONS[seed % len(MUTATIONS)]
-    return mutation.__name__, mutation(chance, data)
+def kind(seed: int) -> Mutation:
+    """How the file of this seed comes about."""
+    return MUTATIONS[seed % len(MUTATIONS)]
+
+
+def mutated(seed: int, data: Sequence[bytes]) -> bytes:
+    """The file of this seed."""
+    return kind(seed)(random.Random(seed), data)
 
 
 def contents(bundle: Bundle) -> bytes:
@@ -477,16 +483,15 @@ def child(connection: Connection, seeds: Sequence[int], data: Sequence[bytes], w
     path = work / "mutated.veilcam"
     allowed = address_space() + MEMORY
     for seed in seeds:
-        kind, content = mutated(seed, data)
-        path.write_bytes(content)
-        connection.send((seed, kind, None))
+        path.write_bytes(mutated(seed, data))
+        connection.send((seed, None))
         resource.setrlimit(resource.RLIMIT_AS, (allowed, resource.RLIM_INFINITY))
         try:
             result = try_one(path, openers, originals)
         except BaseException as error:
             result = f"crash: {type(error).__name__}: {str(error)[:200]}"
         resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-        connection.send((seed, kind, result))
+        connection.send((seed, result))
     connection.send(None)
 
 
@@ -517,13 +522,14 @@ class Outcome:
     slowest: float = 0.0
     """[s]"""
 
-    def note(self, seed: int, kind: str, result: str) -> None:
+    def note(self, seed: int, result: str) -> None:
         """Count one file."""
+        name = kind(seed).__name__
         self.results[result.partition(":")[0]] += 1
         if result.startswith("crash"):
-            self.failures.append(f"seed {seed} ({kind}): {result}")
+            self.failures.append(f"seed {seed} ({name}): {result}")
         elif result != "refused":
-            self.kinds[kind] += 1
+            self.kinds[name] += 1
 
 
 def try_all(seeds: Sequence[int], data: Sequence[bytes], work: Path) -> Outcome:
@@ -547,22 +553,22 @@ def try_all(seeds: Sequence[int], data: Sequence[bytes], work: Path) -> Outcome:
 
 def _watch(ours: Connection, outcome: Outcome, left: list[int]) -> None:
     """Note what one child says, and take what it has done off the list."""
-    kind, begun = "", 0.0
+    begun = 0.0
     while True:
         # Loading what is not mutated is no file's time.
         limit = SLOW if begun else 120.0
         try:
-            said = ours.recv() if ours.poll(limit) else (left[0], kind, f"crash: over {limit} s")
+            said = ours.recv() if ours.poll(limit) else (left[0], f"crash: over {limit} s")
         except EOFError:
-            said = (left[0], kind, "crash: the process died")
+            said = (left[0], "crash: the process died")
         if said is None:
             return
-        seed, kind, result = said
+        seed, result = said
         if result is None:
             begun = time.monotonic()
             continue
         outcome.slowest = max(outcome.slowest, time.monotonic() - begun)
-        outcome.note(seed, kind, result)
+        outcome.note(seed, result)
         left.remove(seed)
         if "process died" in result or "over" in result:
             return
@@ -585,13 +591,12 @@ async def try_service(seeds: Sequence[int], data: Sequence[bytes], work: Path) -
     failures = []
     async with service.open():
         for seed in seeds:
-            kind, content = mutated(seed, data)
             try:
-                changed = await disturb(service, content)
+                changed = await disturb(service, mutated(seed, data))
             except Exception as error:
                 changed = f"{type(error).__name__}: {str(error)[:200]}"
             if changed is not None:
-                failures.append(f"seed {seed} ({kind}), service: {changed}")
+                failures.append(f"seed {seed} ({kind(seed).__name__}), service: {changed}")
     return failures
 
 
