@@ -30,6 +30,13 @@ def calibrate(
     picture: Annotated[
         Path | None, typer.Option(help="Picture to draw; beside the record by default.")
     ] = None,
+    frame: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also write the public frame of the camera as it was built, with which others "
+            "decode what it releases."
+        ),
+    ] = None,
     settle: Annotated[
         float | None, typer.Option(help="Seconds; settling may take three times as long.")
     ] = None,
@@ -61,7 +68,9 @@ def calibrate(
     }
     try:
         settings = Settings(**{name: value for name, value in given.items() if value is not None})
-        calibrate_device(settings, Console(), out=out, picture=picture, repeats=repeats)
+        calibrate_device(
+            settings, Console(), out=out, picture=picture, frame=frame, repeats=repeats
+        )
     except ValidationError as error:
         fail(one_line(error))
     except (StartError, CalibrationError, DeviceError, FenceError, BundleError) as error:

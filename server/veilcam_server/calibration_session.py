@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_optics.decoding import write_frame
 from veilcam_optics.transfer import Reach
 from veilcam_server.calibrated import panel_tab
 from veilcam_server.calibration import (
@@ -23,6 +25,7 @@ from veilcam_server.calibration import (
     Geometry,
     SigningKey,
     calibrate,
+    correction,
     write_record,
 )
 from veilcam_server.calibration.picture import table, write_picture
@@ -38,7 +41,13 @@ _LONGEST = 3.0
 
 
 def calibrate_device(
-    settings: Settings, console: Console, *, out: Path | None, picture: Path | None, repeats: int
+    settings: Settings,
+    console: Console,
+    *,
+    out: Path | None,
+    picture: Path | None,
+    frame: Path | None,
+    repeats: int,
 ) -> None:
     """Measure the device that the settings name, and write record and picture.
 
@@ -47,11 +56,12 @@ def calibrate_device(
         console: for instructions, progress and the result.
         out: record to write; by default the one that the daemon reads.
         picture: to draw; beside the record by default.
+        frame: of the camera as it was built, for whoever decodes elsewhere; none by default.
         repeats: exposures for one reading.
 
     Raises:
         CalibrationError: the measurement is refused, or the record cannot be written.
-        StartError: the picture cannot be written.
+        StartError: picture or frame cannot be written, or a bundle of pairs has no frame.
         BundleError, DeviceError, FenceError: bundle or device cannot be used.
     """
     torch.set_num_threads(1)
@@ -60,6 +70,8 @@ def calibrate_device(
     # First of all: a disk that cannot be written should not be found out minutes later.
     key = SigningKey.open(settings.state_dir, create=True)
     bundle = read_bundle(settings.bundle)
+    if frame is not None and bundle.fresh is None:
+        raise StartError("--frame is for fresh masks: this bundle holds pairs")
     geometry = Geometry(bundle.camera, bundle.scene, bundle.embedding)
     effort = Effort(repeats=repeats)
     with ExitStack() as stack:
@@ -105,12 +117,19 @@ def calibrate_device(
             advance=lambda: progress.advance(task),
         )
     write_record(out, found.record, key)
+    written = [out, picture]
     try:
         write_picture(picture, found)
+        if frame is not None and bundle.fresh is not None:
+            drawn = bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
+            write_frame(frame, replace(drawn, calibration=correction(found.record)))
+            written.append(frame)
     except OSError as error:
-        raise StartError(f"{picture} cannot be written ({error.strerror}): check it") from None
+        raise StartError(f"{error.filename} cannot be written ({error.strerror})") from None
     _report(console, found.record)
-    console.print(f"wrote {out} and {picture}: a daemon that starts now uses it", highlight=False)
+    for path in written:
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    console.print("a daemon that starts now uses it", highlight=False)
 
 
 def _by_file(path: Path) -> Callable[[CalibrationScene], None]:
@@ -142,8 +161,11 @@ def _report(console: Console, record: CalibrationRecord) -> None:
     for name, dead in (("rows", record.dead_rows), ("columns", record.dead_columns)):
         if dead:
             console.print(f"dead {name}: {', '.join(map(str, dead))}", highlight=False)
-    console.print(
-        f"readings of the lamp behind patterns that no fit has seen: "
-        f"{100 * record.psf_residual:.2g} % off; drift of the light: {100 * record.drift:+.2g} %",
-        highlight=False,
-    )
+    for name, share in (
+        (
+            "readings of the lamp behind patterns that no fit has seen are off by",
+            record.psf_residual,
+        ),
+        ("the light drifted by", record.drift),
+    ):
+        console.print(f"{name} {100 * share:.2g} %", highlight=False)
