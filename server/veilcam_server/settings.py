@@ -98,10 +98,6 @@ class Settings(Wiring):
     def _fit_together(self) -> Self:
         if self.device != "simulated" and self.scene is not None:
             raise ValueError("only a simulated camera has a --scene: add --simulate")
-        wired = sorted(self.model_fields_set & Wiring.model_fields.keys())
-        if self.device == "simulated" and wired:
-            option = wired[0].replace("_", "-")
-            raise ValueError(f"only a real camera has --{option}: leave it or --simulate out")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":

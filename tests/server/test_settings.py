@@ -147,12 +147,6 @@ def test_bad_options_end_with_one_line(options: list[str], message: str) -> None
     assert result.stderr.count("\n") == 1
 
 
-def test_wiring_needs_a_real_camera() -> None:
-    for name, value in (("panel_tab", "green"), ("spi_hz", 1_000_000), ("camera_number", 1)):
-        message = refused(**{name: value})
-        assert f"only a real camera has --{name.replace('_', '-')}" in message
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
