@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from veilcam_training.tables.catalogue import find_table
 from veilcam_training.tables.cell import Cell
 from veilcam_training.tables.charts import draw_charts
 from veilcam_training.tables.cost import draw_cost
+from veilcam_training.tables.figures import record_cells
 from veilcam_training.tables.pictures import (
     PSF_SHAPE,
     Pictures,
@@ -209,3 +211,25 @@ def test_psf_is_that_of_the_learned_weights(source: Source) -> None:
     assert psf is not None
     halves = sorted((float(psf[:40].sum()), float(psf[-40:].sum())))
     assert halves[0] < 0.05 * halves[1]
+
+
+def test_a_change_is_recorded_with_the_classifier_that_validates_best(tmp_path: Path) -> None:
+    work, path = tmp_path / "work", tmp_path / "figures.json"
+    results = [
+        finish(work, test, classifier=classifier, encoder=encoder, change="shift")
+        for test, classifier, encoder in (
+            (0.96, "CNN16", "learned"),
+            (0.60, "FC800", "learned"),
+            (0.99, "FC800", "lens"),
+        )
+    ]
+    # What it tests at does not choose it.
+    results[1] = results[1].model_copy(update={"test_accuracy": 0.999})
+    record_cells(path, results)
+    found = {name: figure["value"] for name, figure in json.loads(path.read_text()).items()}
+    assert found == {
+        "robust_shift": 96.0,
+        "robust_shift_CNN16_learned": 96.0,
+        "robust_shift_FC800_learned": 99.9,
+        "robust_shift_FC800_lens": 99.0,
+    }

@@ -135,7 +135,7 @@ def test_a_chosen_part(table: str, part: Part, count: int) -> None:
         (
             ("FC800", "learned", "area", "mnist", "shift", "24x32"),
             "mnist_FC800_learned_24x32_shift",
-            "robust_shift",
+            "robust_shift_FC800_learned",
         ),
         (
             ("CNN16", "learned", "area", "mnist", "shift", "24x32"),
@@ -427,7 +427,9 @@ def test_robust_and_fashion(call: Call, digit_folder: Path, tmp_path: Path) -> N
     assert call("robust", *options, *chosen, "--changes", "none,rotate,perspective") == 0
     part = (*chosen, "--classifiers", "FC800", "--embeddings", "24x32")
     assert call("fashion", *options, *part) == 0
-    names = {"mnist_FC800_learned_24x32", "robust_rotate", "robust_perspective"}
+    names = {"mnist_FC800_learned_24x32"}
+    for change in ("rotate", "perspective"):
+        names |= {f"robust_{change}", f"robust_{change}_FC800_learned"}
     assert json.loads(figures.read_text()).keys() == names | {"fashion_fc800_learned_24x32"}
 
 

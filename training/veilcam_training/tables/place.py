@@ -54,16 +54,12 @@ class Place:
 
     @property
     def figure(self) -> str:
-        """The name of its test accuracy in a record of figures.
-
-        A change of the scene names the figure, which is about FC800 behind a learned mask.
-        """
+        """The name of its test accuracy in a record of figures."""
         row, (data, change, embedding) = self.row, self.column
         classifier = row.classifier.lower() if data == "fashion" else row.classifier
         name = f"{data}_{classifier}_{row.encoder}_{embedding}"
         if change != "none":
-            main = name == "mnist_FC800_learned_24x32"
-            name = f"robust_{change}" + ("" if main else f"_{row.classifier}_{row.encoder}")
+            name = f"robust_{change}_{row.classifier}_{row.encoder}"
         return name + ("_point" if row.reading == "point" else "")
 
     @property
