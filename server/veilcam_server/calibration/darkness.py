@@ -46,8 +46,9 @@ def split_darkness(
     predicted = optics.predict(place).reshape(len(opaque), 2, -1).numpy()
     columns, values = [], []
     for sight, gain, each in zip(opaque, gains, predicted, strict=True):
-        columns.append(each.T * gain / sight.scale)
-        values.append(sight.readings.ravel() / sight.scale)
+        # Not scaled to each other: what little comes of a lamp is below a step of the converter.
+        columns.append(each.T * gain)
+        values.append(sight.readings.ravel())
     matrix, seen = np.concatenate(columns), np.concatenate(values)
     # Amplitudes are the roots of what is fitted, and so are their uncertainties, to first order.
     shares, _ = nnls(matrix, seen)

@@ -85,6 +85,16 @@ def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
     assert record.psf_residual < 0.03
 
 
+def test_dead_lines_do_not_hide_the_floor() -> None:
+    """A dark dead row shows what every dark sub-pixel does."""
+    hardware = replace(QUIET, dead_rows=(4,))
+    record = Built(optical.Conditions(gamma=1.4, contrast_floor=0.08), hardware).calibrate().record
+    assert record.dead_rows == (4,)
+    assert record.contrast_floor.value == pytest.approx(0.08, abs=0.01)
+    assert record.dead_transmittance.value == pytest.approx(0.08, abs=0.05)
+    assert record.gamma.value == pytest.approx(1.4, abs=0.03)
+
+
 def test_settling_is_that_of_the_slowest_line() -> None:
     built = Built()
     settling = built.calibrate(effort=replace(EFFORT, samples=9)).record.settling_s
