@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
@@ -17,6 +18,8 @@ from veilcam_server.lease import Lease
 from veilcam_server.limits import ConcurrencyLimit, RateLimit, StreamLimit
 from veilcam_server.settings import Settings
 from veilcam_server.tokens import TokenStore
+
+log = structlog.get_logger()
 
 _LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d{1,5})?", re.IGNORECASE)
 
@@ -111,6 +114,8 @@ def open_gateway(settings: Settings) -> Iterator[Gateway]:
     audit = AuditLog(settings.state_dir / DONE)
     refused = AuditLog(settings.state_dir / REFUSED)
     tokens = TokenStore(settings.state_dir) if settings.auth == "tokens" else None
+    if tokens is not None and not tokens.tokens():
+        log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
     audit.write("start", auth=settings.auth)
     try:
         yield Gateway(

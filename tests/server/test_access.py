@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,10 @@ from veilcam_client.models import PROBLEM_MEDIA_TYPE
 from veilcam_client.tokens import SCOPES, NewToken, Scope
 from veilcam_server.app import create_app
 from veilcam_server.audit import DONE, REFUSED, AuditLog
-from veilcam_server.gateway import Gateway
+from veilcam_server.errors import RateLimitError, TooManyRequestsError, TooManyStreamsError
+from veilcam_server.gateway import Gateway, open_gateway
 from veilcam_server.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.settings import Settings
 from veilcam_server.tokens import TokenStore
 
 if TYPE_CHECKING:
@@ -245,6 +248,45 @@ async def test_so_many_event_streams(running: Running) -> None:
         limit.held().__enter__()
     with limit.held():
         pass
+
+
+async def test_a_daemon_without_tokens_says_how_to_make_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = Settings(bundle=tmp_path / "a.veilcam", state_dir=tmp_path / "state")
+    with open_gateway(settings) as gateway:
+        assert gateway.tokens is not None
+        gateway.tokens.create("first", ("classify",), None)
+    assert "veilcamd token create" in capsys.readouterr().out
+    with open_gateway(settings):
+        pass
+    assert capsys.readouterr().out == ""
+    actions = [entry["action"] for entry in lines(tmp_path / "state" / DONE)]
+    assert actions == ["start", "stop", "start", "stop"]
+
+
+async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
+    settings = Settings(
+        bundle=tmp_path / "a.veilcam",
+        state_dir=tmp_path / "state",
+        rate_limit=1e-6,
+        rate_burst=2,
+        concurrency_limit=3,
+        stream_limit=4,
+    )
+    with open_gateway(settings) as gateway, ExitStack() as stack:
+        gateway.rate.take("a")
+        gateway.rate.take("a")
+        with pytest.raises(RateLimitError):
+            gateway.rate.take("a")
+        for _ in range(3):
+            stack.enter_context(gateway.concurrency.held("a"))
+        with pytest.raises(TooManyRequestsError):
+            stack.enter_context(gateway.concurrency.held("a"))
+        for _ in range(4):
+            stack.enter_context(gateway.streams.held())
+        with pytest.raises(TooManyStreamsError):
+            stack.enter_context(gateway.streams.held())
 
 
 # The audit log.
