@@ -6,7 +6,7 @@ import asyncio
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -196,9 +196,11 @@ class Service:
         begun = time.monotonic()
         form = self._require_released()
         with self._queue.admitted():
-            captured, queued = await self._take(begun)
+            captured, queued, released = await self._take(
+                begun, lambda captured: _released(captured, form)
+            )
             name = self._taken(captured)
-            embedding = await self._aside(lambda: _released(captured, form))
+            embedding = await asyncio.wrap_future(released)
         return capture_answer(name, captured, embedding, timing(captured, queued, begun))
 
     async def classify(self, *, include_embedding: bool) -> Classification:
@@ -217,9 +219,9 @@ class Service:
             return verdict, _released(captured, form) if form else None, took
 
         with self._queue.admitted():
-            captured, queued = await self._take(begun)
+            captured, queued, inferred = await self._take(begun, infer)
             name = self._taken(captured)
-            verdict, embedding, inference = await self._aside(lambda: infer(captured))
+            verdict, embedding, inference = await asyncio.wrap_future(inferred)
         self._publish(
             lambda id_, at: Classified(
                 id=id_,
@@ -273,10 +275,16 @@ class Service:
     def _next_ready(self) -> None:
         self._from_thread(self._upkeep.wake)
 
-    async def _take(self, begun: float) -> tuple[Captured, float]:
-        def work() -> tuple[Captured, float]:
+    async def _take(
+        self, begun: float, aside: Callable[[Captured], ResultT]
+    ) -> tuple[Captured, float, Future[ResultT]]:
+        """Take one reading, and begin ``aside`` on it while the device serves the next request."""
+
+        def work() -> tuple[Captured, float, Future[ResultT]]:
             queued = time.monotonic() - begun
-            return self._camera.capture(), queued
+            captured = self._camera.capture()
+            # From here and not from the event loop, which would only hand it on.
+            return captured, queued, self._inference_thread.submit(aside, captured)
 
         try:
             return await self._on_device(work)
@@ -290,11 +298,6 @@ class Service:
                 "or start it with --release"
             )
         return self._form
-
-    async def _aside(self, work: Callable[[], ResultT]) -> ResultT:
-        """Do ``work``, which does not need the device, while the device serves the next one."""
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._inference_thread, work)
 
     def _taken(self, captured: Captured) -> str:
         name = secrets.token_hex(8)
