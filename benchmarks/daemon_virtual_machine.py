@@ -13,7 +13,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +21,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from veilcam_training.figures import record_figures
+from veilcam_training.figures import Origin, record_figures
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGE = ROOT / "tests" / "virtual_machine" / "build-image.sh"
@@ -121,7 +121,9 @@ def main(
     passed = len(found) == EXPECTED and all(result.passed for result in found)
     console.print(f"{sum(result.passed for result in found)} of {EXPECTED} checks passed")
     if figures is not None:
-        record_figures(figures, {"l2_passed": int(passed)})
+        # The source in the image, which may be older than what lies around it.
+        origin = replace(Origin.here(), commit=(build / "commit").read_text().strip())
+        record_figures(figures, {"l2_passed": int(passed)}, origin=origin)
     raise SystemExit(0 if passed else 1)
 
 

@@ -35,6 +35,7 @@ if [ ! -e wheels/complete ]; then
     touch wheels/complete
 fi
 
+git -C "$project" describe --always --dirty --abbrev=12 --exclude='*' > commit
 say "installing veilcamd with deploy/install.sh"
 rm -rf root
 mkdir -p root/tmp/veilcam

@@ -64,6 +64,8 @@ class Checks:
     def __init__(self, report: Callable[[str, bool, str], None]) -> None:
         self._report = report
         self._token = ""
+        self._bus_while_serving: list[panel.Byte] = []
+        self._bus_after_stop: list[panel.Byte] = []
 
     def run(self) -> None:
         """Make them all; one that fails does not keep the next from being made."""
@@ -77,8 +79,8 @@ class Checks:
             self.watchdog_kills_and_restarts,
             self.stop_is_clean,
             self.a_connection_starts_it,
-            self.sandbox_holds,
             self.stop_ends_opaque,
+            self.sandbox_holds,
             self.bytes_of_py_spidev,
             self.uninstall_leaves_the_state,
         ):
@@ -179,20 +181,6 @@ class Checks:
         assert SOCKET.exists()
         return ""
 
-    def a_connection_starts_it(self) -> str:
-        """Socket activation."""
-        assert unit("ActiveState") == "inactive"
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(PATIENCE)
-            client.connect(str(SOCKET))
-            client.sendall(b"GET /v1/status HTTP/1.1\r\nHost: camera\r\nConnection: close\r\n\r\n")
-            answer = http.client.HTTPResponse(client)
-            answer.begin()
-        assert answer.status == http.client.UNAUTHORIZED, answer.status
-        assert unit("ActiveState") == "active"
-        run("systemctl", "stop", "veilcamd.service")
-        return "its first request was answered"
-
     def sandbox_holds(self) -> str:
         """Everything that the daemon has no use for is refused, and possible outside."""
         self._open_everything()
@@ -226,21 +214,33 @@ class Checks:
         assert not missing, f"missing: {missing}"
         return f"{len(inside['attempts'])} attempts refused, {len(inside['needs'])} needs met"
 
-    def stop_ends_opaque(self) -> str:
-        """The last thing that leaves over the bus is an opaque frame; the display stays on."""
-        log = SHARED / "bus"
+    def a_connection_starts_it(self) -> str:
+        """Socket activation. What is started also drives a bus, in the sandbox, until it stops."""
         with self._instead(program=f"{PYTHON} -m guest.panel serve"):
-            run("systemctl", "start", "veilcamd.service")
-            with self._camera(URLS[0]) as camera:
-                assert camera.status().state == "ready"
-            during = panel.shown(list(panel.came_out(log.read_bytes())))
-            assert during.framebuffer().any(), "no mask came out"
+            assert unit("ActiveState") == "inactive"
+            with socket.socket(socket.AF_UNIX) as client:
+                client.settimeout(PATIENCE)
+                client.connect(str(SOCKET))
+                client.sendall(
+                    b"GET /v1/status HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+                )
+                answer = http.client.HTTPResponse(client)
+                answer.begin()
+            assert answer.status == http.client.UNAUTHORIZED, answer.status
+            assert unit("ActiveState") == "active"
+            self._bus_while_serving = self._bus()
             run("systemctl", "stop", "veilcamd.service")
-            assert unit("Result") == "success"
-        after = panel.shown(list(panel.came_out(log.read_bytes())))
+            assert unit("Result") == "success", journal()[-600:]
+            self._bus_after_stop = self._bus()
+        return "its first request was answered"
+
+    def stop_ends_opaque(self) -> str:
+        """The last thing that left over the bus is an opaque frame, and the display is on."""
+        assert panel.shown(self._bus_while_serving).framebuffer().any(), "no mask came out"
+        after = panel.shown(self._bus_after_stop)
         assert not after.framebuffer().any()
         assert not after.transparent
-        return f"{log.stat().st_size} bytes over py-spidev, in the sandbox"
+        return f"{len(self._bus_after_stop)} bytes over py-spidev, in the sandbox"
 
     def bytes_of_py_spidev(self) -> str:
         """What came out of the bus is what the emulator took, byte for byte with D/C."""
@@ -253,6 +253,10 @@ class Checks:
         assert "veilcamd" not in run("systemctl", "list-unit-files", "--no-legend")
         assert (STATE / "epochs.sqlite3").exists()
         return "and nothing of the program"
+
+    @staticmethod
+    def _bus() -> list[panel.Byte]:
+        return list(panel.came_out((SHARED / "bus").read_bytes()))
 
     def _camera(self, url: str) -> Camera:
         return Camera(url, token=self._token, read_timeout=PATIENCE)
