@@ -13,7 +13,7 @@ from starlette.datastructures import Headers
 
 from veilcam_server.access import ANYONE, Caller
 from veilcam_server.audit import DONE, REFUSED, AuditLog
-from veilcam_server.errors import HostRefusedError, UnauthorizedError
+from veilcam_server.errors import HostRefusedError, TokenStoreError, UnauthorizedError
 from veilcam_server.lease import Lease
 from veilcam_server.limits import ConcurrencyLimit, RateLimit, StreamLimit
 from veilcam_server.settings import Settings
@@ -94,6 +94,16 @@ class Gateway:
         self.rate.take(name)
         with self.concurrency.held(name):
             yield caller
+
+    def still_admits(self, headers: Headers) -> bool:
+        """Whether the token of a request that goes on is still valid."""
+        if self.tokens is None:
+            return True
+        try:
+            self.tokens.caller(headers.get("authorization", ""))
+        except (UnauthorizedError, TokenStoreError):
+            return False
+        return True
 
     def _caller(self, headers: Headers, peer: str) -> Caller:
         if self.tokens is None:

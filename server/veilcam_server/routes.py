@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import AsyncIterator
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, Header
+from fastapi import APIRouter, Depends, Header, Request
 from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
+from veilcam_client.events import Classified
 from veilcam_client.models import (
     NPY_MEDIA_TYPE,
     Capture,
@@ -35,6 +37,8 @@ from veilcam_server.service import Service
 
 RETRY_MS = 1000
 """What a browser waits before it reconnects to the events."""
+RECHECK = 1.0
+"""A stream is not kept much longer than the token it was opened with [s]."""
 
 
 LastEventId = Annotated[str | None, Header(max_length=128)]
@@ -159,12 +163,24 @@ async def advance(
     responses=problems("invalid_request", "too_many_streams"),
 )
 async def events(
-    service: ServiceDep, last_event_id: LastEventId = None
+    request: Request,
+    service: ServiceDep,
+    gateway: GatewayDep,
+    caller: CallerDep,
+    last_event_id: LastEventId = None,
 ) -> AsyncIterator[ServerSentEvent]:
-    """Stream events; resume with ``Last-Event-ID``, comments are heartbeats."""
+    """Stream events; resume with ``Last-Event-ID``, comments are heartbeats.
+
+    Labels are among them where the token has the scope `classify`. The stream ends with the token.
+    """
     yield ServerSentEvent(retry=RETRY_MS, comment="veilcam events")
+    checked = time.monotonic()
     async for event in service.events(last_event_id):
+        if time.monotonic() - checked >= RECHECK:
+            if not gateway.still_admits(request.headers):
+                return
+            checked = time.monotonic()
         if event is None:
             yield ServerSentEvent(comment="heartbeat")
-        else:
+        elif not isinstance(event, Classified) or "classify" in caller.scopes:
             yield ServerSentEvent(raw_data=event.model_dump_json(), event=event.kind, id=event.id)

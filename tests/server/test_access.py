@@ -13,6 +13,7 @@ import pytest
 
 from veilcam_client.models import PROBLEM_MEDIA_TYPE
 from veilcam_client.tokens import SCOPES, NewToken, Scope
+from veilcam_server import routes
 from veilcam_server.app import create_app
 from veilcam_server.audit import DONE, REFUSED, AuditLog
 from veilcam_server.errors import RateLimitError, TooManyRequestsError, TooManyStreamsError
@@ -211,6 +212,32 @@ async def test_who_asks_too_often_waits_and_others_do_not(
         assert await ask(other) == 200
         now = 2.0
         assert [await ask(hasty) for _ in range(2)] == [200, 429]
+
+
+async def test_events_end_with_their_token_and_tell_labels_to_who_may_know_them(
+    running: Running, store: TokenStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(routes, "RECHECK", 0.0)
+    heard = {}
+    worker = bearer(store, "classify", "read:status")
+    scopes: dict[str, tuple[Scope, ...]] = {
+        "without": ("read:status",),
+        "with": ("read:status", "classify"),
+    }
+    async with running(gateway=Gateway(tokens=store)) as client:
+        for name, held in scopes.items():
+            token = store.create(name, held, None)
+            headers = {"Authorization": f"Bearer {token.secret}", "Last-Event-ID": "0-0"}
+            listening = asyncio.create_task(client.get("/v1/events", headers=headers))
+            assert (await client.post("/v1/classifications", headers=worker)).is_success
+            await asyncio.sleep(0.2)
+            store.revoke(token.id)
+            async with asyncio.timeout(60):
+                heard[name] = (await listening).text
+    assert "event: capture" in heard["without"]
+    assert "event: classification" in heard["with"]
+    assert "classification" not in heard["without"]
+    assert "label" not in heard["without"]
 
 
 def test_buckets_of_callers_are_bounded() -> None:
