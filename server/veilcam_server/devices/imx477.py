@@ -25,11 +25,11 @@ from veilcam_server.devices.errors import (
     SensorLostError,
     SensorTimeoutError,
 )
+from veilcam_server.devices.frame import GAIN, Frame
 from veilcam_server.devices.picamera import Picamera
 from veilcam_server.devices.protocols import Exposure, Reading
 from veilcam_server.devices.sensor_mode import HALF, RawFormat, SensorMode
 
-GAIN = 1.0
 _NANO, _MICRO = 1_000_000_000, 1_000_000
 _SATURATED = 1e-3
 """Share of saturated pixels from which on a reading is no longer linear in the light."""
@@ -143,11 +143,11 @@ class IMX477:
                     raise TimeoutError
                 # A wait of 0 would not wait at all, and give no frame either.
                 with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
-                    frame = _Frame.of(request.get_metadata())
+                    frame = Frame.of(request.get_metadata())
                     if frame.stamp <= self._last_stamp:
                         raise _Failure(SensorError("the camera gave the same frame again"))
                     self._last_stamp = frame.stamp
-                    unfit = self._unfit(frame, fence)
+                    unfit = frame.unfit(fence, self._asked, self._mode.line_time)
                     if unfit:
                         continue
                     raw = self._format.pixels(request, self._mode)
@@ -171,7 +171,7 @@ class IMX477:
             self._follow(camera, float(share.max()))
             return exposure
 
-    def _exposure(self, frame: _Frame, share: npt.NDArray[np.float64]) -> Exposure:
+    def _exposure(self, frame: Frame, share: npt.NDArray[np.float64]) -> Exposure:
         integration = frame.exposure / _NANO
         scale = self._exposures.start / integration if integration > 0 else 1.0
         embedding: Reading = (self._full_scale * scale * share).astype(np.float32)
@@ -181,18 +181,6 @@ class IMX477:
             ended_at=frame.stamp / _NANO + self._mode.readout,
             integration=integration,
         )
-
-    def _unfit(self, frame: _Frame, fence: int) -> str:
-        """Why a frame cannot be used; nothing if it can."""
-        if frame.stamp - frame.exposure < fence:
-            return "exposed before the mask had settled"
-        # One line, and what is lost when an exposure is told in whole microseconds.
-        tolerance = self._mode.line_time * _NANO + 1000
-        if abs(frame.exposure - self._asked * _NANO) > tolerance:
-            return "the exposure asked for was not applied"
-        if not math.isclose(frame.gain, GAIN, rel_tol=1e-3):
-            return f"the gain was {frame.gain:.3f}, not {GAIN}"
-        return ""
 
     def _shorten(self, camera: Picamera) -> str:
         shorter = self._exposures.bounded(self._asked / 4)
@@ -254,18 +242,14 @@ class IMX477:
             # is started they are in force from the first frame on.
             camera.set_controls(self._controls())
             camera.start()
-        except DeviceError:
+        except BaseException as error:
             self._let_go()
-            raise
-        except Exception as error:  # picamera2 raises whatever it likes
-            self._let_go()
-            raise SensorError(
+            if isinstance(error, DeviceError) or not isinstance(error, Exception):
+                raise
+            raise SensorError(  # picamera2 raises whatever it likes
                 f"the camera cannot be set up ({type(error).__name__}): use a Raspberry Pi HQ "
                 "camera, and see rpicam-hello --list-cameras"
             ) from None
-        except BaseException:
-            self._let_go()
-            raise
         return camera
 
     def _reopen(self) -> Picamera:
@@ -309,22 +293,3 @@ class _Failure(Exception):  # noqa: N818 - carries an error
 
     def __init__(self, error: SensorError) -> None:
         self.error = error
-
-
-@dataclass(frozen=True, slots=True)
-class _Frame:
-    """Times in nanoseconds."""
-
-    stamp: int
-    exposure: int
-    gain: float
-
-    @classmethod
-    def of(cls, metadata: dict[str, Any]) -> _Frame:
-        return cls(
-            int(metadata["SensorTimestamp"]),
-            round(float(metadata["ExposureTime"]) * 1000),
-            # Not DigitalGain: the image processor makes up with it for an exposure of whole lines,
-            # after the raw plane was written (libcamera, src/ipa/rpi).
-            float(metadata["AnalogueGain"]),
-        )
