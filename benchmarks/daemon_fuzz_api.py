@@ -63,7 +63,7 @@ DISTINCT = 5
 NUMBERS = 3
 """So many weights in a row, to five digits, are a leak."""
 EVENTS, LISTENED = 2048, 1.0
-"""Of an event stream so much is read [bytes], and no longer silence listened to [s]."""
+"""Of an event stream so much is read [bytes], and for so long [s]."""
 DECODERS = 3
 """Of so many epochs the decoders are searched, which are large; the masks of all."""
 MORE = 5
@@ -249,9 +249,7 @@ class Fuzz:
         if authorization is not None:
             headers["Authorization"] = authorization
         request = {**request, "method": method, "headers": headers, "stream": True}
-        with self._session.request(
-            **request, timeout=(10, LISTENED if _streams(path) else 60)
-        ) as answer:
+        with self._session.request(**request, timeout=60) as answer:
             content = _read(answer) if _streams(path) and answer.ok else answer.content
         findings = self.findings
         findings.requests += 1
@@ -298,15 +296,12 @@ def _streams(path: str | None) -> bool:
 
 
 def _read(answer: requests.Response) -> bytes:
-    """The beginning of a stream without an end."""
-    content = b""
-    try:
-        for chunk in answer.iter_content(256):
-            content += chunk
-            if len(content) >= EVENTS:
-                break
-    except requests.RequestException:
-        pass  # silence for longer than we listen
+    """The beginning of a stream without an end, whose heartbeats break every silence."""
+    content, begun = b"", time.monotonic()
+    for chunk in answer.iter_content(256):
+        content += chunk
+        if len(content) >= EVENTS or time.monotonic() - begun > LISTENED:
+            break
     return content
 
 
@@ -463,6 +458,7 @@ def main(
     """Ask the daemon everything, and search what it says for what it must not."""
     # What is asked here in a second, nobody asks in an hour.
     os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
+    os.environ["VEILCAM_HEARTBEAT"] = "0.2"
     settings = (Setting(KEYRING, "raw"), Setting(FRESH, "white", Secret.generate()))
     defects, undocumented, leaks = list[str](), list[str](), list[str]()
     with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
