@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +17,8 @@ from tests.server.devices.clock import Clock
 from veilcam_optics.effects.operator import Response
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer import TransferOperator
-from veilcam_server.devices import Device, SensorError
+from veilcam_server.camera import MaskedCamera
+from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.protocols import Exposure, Levels, Sensor
@@ -23,8 +26,11 @@ from veilcam_server.devices.sensor_mode import SensorMode
 from veilcam_server.devices.simulated import Conditions, SimulatedLight
 from veilcam_server.devices.st7735r import ST7735R, TABS
 from veilcam_server.devices.st7735r_emulator import Crystal, Faults, PanelEmulator
-from veilcam_server.errors import SelfTestError, UndecidedError
+from veilcam_server.epochs import EpochStore
+from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
 from veilcam_server.fence import Fence
+from veilcam_server.masks import Mask
+from veilcam_server.preparation import Preparation
 from veilcam_server.self_test import CAPTURES, OpticalSelfTest
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
@@ -66,14 +72,21 @@ class Rig:
     driver: str = "green"
     faults: Faults = field(default_factory=Faults)
     floor: float = 0.0
-    settle: float = 0.04
+    settle: float = 0.03
     picture: npt.NDArray[np.float32] = field(default_factory=PICTURE.copy)
     snr_db: float = 40.0
     before: Callable[[int], None] = lambda _: None
     """Called with the number of each exposure."""
+    clock: Callable[[], float] = field(default_factory=Clock)
+    sleep: Callable[[float], None] | None = None
+    """By default the clock's own."""
 
     def __post_init__(self) -> None:
-        self.clock, self.exposures = Clock(), 0
+        self.exposures = 0
+        sleep = self.sleep
+        if isinstance(self.clock, Clock):
+            sleep = self.clock.sleep
+        assert sleep is not None
         self.panel = PanelEmulator(
             TABS[self.tab],
             crystal=Crystal(settle=self.settle),
@@ -114,7 +127,7 @@ class Rig:
                 mode=MODE,
                 faults=self.camera_faults,
                 clock=self.clock,
-                sleep=self.clock.sleep,
+                sleep=sleep,
             ),
             shape=EMBEDDING.shape,
             mode=MODE,
@@ -327,3 +340,57 @@ def test_patterns_cannot_be_foreseen_and_are_not_told() -> None:
     assert not np.array_equal(first[1], second[1])
     # The random ones aside, the same is shown every time.
     assert np.array_equal(first[3], second[3])
+
+
+class Bundled:
+    """A source of random masks, which nobody reads."""
+
+    renewable = True
+
+    def name(self, counter: int) -> str:
+        return f"{counter:032x}"
+
+    def make(self, counter: int, last_mark: str) -> Mask:
+        levels = np.random.default_rng(counter).integers(0, 64, CAMERA.mask_shape, np.uint8)
+        return Mask(levels, reader=None)  # type: ignore[arg-type]
+
+
+def test_an_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> None:
+    """The whole way on a real clock: driver, re-initialisation, test, mask, capture."""
+    rig = Rig(settle=0.002, clock=time.monotonic, sleep=time.sleep)
+    camera = MaskedCamera(
+        rig.device,
+        Preparation(Bundled(), EpochStore(tmp_path)),
+        EMBEDDING.shape,
+        OpticalSelfTest(CAMERA, SCENE, EMBEDDING),
+        fence=Fence(settle=0.02),
+    )
+    camera.rotate()
+    epoch = camera.capture().epoch
+    assert rig.exposures == CAPTURES + 1
+    write, mask = rig.panel.write, rig.panel.framebuffer()
+
+    def breaks(buffer: memoryview | bytes) -> None:
+        rig.panel.write = write  # type: ignore[method-assign]
+        raise OSError(5, "Input/output error")
+
+    rig.panel.write = breaks  # type: ignore[method-assign]
+    with pytest.raises(DisplayError, match="could not be changed"):
+        camera.rotate()
+    assert np.array_equal(rig.panel.framebuffer(), mask)
+    assert rig.exposures == CAPTURES + 1
+    # The panel was set up anew: proof first, then the same mask, and only then a capture.
+    assert camera.capture().epoch == epoch
+    assert rig.exposures == 2 * (CAPTURES + 1)
+    assert np.array_equal(rig.panel.framebuffer(), mask)
+    # Power fails while it is set up anew after the next break: no capture any more.
+    rig.panel.write = breaks  # type: ignore[method-assign]
+    rig.panel.faults = Faults(dead=True)
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    with pytest.raises(NotReadyError, match="does not hide the scene"):
+        camera.capture()
+    assert camera.state[0] == "safe"
+    assert rig.exposures == 3 * CAPTURES + 2
+    rig.panel.faults = Faults()
+    camera.stop()
