@@ -67,14 +67,13 @@ def capture() -> Call[Capture]:
 
 def classify(include_embedding: bool) -> Call[Classification]:
     """POST /v1/classifications."""
-    request = ClassificationRequest(include_embedding=include_embedding)
-    return Call(
-        "POST",
-        "/v1/classifications",
-        Classification,
-        request.model_dump_json().encode(),
-        _headers(body=True, post=True),
-    )
+    path = "/v1/classifications"
+    if not include_embedding:
+        # What a body would say goes without saying, and without it the request is one packet.
+        return Call("POST", path, Classification, headers=_headers(post=True))
+    request = ClassificationRequest(include_embedding=True)
+    body = request.model_dump_json().encode()
+    return Call("POST", path, Classification, body, _headers(body=True, post=True))
 
 
 def rotation() -> Call[Rotation]:

@@ -76,6 +76,7 @@ async def test_every_method_asks_its_route(both: Both, kind: type) -> None:
     asks: list[tuple[Callable[[Any], Any], str, str, Any]] = [
         (lambda camera: camera.status(), "GET", "/v1/status", None),
         (lambda camera: camera.capture(), "POST", "/v1/captures", None),
+        (lambda camera: camera.classify(), "POST", "/v1/classifications", None),
         (
             lambda camera: camera.classify(include_embedding=True),
             "POST",
