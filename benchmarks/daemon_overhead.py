@@ -1,6 +1,8 @@
 """What the daemon adds to the device's own time, as eight clients see it.
 
-    nice -n -10 python benchmarks/daemon_overhead.py --figures benchmarks/results/daemon.json
+    python benchmarks/daemon_overhead.py --figures benchmarks/results/daemon.json
+
+Run it on a quiet machine: the figures are of milliseconds, and a busy scheduler adds as many.
 
 A real daemon serves a simulated device that settles and exposes in no time, over TCP on loopback.
 Clients of the SDK, each with a connection of its own, ask for one classification after the other.

@@ -1,6 +1,6 @@
 """Fifty listeners to the events of a daemon at work: none may miss, repeat or reorder one.
 
-    nice -n -10 python benchmarks/daemon_sse.py --figures benchmarks/results/daemon.json
+    python benchmarks/daemon_sse.py --figures benchmarks/results/daemon.json
 
 A real daemon on a simulated device classifies at an even pace, which makes two events each time.
 Every listener is a client of the SDK with a connection of its own. One listener more opens the
