@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Builds what tests/real_picamera2/ runs on, under build/libcamera/: libcamera with its virtual pipeline
 # alone, from Debian's source package, and the wheel of picamera2 in an environment of its own.
-# Takes about 5 minutes on two cores, and no time where it is there already. Exits with 77 where
-# something cannot be had, and says what: the tests then count as not run.
+# Takes about 8 minutes on two cores, no time where it is there already, and goes on where it was
+# interrupted. Exits with 77 where something cannot be had, and says what: the tests then count as not
+# run.
 #
 #     tests/real_picamera2/build.sh [PYTHON]    PYTHON has this project installed; .venv/bin/python
 set -euo pipefail
@@ -12,6 +13,8 @@ readonly SUITE=sid KNOWN=0.7.2
 readonly PACKAGES=(dpkg-dev g++ pkg-config
   libcap-dev libgnutls28-dev libjpeg-dev libudev-dev libyaml-dev libyuv-dev)
 readonly BUILD="$PWD/build/libcamera" HERE="$PWD/tests/real_picamera2"
+# Or libcamera would call itself by the version of the repository around it.
+export GIT_CEILING_DIRECTORIES="$BUILD"
 PYTHON=$(realpath --no-symlinks "${1:-.venv/bin/python}")
 
 not_run() {
@@ -22,9 +25,20 @@ not_run() {
 packages_of() { "$1" -c 'import sysconfig; print(sysconfig.get_path("purelib"))'; }
 
 [ -x "$PYTHON" ] || not_run "$PYTHON is missing: run make test first"
-# What stands there was made from these very files, or is made anew.
+compile() {
+  local suffix
+  suffix=$("$BUILD/venv/bin/python" -c 'import sysconfig; print(sysconfig.get_config_var("EXT_SUFFIX"))')
+  "$BUILD/venv/bin/ninja" -C "$BUILD/meson" "src/py/libcamera/_libcamera$suffix" >"$BUILD/compile.log" ||
+    { tail -n 30 "$BUILD/compile.log" >&2; exit 1; }
+  "$BUILD/venv/bin/python" -c 'import libcamera'
+}
+
+# What stands there was prepared from these very files, or is made anew.
 made_from() { cat "$HERE/build.sh" "$HERE/requirements.txt" "$HERE/virtual.yaml" | sha256sum; }
-if [ "$(cat "$BUILD/made-from" 2>/dev/null)" = "$(made_from)" ]; then exit 0; fi
+if [ "$(cat "$BUILD/made-from" 2>/dev/null)" = "$(made_from)" ]; then
+  compile
+  exit 0
+fi
 
 command -v apt-get >/dev/null || not_run "libcamera's source comes from Debian: use Debian, or a container of it"
 missing=()
@@ -71,15 +85,10 @@ python -m pip install --quiet --requirement "$HERE/requirements.txt" || not_run 
 echo "== libcamera"
 # It is used where it was built, and takes its cameras from the source's folder.
 cp "$HERE/virtual.yaml" "$BUILD/libcamera/src/libcamera/pipeline/virtual/data/"
-# Or it would call itself by the version of the repository around it.
-export GIT_CEILING_DIRECTORIES="$BUILD"
 meson setup "$BUILD/meson" "$BUILD/libcamera" --buildtype plain --optimization 1 \
   --auto-features disabled -Dwerror=false \
   -Dpipelines=virtual -Dipas= -Dpycamera=enabled -Dudev=enabled >"$BUILD/meson.log" ||
   { tail -n 30 "$BUILD/meson.log" >&2; exit 1; }
-suffix=$(python -c 'import sysconfig; print(sysconfig.get_config_var("EXT_SUFFIX"))')
-ninja -C "$BUILD/meson" "src/py/libcamera/_libcamera$suffix" >"$BUILD/compile.log" ||
-  { tail -n 30 "$BUILD/compile.log" >&2; exit 1; }
 echo "$BUILD/meson/src/py" >"$(packages_of python)/libcamera.pth"
-python -c 'import libcamera'
 made_from >"$BUILD/made-from"
+compile
