@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import ValidationError
 
+from veilcam_server import wiring_options as options
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.terminal import StateDirOption, fail, one_line
@@ -37,6 +38,14 @@ def calibrate(
             "decode what it releases."
         ),
     ] = None,
+    panel_tab: options.PanelTab = None,
+    spi: options.Spi = None,
+    spi_hz: options.SpiClock = None,
+    allow_fast_spi: options.FastSpi = False,
+    gpio_chip: options.GpioChip = None,
+    data_line: options.DataLine = None,
+    reset_line: options.ResetLine = None,
+    camera_number: options.CameraNumber = None,
     settle: Annotated[
         float | None, typer.Option(help="Seconds; settling may take three times as long.")
     ] = None,
@@ -63,6 +72,14 @@ def calibrate(
         "bundle": bundle,
         "device": "simulated" if simulate else None,
         "state_dir": state_dir,
+        "panel_tab": panel_tab,
+        "spi": spi,
+        "spi_hz": spi_hz,
+        "allow_fast_spi": allow_fast_spi or None,
+        "gpio_chip": gpio_chip,
+        "data_line": data_line,
+        "reset_line": reset_line,
+        "camera_number": camera_number,
         "settle": settle,
         "exposure": exposure,
     }
