@@ -2,6 +2,7 @@
 
     python benchmarks/daemon_calibration.py measure RECORD
     python benchmarks/daemon_calibration.py chart RECORD docs/images/calibration.png
+    python benchmarks/daemon_calibration.py picture docs/images/calibration-record.png
 
 where RECORD is ``benchmarks/results/daemon-calibration.json``.
 
@@ -44,6 +45,7 @@ from veilcam_server.calibration import (
     calibrate,
     correction,
 )
+from veilcam_server.calibration.picture import write_picture
 from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.protocols import Device, Reading
 from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
@@ -103,6 +105,20 @@ KNOBS: Mapping[str, Knob] = {
     "noise_20db": Knob("signal to noise 20 dB, not 40", hardware={"snr_db": 20.0}),
 }
 """The last ones are not measured by a calibration."""
+
+
+BADLY_BUILT = Knob(
+    "built badly",
+    {
+        "shift_y": 60e-6,
+        "shift_x": -90e-6,
+        "rotation": 4e-3,
+        "distance_error": 120e-6,
+        "gamma": 1.3,
+        "contrast_floor": 0.08,
+    },
+    {"dead_rows": (20,), "dead_level": 63},
+)
 
 
 class Clock:
@@ -201,7 +217,7 @@ class Bench:
             sensor = CalibratedSensor(self.device.sensor, black_level=0.0, gain=1 / brighter)
             self.device = replace(self.device, sensor=sensor)
 
-    def calibrate(self) -> Calibrated:
+    def calibrate(self, effort: Effort = EFFORT) -> Calibrated:
         """Measure the camera with itself; raises :class:`CalibrationError`."""
         bundle = self.bundle
         return calibrate(
@@ -210,7 +226,7 @@ class Bench:
             self.held.present,
             longest=0.2,
             exposure=EXPOSURE,
-            effort=EFFORT,
+            effort=effort,
             clock=self.clock,
         )
 
@@ -297,6 +313,17 @@ def _summary(found: Calibrated) -> str:
         f"floor {record.contrast_floor.value:.3f}, gain {record.gain.value:.3f}, "
         f"dead {record.dead_rows} {record.dead_columns}, lamp {record.psf_residual:.3f}"
     )
+
+
+@app.command()
+def picture(
+    out: Annotated[Path, typer.Argument(help="PNG to draw.")],
+) -> None:
+    """Draw the calibration of a camera that was built badly."""
+    torch.set_num_threads(1)
+    found = Bench(read_bundle(FRESH), BADLY_BUILT).calibrate(Effort(repeats=1))
+    write_picture(out, found)
+    print(_summary(found))
 
 
 @app.command()

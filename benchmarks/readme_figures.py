@@ -120,9 +120,26 @@ TIMES: Figures = {
     "frames_mixed": ("fresh-masks", "readings that mixed two masks", "{}"),
 }
 
+CALIBRATED: Figures = {
+    f"{knob}_{when}{figure}": ("daemon-calibration", f"{words}: {what}, decoded {said}", pattern)
+    for knob, words in {
+        "drawn": "as drawn",
+        "shift_y_150um": "mask 150 um off",
+        "dead_lines": "a row and a column stuck open",
+        "everything": "shift, rotation, distance, gamma, floor and a dead row at once",
+        "leakage_0.2": "filters leak 20 % of the amplitude",
+    }.items()
+    for figure, what, pattern in (
+        ("", "digits read right", "{:.1%}"),
+        ("_unexplained", "error of the scene", "{:.2f}"),
+    )
+    for when, said in {"before": "as drawn", "after": "as calibrated"}.items()
+}
+
 PAGES: dict[str, list[Figures]] = {
     "README.md": [README],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
+    "docs/calibration.md": [CALIBRATED],
 }
 """The tables of each page, from top to bottom."""
 
