@@ -102,7 +102,6 @@ KNOBS: Mapping[str, Knob] = {
     "warm_up_0.1": Knob("10 % of the light missing at first", hardware={"warm_up": 0.1}),
     "warm_up_0.3": Knob("30 % of the light missing at first", hardware={"warm_up": 0.3}),
     "noise_30db": Knob("signal to noise 30 dB, not 40", hardware={"snr_db": 30.0}),
-    "noise_20db": Knob("signal to noise 20 dB, not 40", hardware={"snr_db": 20.0}),
 }
 """The last ones are not measured by a calibration."""
 
