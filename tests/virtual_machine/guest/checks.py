@@ -202,7 +202,8 @@ class Checks:
                 )
             )
             with self._instead("Type=oneshot", "Restart=no", "WatchdogSec=0",
-                "StandardOutput=truncate:/run/panel/probe", "StandardError=journal", f"Environment=MASK_KEY_DIGEST={digest}",
+                "StandardOutput=truncate:/run/panel/probe", "StandardError=journal",
+                f"Environment=MASK_KEY_DIGEST={digest}",
                 program=f"{PYTHON} -m guest.probe attempts,needs {STATE}"):  # fmt: skip
                 run("systemctl", "start", "veilcamd.service")
         inside = json.loads(Path("/run/panel/probe").read_text())
