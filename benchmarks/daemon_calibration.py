@@ -86,7 +86,7 @@ KNOBS: Mapping[str, Knob] = {
     ),
     "dark_light": Knob("exposed for 0.7 of the light", hardware={"full_scale": 0.7}),
     "everything": Knob(
-        "shift, turn, distance, gamma, floor, dead row",
+        "several of these at once",
         {
             "shift_y": 80e-6,
             "shift_x": -60e-6,
