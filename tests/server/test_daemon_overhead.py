@@ -38,7 +38,10 @@ def test_figures_of_clients_at_the_same_time(tmp_path: Path) -> None:
         check=False,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "6 requests of 2 clients" in result.stdout
+    assert "6 requests of 2 plain clients" in result.stdout
+    assert "6 requests of 2 SDK clients" in result.stdout
     record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
-    assert record.keys() == {"overhead_median_ms", "overhead_p99_ms"}
+    assert record.keys() == {
+        f"overhead_{name}{figure}_ms" for name in ("", "sdk_") for figure in ("median", "p99")
+    }
     assert 0 < record["overhead_median_ms"] <= record["overhead_p99_ms"]
