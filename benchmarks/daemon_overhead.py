@@ -5,11 +5,11 @@
 Run it on a quiet machine: the figures are of milliseconds, and a busy scheduler adds as many.
 
 A real daemon serves a simulated device that settles and exposes in no time, over TCP on loopback.
-Clients, each with a connection of its own, ask for one classification after the other. The *overhead*
-of a request is what its client waited, less what the device was at work meanwhile, for this request
-and for those before it in the queue: ``queue_s + rotation_s + settle_s + capture_s`` of its timing.
-Inference, the queue's own delays, threads, JSON, HTTP and the network count as overhead. The
-simulator's light takes a few ms for a capture; that is device time.
+Clients, each with a connection of its own, ask for one classification after the other. The
+*overhead* of a request is what its client waited, less what the device was at work meanwhile, for
+this request and for those before it in the queue: ``queue_s + rotation_s + settle_s + capture_s``
+of its timing. Inference, the queue's own delays, threads, JSON, HTTP and the network count as
+overhead. The simulator's light takes a few ms for a capture; that is device time.
 
 It is measured twice: by plain clients (``http.client``), from the request's first byte to the
 answer's last, which is what the daemon costs; and by clients of the SDK, which adds what they cost.
