@@ -46,6 +46,11 @@ README: Figures = {
         "learned-mask training step: waveprop's time over ours",
         "{:.0f} x",
     ),
+    "step_ratio_learned_over_fixed_b512": (
+        "optics",
+        "the same at batch 512, over a step with a fixed mask and readings made beforehand",
+        "{:.2f} x",
+    ),
     "step_peak_rss_mb": ("optics", "memory of that step, at its peak", "{:.0f} MB"),
     "plan_honest_fraction": (
         "optics",
@@ -67,6 +72,20 @@ README: Figures = {
         "the same where every effect is there",
         "{:.1f} ms",
     ),
+    **{
+        f"mnist_FC800_learned_{size}": (
+            "training",
+            f"MNIST test accuracy, learned mask, one hidden layer (FC-800), {size}",
+            "{:.2f} %",
+        )
+        for size in ("24x32", "12x16", "6x8", "3x4")
+    },
+    "robust_shift": (
+        "training",
+        "digits anywhere in the view, learned mask, best head",
+        "{:.2f} %",
+    ),
+    "fit50_minutes": ("training", "50 epochs of FC-800 behind a learned mask", "{:.1f} min"),
     "fresh_mnist_24x32": (
         "fresh-masks",
         "MNIST behind masks never used before, one for each of 10,000 captures, 24 x 32",
@@ -84,6 +103,12 @@ README: Figures = {
         "clustering released embeddings by mask without the key: best adjusted Rand index",
         "{:.4f}",
     ),
+    "overhead_median_ms": (
+        "daemon",
+        "a classification over REST, beyond the device's own time, 8 clients: median",
+        "{:.1f} ms",
+    ),
+    "overhead_p99_ms": ("daemon", "the same, 99 % of them", "{:.1f} ms"),
 }
 
 FRESH: Figures = {
