@@ -114,9 +114,10 @@ def take_lease(seconds: float, owner: str) -> Call[NewLease]:
     )
 
 
-def release_lease() -> Call[Lease]:
+def release_lease(force: bool = False) -> Call[Lease]:
     """DELETE /v1/lease."""
-    return Call("DELETE", "/v1/lease", Lease, headers=_headers())
+    path = "/v1/lease?force=true" if force else "/v1/lease"
+    return Call("DELETE", path, Lease, headers=_headers())
 
 
 def diagnostics() -> Call[Diagnostics]:

@@ -126,6 +126,10 @@ class Camera:
         finally:
             self.release_lease()
 
+    def break_lease(self) -> Lease:
+        """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
+        return self._transport.send(calls.release_lease(force=True))
+
     def lease_state(self) -> Lease:
         """Who holds the camera, and how long."""
         return self._transport.send(calls.lease_state())
@@ -252,6 +256,10 @@ class AsyncCamera:
             yield taken
         finally:
             await self.release_lease()
+
+    async def break_lease(self) -> Lease:
+        """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
+        return await self._transport.send(calls.release_lease(force=True))
 
     async def lease_state(self) -> Lease:
         """Who holds the camera, and how long."""

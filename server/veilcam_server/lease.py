@@ -65,3 +65,9 @@ class Lease:
         """Hold it no longer; raises :class:`LeasedError` if somebody else does."""
         self.require(holder)
         self._holding = None
+
+    def break_off(self) -> str | None:
+        """End it, whoever holds the camera, and return who did; None: nobody."""
+        holding = self.holding
+        self._holding = None
+        return None if holding is None else holding.owner

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header
+from fastapi import APIRouter, Depends, Header, Query, Request
 
 from veilcam_client.leases import Lease as LeaseAnswer
 from veilcam_client.leases import LeaseRequest, NewLease
@@ -65,9 +65,25 @@ async def take(
 @router.delete(
     "", dependencies=[requires("mask:rotate")], responses=problems("invalid_request", "leased")
 )
-async def release(gateway: GatewayDep, holder: HolderDep) -> LeaseAnswer:
-    """Hold the camera no longer."""
-    gateway.lease.release(holder)
+async def release(
+    request: Request,
+    gateway: GatewayDep,
+    caller: CallerDep,
+    holder: HolderDep,
+    *,
+    force: Annotated[bool, Query()] = False,
+) -> LeaseAnswer:
+    """Hold the camera no longer; `force=true` ends the lease of another, for `admin:tokens`.
+
+    Who was put out stands in the audit log.
+    """
+    if force:
+        caller.require("admin:tokens")
+        owner = gateway.lease.break_off()
+        if owner is not None:
+            request.state.noted = {"broke": owner}
+    else:
+        gateway.lease.release(holder)
     return LeaseAnswer(**_answer(gateway, holder))
 
 

@@ -49,7 +49,7 @@ class RequestContext:
         asked = headers.get("x-request-id", "")
         request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
         state = scope.setdefault("state", {})
-        state.update(request_id=request_id, caller=None, problem=None)
+        state.update(request_id=request_id, caller=None, problem=None, noted={})
         peer = scope["client"][0] if scope.get("client") else "local socket"
         begun, status = time.monotonic(), 0
 
@@ -120,6 +120,7 @@ class RequestContext:
             status=status,
             request=state["request_id"],
             peer=peer,
+            **state["noted"],
         )
 
     def _limited(self, scope: Scope, receive: Receive) -> Receive:

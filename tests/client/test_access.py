@@ -170,6 +170,19 @@ async def test_a_lease_lasts_as_long_as_its_context(daemon: Daemon) -> None:
     assert b'"owner":"me"' in daemon.requests[0].content
 
 
+async def test_the_lease_of_another_is_ended_by_force(daemon: Daemon) -> None:
+    with Camera(http_client=client(daemon)) as camera:
+        assert not camera.break_lease().held
+        camera.release_lease()
+    async with AsyncCamera(http_client=async_client(daemon)) as other:
+        assert not (await other.break_lease()).held
+    assert [request.url.raw_path for request in daemon.requests] == [
+        b"/v1/lease?force=true",
+        b"/v1/lease",
+        b"/v1/lease?force=true",
+    ]
+
+
 def test_a_lease_is_given_back_when_something_fails(daemon: Daemon) -> None:
     camera = Camera(http_client=client(daemon))
     with pytest.raises(RuntimeError), camera.lease(seconds=10):

@@ -81,6 +81,7 @@ def test_sync_and_async_have_the_same_surface() -> None:
     assert set(surface(Camera)) == {
         "__init__",
         "activate_keyring",
+        "break_lease",
         "calibration",
         "capture",
         "classify",

@@ -10,6 +10,8 @@ import pytest
 
 from veilcam_client.leases import Lease as LeaseAnswer
 from veilcam_client.leases import NewLease
+from veilcam_client.tokens import Scope
+from veilcam_server.audit import DONE, AuditLog, read_audit
 from veilcam_server.errors import LeasedError
 from veilcam_server.gateway import Gateway
 from veilcam_server.lease import Lease
@@ -115,6 +117,41 @@ async def test_with_tokens_the_token_is_the_holder(
         assert (await client.post("/v1/lease", headers=second, json=wanted)).is_success
         assert not (await client.delete("/v1/lease", headers=second)).json()["held"]
         assert await ask(client, first) == [200] * 4
+
+
+@pytest.mark.anyio
+async def test_an_administrator_ends_the_lease_of_another(
+    running: Running, store: TokenStore, tmp_path: Path
+) -> None:
+    rotating: tuple[Scope, ...] = ("mask:rotate",)
+    first, second, admin = (
+        {"Authorization": "Bearer " + store.create(label, scopes, None).secret}
+        for label, scopes in (
+            ("first", rotating),
+            ("second", rotating),
+            ("admin", (*rotating, "admin:tokens")),
+        )
+    )
+    wanted = {"owner": "an experiment", "seconds": 60}
+    audit = AuditLog(tmp_path / DONE)
+    async with running(gateway=Gateway(tokens=store, audit=audit)) as client:
+
+        async def broken(who: dict[str, str], force: str = "true") -> int:
+            answer = await client.delete("/v1/lease", headers=who, params={"force": force})
+            return answer.status_code
+
+        await client.post("/v1/lease", headers=first, json=wanted)
+        assert await broken(second) == 403
+        assert await broken(admin, "false") == 423
+        assert await broken(admin, "perhaps") == 422
+        assert (await client.post("/v1/lease", headers=second, json=wanted)).status_code == 423
+        assert await broken(admin) == 200
+        assert await broken(admin) == 200
+        assert (await client.post("/v1/lease", headers=second, json=wanted)).is_success
+    audit.close()
+    noted = [(entry["label"], entry.get("broke")) for entry in read_audit(tmp_path / DONE)]
+    assert noted.count(("admin", "an experiment")) == 1
+    assert [broke for _, broke in noted].count(None) == len(noted) - 1
 
 
 @pytest.mark.anyio
