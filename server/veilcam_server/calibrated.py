@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from veilcam_client.calibration_models import SignedCalibration
 from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.calibration import (
@@ -64,7 +66,7 @@ def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
     sensor = CalibratedSensor(
         device.sensor, black_level=record.black_level.value, gain=record.gain.value
     )
-    return Device(device.display, sensor, simulated=device.simulated)
+    return replace(device, sensor=sensor)
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from veilcam_server.calibration import (
 )
 from veilcam_server.calibration.picture import table, write_picture
 from veilcam_server.calibration.record import RECORD_NAME
+from veilcam_server.devices.held_scene import HeldScene
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import StartError
 from veilcam_server.open_device import open_device
@@ -75,17 +77,15 @@ def calibrate_device(
     geometry = Geometry(bundle.camera, bundle.scene, bundle.embedding)
     effort = Effort(repeats=repeats)
     with ExitStack() as stack:
-        present: Callable[[CalibrationScene], None]
         if settings.device == "simulated":
-            # A file of its own: what is held up in front of a daemon stays there.
+            # What is in front of a daemon's camera may be missing, and plays no part.
             directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="veilcam-"))
             scene = Path(directory) / "scene.npy"
             settings = settings.model_copy(update={"scene": scene})
             write_scene(scene, np.zeros(bundle.scene.shape, np.uint8))
-            present = _by_file(scene)
-        else:
-            present = _by_hand(console)
         device = open_device(settings, bundle)
+        held = device.scene
+        present = _by_hand(console) if held is None else partial(_hold_up, held)
         stack.callback(device.close)
         progress = stack.enter_context(
             Progress(
@@ -132,13 +132,9 @@ def calibrate_device(
     console.print("a daemon that starts now uses it", highlight=False)
 
 
-def _by_file(path: Path) -> Callable[[CalibrationScene], None]:
-    """Hold scenes up before the simulated camera."""
-
-    def present(scene: CalibrationScene) -> None:
-        write_scene(path, (255 * scene.image).round().astype(np.uint8))
-
-    return present
+def _hold_up(held: HeldScene, scene: CalibrationScene) -> None:
+    """Hold a scene up before a simulated camera; what is in front of a daemon's stays there."""
+    held.hold(scene.image)
 
 
 def _by_hand(console: Console) -> Callable[[CalibrationScene], None]:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 from veilcam_server.devices.protocols import Device, Display, Exposure, Levels, Sensor, Shown
 
@@ -48,10 +49,10 @@ class Health:
 
 def stamped(device: Device, health: Health) -> Device:
     """Return ``device``, with everything that is asked of it stamped."""
-    return Device(
-        _StampedDisplay(device.display, health),
-        _StampedSensor(device.sensor, health),
-        device.simulated,
+    return replace(
+        device,
+        display=_StampedDisplay(device.display, health),
+        sensor=_StampedSensor(device.sensor, health),
     )
 
 

@@ -13,6 +13,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_server.devices.held_scene import HeldScene
+
 Levels = npt.NDArray[np.uint8]
 Reading = npt.NDArray[np.float32]
 
@@ -106,6 +108,8 @@ class Device:
     display: Display
     sensor: Sensor
     simulated: bool
+    scene: HeldScene | None = None
+    """In front of it, where something can be held up by program; None before a real camera."""
 
     def close(self) -> None:
         """End safely: stop the sensor, show opaque, let go of both. The display stays on.

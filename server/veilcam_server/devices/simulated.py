@@ -29,6 +29,7 @@ from veilcam_optics.plan import plan
 from veilcam_optics.sampling import area_average
 from veilcam_server.devices.binning import Raw
 from veilcam_server.devices.fake_picamera2 import FakePicamera2
+from veilcam_server.devices.held_scene import HeldScene
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.protocols import Device, Levels
 from veilcam_server.devices.scene import SceneSource
@@ -266,9 +267,10 @@ def simulated_device(
     display = ST7735R(
         emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
     )
+    held = HeldScene(scene)
     frames = SimulatedLight(
         emulator,
-        scene,
+        held,
         light,
         camera=camera,
         embedding=embedding,
@@ -286,4 +288,4 @@ def simulated_device(
         full_scale=full_scale,
         clock=clock,
     )
-    return Device(display, sensor, simulated=True)
+    return Device(display, sensor, simulated=True, scene=held)

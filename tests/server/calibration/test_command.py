@@ -54,11 +54,10 @@ def test_the_command_keeps_what_was_found(
     """The measurement itself is tested elsewhere: here it is that of another camera."""
     built = Built()
     found = built.calibrate()
-    scenes: list[FileScene] = []
     held_up: list[float] = []
 
     def opened(settings: Settings, bundle: Bundle) -> Device:
-        scenes.append(FileScene(settings.scene_file, bundle.scene.shape))
+        assert FileScene(settings.scene_file, bundle.scene.shape).read().max() == 0
         return built.device
 
     def measured(device: Device, geometry: Geometry, present: Present, **told: Any) -> Calibrated:
@@ -66,7 +65,8 @@ def test_the_command_keeps_what_was_found(
         assert told["longest"] == pytest.approx(0.06)
         for scene in (white(geometry.scene), dark(geometry.scene)):
             present(scene)
-            held_up.append(float(scenes[0].read().mean()))
+            assert device.scene is not None
+            held_up.append(float(device.scene.read().mean()))
         told["advance"]()
         changes = {"exposure_s": told["exposure"], "geometry": geometry.digest}
         return replace(found, record=found.record.model_copy(update=changes))
