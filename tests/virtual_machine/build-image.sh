@@ -13,7 +13,7 @@ say() { echo "image: $*"; }
 
 if [ ! -e base.tar ]; then
     say "Debian 12 with systemd and Python (some minutes)"
-    mmdebstrap --quiet --variant=minbase --include=systemd,systemd-sysv,udev,kmod,dbus \
+    mmdebstrap --quiet --format=tar --variant=minbase --include=systemd,systemd-sysv,udev,kmod,dbus \
         --include=python3-venv,python3-dev,gcc,libc6-dev,libfuse3-dev,pkg-config,busybox-static \
         bookworm base.tar.part "$mirror"
     mv base.tar.part base.tar
@@ -21,8 +21,11 @@ fi
 
 if [ ! -e kernel.tar ]; then
     say "kernel"
-    mmdebstrap --quiet --variant=extract --format=tar \
-        --include='?narrow(?name(^linux-(modules|binary)-[0-9.]+.deb[0-9]+-amd64$),?true)' \
+    # Mirrors that stand still for a while still hold what Debian signed.
+    mmdebstrap --quiet --format=tar --variant=extract \
+        --aptopt='Acquire::Check-Valid-Until "false"' \
+        --include='?name(^linux-modules-[0-9.]+.deb[0-9]+-amd64$)' \
+        --include='?name(^linux-binary-[0-9.]+.deb[0-9]+-amd64$)' \
         forky kernel.tar.part "$mirror"
     mv kernel.tar.part kernel.tar
 fi
@@ -70,7 +73,7 @@ inside systemctl --quiet mask serial-getty@ttyS0.service getty@.service systemd-
 rm -rf root/tmp/*
 
 say "initial file system"
-version=$(ls root/usr/lib/modules)
+version=$(ls root/usr/lib/modules | sort -V | tail -n 1)
 inside depmod "$version"
 cp "root/usr/lib/modules/$version/vmlinuz" vmlinuz
 rm -rf early
