@@ -582,7 +582,7 @@ async def try_service(seeds: Sequence[int], data: Sequence[bytes], work: Path) -
     settings = Settings(
         bundle=configured,
         device="simulated",
-        scene=scene,
+        scenes=(str(scene),),
         state_dir=work / "state",
         settle=0.0,
         exposure=0.0,

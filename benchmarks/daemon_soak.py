@@ -43,6 +43,7 @@ from veilcam_server.devices import Device, DeviceError
 from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.protocols import Levels, Reading, Shown
+from veilcam_server.devices.scenes import Scenes
 from veilcam_server.devices.sensor_mode import SensorMode
 from veilcam_server.devices.simulated import Conditions, SimulatedLight
 from veilcam_server.devices.st7735r import ST7735R, TABS
@@ -200,7 +201,7 @@ class Rig:
         display.show = told  # type: ignore[method-assign]
         light = SimulatedLight(
             panel,
-            White(),
+            Scenes((White(),)),
             Marked(),
             camera=CAMERA,
             embedding=EMBEDDING,

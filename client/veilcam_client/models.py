@@ -145,6 +145,8 @@ class Capture(Answer):
     taken_at: datetime
     epoch: str
     """Name of one showing of one mask: without the key, it tells nothing but equal or not."""
+    scene: int | None = None
+    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
     embedding: Embedding
     exposure: Exposure
     timing: Timing
@@ -161,6 +163,8 @@ class Classification(Answer):
     id: str
     taken_at: datetime
     epoch: str
+    scene: int | None = None
+    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
     label: str
     confidence: float
     """Probability of ``label``, in [0, 1]."""

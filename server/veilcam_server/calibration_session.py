@@ -31,8 +31,8 @@ from veilcam_server.calibration import (
 )
 from veilcam_server.calibration.picture import table, write_picture
 from veilcam_server.calibration.record import RECORD_NAME
-from veilcam_server.devices.held_scene import HeldScene
 from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.scenes import Scenes
 from veilcam_server.errors import StartError
 from veilcam_server.open_device import open_device
 from veilcam_server.settings import Settings
@@ -81,10 +81,10 @@ def calibrate_device(
             # What is in front of a daemon's camera may be missing, and plays no part.
             directory = stack.enter_context(tempfile.TemporaryDirectory(prefix="veilcam-"))
             scene = Path(directory) / "scene.npy"
-            settings = settings.model_copy(update={"scene": scene})
+            settings = settings.model_copy(update={"scenes": (str(scene),)})
             write_scene(scene, np.zeros(bundle.scene.shape, np.uint8))
         device = open_device(settings, bundle)
-        held = device.scene
+        held = device.scenes
         present = _by_hand(console) if held is None else partial(_hold_up, held)
         stack.callback(device.close)
         progress = stack.enter_context(
@@ -132,7 +132,7 @@ def calibrate_device(
     console.print("a daemon that starts now uses it", highlight=False)
 
 
-def _hold_up(held: HeldScene, scene: CalibrationScene) -> None:
+def _hold_up(held: Scenes, scene: CalibrationScene) -> None:
     """Hold a scene up before a simulated camera; what is in front of a daemon's stays there."""
     held.hold(scene.image)
 

@@ -216,6 +216,10 @@ class MaskedCamera:
             if self._panel.showing is not showing:
                 raise FenceError("the mask changed during the exposure, which was thrown away")
             check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
+            scenes = self._device.scenes
+            scene = None if scenes is None else scenes.seen
+            if scenes is not None:
+                scenes.advance()
             waited = max(0.0, not_before - rotated)
             return Captured(
                 embedding=exposure.embedding,
@@ -228,6 +232,7 @@ class MaskedCamera:
                 rotation_time=rotated - begun,
                 settle_time=waited,
                 capture_time=max(0.0, ended - rotated - waited),
+                scene=scene,
             )
 
     def stop(self) -> None:

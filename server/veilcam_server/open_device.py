@@ -10,10 +10,10 @@ from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.linux_bus import LinuxLines, LinuxSpi
 from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.protocols import Device
-from veilcam_server.devices.scene import FileScene
 from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
 from veilcam_server.devices.st7735r import ST7735R, TABS
 from veilcam_server.devices.st7735r_emulator import REFRESH
+from veilcam_server.scene_opening import open_scenes
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
 
@@ -54,7 +54,7 @@ def _pi(settings: Settings, bundle: Bundle) -> Device:
 def _simulated(settings: Settings, bundle: Bundle) -> Device:
     return simulated_device(
         planned_light(bundle.camera, bundle.scene, bundle.embedding),
-        FileScene(settings.scene_file, bundle.scene.shape),
+        *open_scenes(settings, bundle.scene.shape),
         camera=bundle.camera,
         embedding=bundle.embedding,
         # The panel scans and turns in less than the time that the fence grants it.

@@ -29,11 +29,13 @@ def serve(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Use a simulated panel and sensor.")
     ] = False,
-    scene: Annotated[
-        Path | None,
+    scenes: Annotated[
+        list[str] | None,
         typer.Option(
-            help="What the simulated camera sees: a .npy image, read at every capture. "
-            "Default: one that 'veilcamd show' writes."
+            help="What the simulated camera sees: an image (.npy, PNG, JPEG), a folder of images, "
+            "or a data set as mnist:FOLDER or mnist:FOLDER:test. Give several, and each capture "
+            "sees the next. Default: what 'veilcamd show' holds up.",
+            metavar="PATH",
         ),
     ] = None,
     host: Annotated[
@@ -131,7 +133,7 @@ def serve(
     given: dict[str, Any] = {
         "bundle": bundle,
         "device": "simulated" if simulate else None,
-        "scene": scene,
+        "scenes": scenes or None,
         "host": host,
         "port": port,
         "socket": socket,
@@ -165,7 +167,7 @@ def serve(
         settings = Settings(**{name: value for name, value in given.items() if value is not None})
         logs.configure(settings.log_level)
         simulated = settings.device == "simulated"  # as the environment may say too
-        if simulated and settings.scene is None and not settings.scene_file.exists():
+        if simulated and not settings.scenes and not settings.scene_file.exists():
             hold_up(settings.scene_file, load_digits(), 0)
         run(settings, lambda url: print(f"veilcamd listening on {url}", flush=True))  # noqa: T201
     except ValidationError as error:

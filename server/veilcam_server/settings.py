@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ipaddress
+import json
 import os
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
+from pydantic_settings import NoDecode
 
 from veilcam_client.models import Release, RotationPolicy
 from veilcam_server.demo_data import KEYRING
@@ -35,7 +37,8 @@ class Settings(Wiring):
 
     bundle: Path
     device: Literal["pi", "simulated"] = "pi"
-    scene: Path | None = None
+    scenes: Annotated[tuple[str, ...], NoDecode] = ()
+    """What a simulated camera sees; the file of 'veilcamd show' if there is nothing."""
     host: str = "127.0.0.1"
     port: int = Field(default=DEFAULT_PORT, ge=0, le=65_535)
     socket: Path | None = None
@@ -70,6 +73,14 @@ class Settings(Wiring):
     wrong_classifier: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
+    @field_validator("scenes", mode="before")
+    @classmethod
+    def _one_or_a_list(cls, scenes: object) -> object:
+        """In the environment: one, or a JSON list of several."""
+        if not isinstance(scenes, str):
+            return scenes
+        return json.loads(scenes) if scenes.startswith("[") else (scenes,)
+
     @field_validator("host")
     @classmethod
     def _an_address(cls, host: str) -> str:
@@ -96,8 +107,8 @@ class Settings(Wiring):
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
-        if self.device != "simulated" and self.scene is not None:
-            raise ValueError("only a simulated camera has a --scene: add --simulate")
+        if self.device != "simulated" and self.scenes:
+            raise ValueError("only a simulated camera has --scenes: add --simulate")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":
@@ -121,6 +132,8 @@ class Settings(Wiring):
             value = getattr(self, name)
             if isinstance(value, BaseModel):
                 shown[name] = value.model_dump()
+            elif value == ():
+                shown[name] = None
             elif value is None or isinstance(value, (bool, int, float)) or name in _WORDS:
                 shown[name] = value
             else:
@@ -134,5 +147,5 @@ class Settings(Wiring):
 
     @property
     def scene_file(self) -> Path:
-        """What a simulated camera looks at."""
-        return self.scene or self.state_dir / SCENE_NAME
+        """What 'veilcamd show' writes, and a simulated camera without --scenes sees."""
+        return self.state_dir / SCENE_NAME

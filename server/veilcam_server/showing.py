@@ -62,6 +62,8 @@ class Captured:
     rotation_time: float
     settle_time: float
     capture_time: float
+    scene: int | None = None
+    """Number of what a simulated camera looked at."""
 
 
 @dataclass(slots=True)

@@ -81,7 +81,7 @@ def settings(tmp_path: Path, bundle_file: Path, scene_file: Path) -> Settings:
     return Settings(
         device="simulated",
         bundle=bundle_file,
-        scene=scene_file,
+        scenes=(str(scene_file),),
         state_dir=tmp_path / "state",
         socket=tmp_path / "v.sock",
         settle=0.002,

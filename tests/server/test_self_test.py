@@ -22,6 +22,7 @@ from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.protocols import Exposure, Levels, Sensor
+from veilcam_server.devices.scenes import Scenes
 from veilcam_server.devices.sensor_mode import SensorMode
 from veilcam_server.devices.simulated import Conditions, SimulatedLight
 from veilcam_server.devices.st7735r import ST7735R, TABS
@@ -104,7 +105,7 @@ class Rig:
         )
         light = SimulatedLight(
             self.panel,
-            self,
+            Scenes((self,), clock=self.clock),
             Rays(self.floor),
             camera=CAMERA,
             embedding=EMBEDDING,

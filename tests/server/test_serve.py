@@ -67,7 +67,7 @@ def daemon(log: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], st
 @pytest.fixture
 def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
     return [
-        *("--bundle", str(bundle_file), "--scene", str(scene_file)),
+        *("--bundle", str(bundle_file), "--scenes", str(scene_file)),
         *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0.001"),
     ]
 
@@ -220,7 +220,7 @@ def test_a_journey_through_fresh_masks(
 ) -> None:
     log = tmp_path / "log"
     options = [
-        *("--bundle", str(fresh_file), "--scene", str(scene_file), "--port", "0"),
+        *("--bundle", str(fresh_file), "--scenes", str(scene_file), "--port", "0"),
         *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0"),
         *("--mask-secret", str(secret_file)),
     ]
@@ -244,7 +244,8 @@ def test_a_journey_through_fresh_masks(
 
 
 def settings(tmp_path: Path, bundle: Path, scene: Path, **more: object) -> Settings:
-    given = {"device": "simulated", "bundle": bundle, "scene": scene, "state_dir": tmp_path / "st"}
+    held = {"scenes": (str(scene),), "state_dir": tmp_path / "st"}
+    given = {"device": "simulated", "bundle": bundle, **held}
     return Settings(**{**given, **more})  # type: ignore[arg-type]
 
 

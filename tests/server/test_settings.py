@@ -60,7 +60,7 @@ def test_this_machine_is_served(host: str) -> None:
 
 
 def test_a_scene_needs_a_simulated_camera() -> None:
-    assert "add --simulate" in refused(device="pi", scene=Path("scene.npy"))
+    assert "add --simulate" in refused(device="pi", scenes=("scene.npy",))
 
 
 def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:

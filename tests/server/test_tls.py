@@ -78,7 +78,7 @@ def test_a_daemon_with_tls_and_tokens(bundle_file: Path, scene_file: Path, tmp_p
     store = TokenStore(tmp_path / "state")
     token = store.create("reader", ("read:status",), None)
     options = [
-        *("--bundle", str(bundle_file), "--scene", str(scene_file)),
+        *("--bundle", str(bundle_file), "--scenes", str(scene_file)),
         *("--state-dir", str(tmp_path / "state"), "--settle", "0.01"),
         *("--host", "0.0.0.0", "--port", "0", "--auth", "tokens"),
         *("--tls-certificate", str(certificate), "--tls-key", str(key)),

@@ -32,7 +32,7 @@ def running(bundle: Path, scene: Path, directory: Path, *options: str) -> Iterat
     log = directory / "veilcamd.log"
     command = [
         *(sys.executable, "-m", "veilcam_server", "serve", "--simulate", "--port", "0"),
-        *("--bundle", str(bundle), "--scene", str(scene)),
+        *("--bundle", str(bundle), "--scenes", str(scene)),
         *("--state-dir", str(directory / "state"), *options),
     ]
     with (

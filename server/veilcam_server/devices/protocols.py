@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.held_scene import HeldScene
+from veilcam_server.devices.scenes import Scenes
 
 Levels = npt.NDArray[np.uint8]
 Reading = npt.NDArray[np.float32]
@@ -108,8 +108,8 @@ class Device:
     display: Display
     sensor: Sensor
     simulated: bool
-    scene: HeldScene | None = None
-    """In front of it, where something can be held up by program; None before a real camera."""
+    scenes: Scenes | None = None
+    """In front of a simulated one."""
 
     def close(self) -> None:
         """End safely: stop the sensor, show opaque, let go of both. The display stays on.

@@ -1,4 +1,4 @@
-"""The scene in front of a simulated camera: a file that somebody outside the daemon writes.
+"""One scene in front of a simulated camera: a file that somebody holds up, or a picture.
 
 Writing the file is holding something up in front of the camera. Only the simulated sensor reads it.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -14,12 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_server.devices.errors import SensorError
+from veilcam_server.devices.images import Picture, PictureError, decode, fitted
 
 MAX_BYTES = 64 * 2**20
 
 
 class SceneSource(Protocol):
-    """Whatever is in front of the camera now."""
+    """One scene."""
 
     def read(self) -> npt.NDArray[np.float32]:
         """Return reflectance in [0, 1], shape (rows, columns).
@@ -30,7 +32,7 @@ class SceneSource(Protocol):
 
 
 class FileScene:
-    """An image in a ``.npy`` file: uint8 (0 to 255) or float (0 to 1), shape of the scene."""
+    """A picture in a file, ``.npy``, PNG or JPEG, fitted to the shape of the scene."""
 
     def __init__(self, path: Path, shape: tuple[int, int]) -> None:
         self._path, self._shape = path, shape
@@ -38,29 +40,35 @@ class FileScene:
     def read(self) -> npt.NDArray[np.float32]:
         """Read the file as it is at this moment."""
         try:
-            if self._path.stat().st_size > MAX_BYTES:
-                raise SensorError(f"scene file {self._path} is too large: use a .npy image")
             with self._path.open("rb") as stream:
-                image = np.load(stream, allow_pickle=False)
+                content = stream.read(MAX_BYTES + 1)
+            if len(content) > MAX_BYTES:
+                raise SensorError(
+                    f"scene file {self._path} is too large: use at most {MAX_BYTES >> 20} MiB"
+                )
+            return fitted(decode(content), self._shape)
         except FileNotFoundError:
             raise SensorError(
                 f"there is no scene file {self._path}: write one with 'veilcamd show'"
             ) from None
-        except (OSError, ValueError, EOFError):
+        except OSError as error:
             raise SensorError(
-                f"scene file {self._path} is not a .npy image: write one with 'veilcamd show'"
+                f"scene file {self._path} cannot be read ({error.strerror})"
             ) from None
-        if not isinstance(image, np.ndarray) or image.shape != self._shape:
-            raise SensorError(
-                f"scene file {self._path} has the wrong shape: use {self._shape} pixels"
-            )
-        if image.dtype == np.uint8:
-            return (image / np.float32(255)).astype(np.float32)
-        if image.dtype.kind != "f" or not bool(((image >= 0) & (image <= 1)).all()):
-            raise SensorError(
-                f"scene file {self._path} holds no reflectances: use uint8, or floats in [0, 1]"
-            )
-        return image.astype(np.float32)
+        except PictureError as error:
+            raise SensorError(f"scene file {self._path} {error}") from None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StillScene:
+    """A picture in memory, fitted to the shape of the scene whenever it is looked at."""
+
+    picture: Picture = field(repr=False)
+    shape: tuple[int, int]
+
+    def read(self) -> npt.NDArray[np.float32]:
+        """Return the picture; raises :class:`PictureError` for what is none."""
+        return fitted(self.picture, self.shape)
 
 
 def write_scene(path: Path, image: npt.NDArray[np.uint8]) -> None:

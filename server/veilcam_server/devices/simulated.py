@@ -29,10 +29,10 @@ from veilcam_optics.plan import plan
 from veilcam_optics.sampling import area_average
 from veilcam_server.devices.binning import Raw
 from veilcam_server.devices.fake_picamera2 import FakePicamera2
-from veilcam_server.devices.held_scene import HeldScene
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.protocols import Device, Levels
 from veilcam_server.devices.scene import SceneSource
+from veilcam_server.devices.scenes import Scenes
 from veilcam_server.devices.sensor_mode import SensorMode
 from veilcam_server.devices.st7735r import ST7735R, TABS
 from veilcam_server.devices.st7735r_emulator import Crystal, PanelEmulator
@@ -128,7 +128,7 @@ class SimulatedLight:
     def __init__(
         self,
         panel: PanelEmulator,
-        scene: SceneSource,
+        scenes: Scenes,
         light: Light,
         *,
         camera: Camera,
@@ -139,7 +139,7 @@ class SimulatedLight:
         seed: int | None,
         began_at: float,
     ) -> None:
-        self._panel, self._scene, self._light = panel, scene, light
+        self._panel, self._scenes, self._light = panel, scenes, light
         self._camera, self._embedding, self._conditions = camera, embedding, conditions
         self._mode, self._full_scale, self._began_at = mode, full_scale, began_at
         self._generator = torch.Generator()
@@ -151,7 +151,7 @@ class SimulatedLight:
 
     def __call__(self, begin: float, end: float) -> Raw:
         """Collect the light of an exposure, and convert it."""
-        scene = torch.from_numpy(self._scene.read())[None]
+        scene = torch.from_numpy(self._scenes.at(begin))[None]
         conditions, mode = self._conditions, self._mode
         with torch.no_grad():
             irradiance = self._collected(scene, begin, end)[0].double()
@@ -221,8 +221,7 @@ class _Responses:
 
 def simulated_device(
     light: Light,
-    scene: SceneSource,
-    *,
+    *deck: SceneSource,
     camera: Camera,
     embedding: Embedding,
     conditions: Conditions,
@@ -231,11 +230,11 @@ def simulated_device(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Device:
-    """Return a panel and a sensor that see ``scene``.
+    """Return a panel and a sensor, and the scenes that they see.
 
     Args:
         light: between them, on raw pixels.
-        scene: what is in front of them.
+        deck: what is in front of them, one scene after the other, the next after each capture.
         camera: geometry; its window is the mask.
         embedding: that is read.
         conditions: what the hardware is like.
@@ -249,13 +248,13 @@ def simulated_device(
         SensorError: there is nothing to see yet.
         DisplayError: the camera's panel is not the one that is emulated.
     """
-    scene_shape = scene.read().shape
+    scenes = Scenes(deck, clock=clock)
     rows, columns = raw_shape(embedding)
     mode = SensorMode(rows, columns, line_time=0.0, frame_duration=0.0)
     if full_scale is None:
         with torch.no_grad():
             opened = light.response(torch.ones(camera.mask_shape))
-            white = light.collect(torch.ones((1, *scene_shape)), opened)
+            white = light.collect(torch.ones((1, *scenes.shape)), opened)
         full_scale = _HEADROOM * float(white.max())
     emulator = PanelEmulator(
         TABS["green"],
@@ -267,10 +266,9 @@ def simulated_device(
     display = ST7735R(
         emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
     )
-    held = HeldScene(scene)
     frames = SimulatedLight(
         emulator,
-        held,
+        scenes,
         light,
         camera=camera,
         embedding=embedding,
@@ -288,4 +286,4 @@ def simulated_device(
         full_scale=full_scale,
         clock=clock,
     )
-    return Device(display, sensor, simulated=True, scene=held)
+    return Device(display, sensor, simulated=True, scenes=scenes)

@@ -57,7 +57,7 @@ def test_the_command_keeps_what_was_found(
     held_up: list[float] = []
 
     def opened(settings: Settings, bundle: Bundle) -> Device:
-        assert FileScene(settings.scene_file, bundle.scene.shape).read().max() == 0
+        assert FileScene(Path(settings.scenes[0]), bundle.scene.shape).read().max() == 0
         return built.device
 
     def measured(device: Device, geometry: Geometry, present: Present, **told: Any) -> Calibrated:
@@ -65,8 +65,8 @@ def test_the_command_keeps_what_was_found(
         assert told["longest"] == pytest.approx(0.06)
         for scene in (white(geometry.scene), dark(geometry.scene)):
             present(scene)
-            assert device.scene is not None
-            held_up.append(float(device.scene.read().mean()))
+            assert device.scenes is not None
+            held_up.append(float(device.scenes.read().mean()))
         told["advance"]()
         changes = {"exposure_s": told["exposure"], "geometry": geometry.digest}
         return replace(found, record=found.record.model_copy(update=changes))

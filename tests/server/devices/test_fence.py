@@ -25,6 +25,7 @@ from veilcam_server.devices import Device, Exposure, SensorError
 from veilcam_server.devices.binning import Raw
 from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.scenes import Scenes
 from veilcam_server.devices.sensor_mode import SensorMode
 from veilcam_server.devices.simulated import Conditions, SimulatedLight
 from veilcam_server.devices.st7735r import ST7735R, TABS
@@ -118,7 +119,7 @@ class Rig:
         display.show = noted  # type: ignore[method-assign, assignment]
         self.light = SimulatedLight(
             self.panel,
-            White(),
+            Scenes((White(),)),
             Plain(),
             camera=CAMERA,
             embedding=EMBEDDING,

@@ -21,6 +21,7 @@ from veilcam_optics.transfer import TransferOperator
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.devices.protocols import Reading
 from veilcam_server.devices.scene import FileScene, write_scene
+from veilcam_server.devices.scenes import REMEMBERED
 from veilcam_server.devices.simulated import (
     Conditions,
     Light,
@@ -84,7 +85,7 @@ class Simulation:
             clock=self.clock,
             sleep=self.sleep,
         )
-        self.display, self.sensor = device.display, device.sensor
+        self.device, self.display, self.sensor = device, device.display, device.sensor
         self.during: Callable[[], None] = lambda: None
 
     def sleep(self, seconds: float) -> None:
@@ -135,6 +136,35 @@ def test_an_opaque_panel_lets_no_light_through() -> None:
     simulation.display.show(NEW)
     simulation.display.blank()
     assert not simulation.capture().any()
+
+
+def test_an_exposure_sees_the_scene_that_was_there_when_it_began() -> None:
+    simulation = Simulation(SHADOW)
+    scenes = simulation.device.scenes
+    assert scenes is not None
+    simulation.display.show(NEW)
+    dark, white = np.zeros((28, 28), np.float32), np.ones((28, 28), np.float32)
+
+    def hold(*pictures: Reading) -> None:
+        for picture in pictures:
+            scenes.hold(picture)
+
+    first = simulation.capture()
+    # Held up, and another one, while the sensor collects light.
+    simulation.during = lambda: hold(dark, white)
+    assert difference(simulation.capture(after=0.0), first) == 0
+    assert scenes.seen == 0
+    simulation.during = lambda: None
+    assert difference(simulation.capture(), first / simulation.scene.image.mean()) < ROUNDING
+    assert scenes.seen == 2
+    # Before the exposure, while the sensor waits for the mask to settle: a whole exposure follows.
+    simulation.during = lambda: hold(dark)
+    assert not simulation.capture().any()
+    assert scenes.seen == 3
+    # More than is remembered: what was seen cannot be told any more, so nothing is.
+    simulation.during = lambda: hold(*[dark] * REMEMBERED)
+    with pytest.raises(SensorError, match="more than 15 times during one exposure"):
+        simulation.capture(after=0.0)
 
 
 def test_an_exposure_while_the_crystal_turns_mixes_two_masks() -> None:
@@ -273,13 +303,13 @@ def test_the_scene_is_what_the_file_holds_now(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (None, "there is no scene file"),
-        (b"", "is not a .npy image"),
-        (b"\x93NUMPY\x01\x00", "is not a .npy image"),
-        (np.zeros((3, 3), np.uint8), "wrong shape"),
+        (b"", "is no image"),
+        (b"\x93NUMPY\x01\x00", "is no image"),
+        (np.zeros(3, np.uint8), r"has the shape \(3,\): use \(rows, columns\)"),
         (np.full((2, 3), 1.5), "no reflectances"),
         (np.full((2, 3), np.nan), "no reflectances"),
         (np.full((2, 3), 1, np.int64), "no reflectances"),
-        (np.full((2, 3), None), "is not a .npy image"),
+        (np.full((2, 3), None), "is no image"),
     ],
 )
 def test_a_bad_scene_file_is_a_sensor_error(
