@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.parts import Part
 from veilcam_optics.scenes import SceneTransform
 from veilcam_training.bundle.layers import Linear
 from veilcam_training.changes import (
@@ -18,14 +19,13 @@ from veilcam_training.changes import (
     Rescale,
     Rotate,
     Shift,
-    homographies,
     make_change,
-    warp,
 )
 from veilcam_training.encoders import Setup, make_encoder
 from veilcam_training.errors import TrainingError
 from veilcam_training.model import LenslessClassifier
 from veilcam_training.randomness import stream
+from veilcam_training.warping import homographies, warp
 
 IMAGE, CAMERA = Scene(), Camera()
 
@@ -76,19 +76,24 @@ def test_shift_is_anywhere_wholly_on_the_sensor() -> None:
 
 @pytest.mark.parametrize("name", CHANGES)
 @pytest.mark.parametrize("count", [0, 1, 5, 40])
-def test_parts_are_the_scenes(name: str, count: int) -> None:
+@pytest.mark.parametrize("training", [True, False])
+def test_every_image_is_in_one_part(name: str, count: int, *, training: bool) -> None:
     change, pictures = make_change(name, IMAGE, CAMERA), images(count)
-    drawn, parts = [], []
-    for scenes, part in change.in_parts(pictures, stream(0, "change")):
-        assert scenes.shape[1:] == (change.scene.shape if part is None else (28, 28))
-        drawn.append(scenes)
-        parts.append(part)
-    if name == "shift":
-        assert len(set(parts)) == max(1, min(count, PLACES))
-        torch.testing.assert_close(torch.cat(drawn), pictures)
+    parts = list(change.in_parts(pictures, stream(0, "change"), training=training))
+    chosen = torch.cat([shown.chosen for shown in parts])
+    assert torch.equal(chosen.sort().values, torch.arange(count))
+    for shown in parts:
+        scene = (change.scene, *change.finer)[shown.grid]
+        assert shown.scenes.shape[1:] == (scene.shape if shown.part is None else (28, 28))
+    if name == "shift" and training:
+        assert len({shown.part for shown in parts}) == max(1, min(count, PLACES))
+        drawn = torch.cat([shown.scenes for shown in parts])
+        torch.testing.assert_close(drawn, pictures)
+    elif name == "rescale":
+        assert len(parts) == len({shown.grid for shown in parts})
     else:
-        assert parts == [None]
-        assert torch.equal(drawn[0], change(pictures, stream(0, "change")))
+        (shown,) = parts
+        assert torch.equal(shown.scenes, change(pictures, stream(0, "change")))
 
 
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
@@ -97,25 +102,25 @@ def test_shifted_scenes_are_seen_alike_in_parts_and_whole(encoder: str) -> None:
     change, pictures = Shift(IMAGE, CAMERA), images(20)
     camera = make_encoder(encoder, Setup(CAMERA, change.scene), stream(0, "encoder")).eval()
     whole = torch.zeros(20, *change.scene.shape)
-    embeddings, start = [], 0
-    for scenes, part in change.in_parts(pictures, stream(0, "change")):
+    embeddings = []
+    for shown in change.in_parts(pictures, stream(0, "change"), training=True):
+        part = shown.part
         assert part is not None
         rows, columns = (slice(part.top, part.top + 28), slice(part.left, part.left + 28))
-        whole[start : start + len(scenes), rows, columns] = scenes
-        start += len(scenes)
-        embeddings.append(camera(scenes, part))
+        whole[shown.chosen, rows, columns] = shown.scenes
+        embeddings.append(camera(shown.scenes, part))
     torch.testing.assert_close(torch.cat(embeddings), camera(whole), rtol=1e-4, atol=1e-8)
 
 
-def test_training_takes_parts_and_evaluation_the_scene() -> None:
+def test_training_takes_few_places_and_evaluation_one_for_each_image() -> None:
     change, pictures = Shift(IMAGE, CAMERA), images(20)
     camera = make_encoder(
         "fixed_simulated", Setup(CAMERA, change.scene, Embedding(3, 4)), stream(0)
     )
     model = LenslessClassifier(camera, (Linear(inputs=12, outputs=10),), None, change=change)
     noise = stream(0, "noise")
-    parts = change.in_parts(pictures, stream(0, "change"))
-    seen = torch.cat([camera(scenes, part) for scenes, part in parts])
+    parts = change.in_parts(pictures, stream(0, "change"), training=True)
+    seen = torch.cat([camera(shown.scenes, shown.part) for shown in parts])
     trained = model.train()(pictures, noise, stream(0, "change"))
     torch.testing.assert_close(trained, model.classifier(seen))
     seen = camera(change(pictures, stream(0, "change")))
@@ -139,6 +144,51 @@ def test_rescale_keeps_the_light_per_area(height: float) -> None:
     assert change.scene.rows == math.ceil(28 * factor - 1e-6)
     light = scene.sum((1, 2)) / images().sum((1, 2))
     torch.testing.assert_close(light, torch.full_like(light, factor**2), rtol=0.04, atol=0)
+
+
+def test_rescaled_objects_are_on_the_finest_grid_with_room_for_them() -> None:
+    change = Rescale(IMAGE)
+    assert [grid.pixel for grid in change.finer] == pytest.approx([0.12 / 56, 0.12 / 112])
+    white = torch.ones(2000, 28, 28)
+    heights = {}
+    for shown in change.in_parts(white, stream(0, "change"), training=False):
+        pixel = (change.scene, *change.finer)[shown.grid].pixel
+        heights[shown.grid] = shown.scenes.sum((1, 2)).sqrt() * pixel
+        rows = (shown.scenes.sum(2) > 0).sum(1)
+        assert int(rows.max()) <= 47
+    for grid, (low, high) in enumerate([(0.1, 0.2), (0.05, 0.1), (0.02, 0.05)]):
+        assert float(heights[grid].min()) == pytest.approx(low, abs=0.002)
+        assert float(heights[grid].max()) == pytest.approx(high, abs=0.002)
+
+
+@pytest.mark.parametrize("encoder", ["learned", "fixed_simulated", "lens", "digital"])
+def test_a_finer_grid_shows_the_same_object(encoder: str) -> None:
+    """A blurred blob, as large on either grid: its embedding hardly depends on its pixels."""
+    change = Rescale(IMAGE)
+    setup = Setup(CAMERA, change.scene, Embedding(6, 8), finer=change.finer)
+    camera = make_encoder(encoder, setup, stream(0, "encoder")).eval()
+    place = torch.arange(47) - 23.0
+    seen = []
+    for grid, scene in enumerate(setup.grids[:2]):
+        distance = (place[:, None] ** 2 + place**2).sqrt() * scene.pixel
+        seen.append(camera(torch.exp(-((distance / 0.012) ** 2))[None], None, grid))
+    error = (seen[1] - seen[0]).detach().norm() / seen[0].detach().norm()
+    assert float(error) < (0.2 if encoder == "digital" else 0.02)
+    part = Part(10, 12, 5, 6)
+    rows = camera.transfer(part, 1)
+    whole = camera.transfer(None, 1).reshape(47, 47, -1)
+    torch.testing.assert_close(rows, whole[10:15, 12:18].reshape(30, -1), rtol=1e-4, atol=1e-9)
+
+
+def test_embeddings_are_in_the_order_of_the_images() -> None:
+    change, pictures = Rescale(IMAGE), images(20)
+    setup = Setup(CAMERA, change.scene, Embedding(3, 4), finer=change.finer)
+    camera = make_encoder("fixed_simulated", setup, stream(0))
+    model = LenslessClassifier(camera, (Linear(inputs=12, outputs=10),), None, change=change)
+    together = model.embed(pictures, stream(0, "change"))
+    for shown in change.in_parts(pictures, stream(0, "change"), training=False):
+        seen = camera(shown.scenes, None, shown.grid)
+        torch.testing.assert_close(together[shown.chosen], seen)
 
 
 def test_rescale_draws_every_height_between_its_bounds() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import get_args
 
 import pytest
 import torch
@@ -11,7 +12,7 @@ from pydantic import TypeAdapter
 from veilcam_training.bundle import LayerRecord, build_classifier, build_untrained
 from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
-from veilcam_training.classifiers import Normalisation, Task, make_layers
+from veilcam_training.classifiers import Exposure, Normalisation, Task, make_layers
 from veilcam_training.errors import TrainingError
 
 NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
@@ -55,6 +56,21 @@ def test_its_sensor_layers(name: str) -> None:
 def test_gain_comes_first() -> None:
     layers = make_layers("LR", dataclasses.replace(task(), gain=20.0))
     assert layers == (Affine(scale=20.0), *make_layers("LR", task()))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_automatic_exposure_reads_bright_and_dim_objects_alike(name: str) -> None:
+    readings = torch.rand(6, 768)
+    dim = readings * torch.logspace(-4, 0, 6)[:, None]
+    found = {}
+    for exposure in get_args(Exposure):
+        torch.manual_seed(0)
+        layers = make_layers(name, dataclasses.replace(task(), gain=2.0, exposure=exposure))
+        module = build_untrained(layers).eval()
+        with torch.no_grad():
+            found[exposure] = (module(dim) - module(readings))[:-1].norm(dim=1)
+    assert float(found["automatic"].max()) < 0.05 * float(found["fixed"].min())
+    assert module(torch.zeros(1, 768)).isfinite().all()
 
 
 def test_vgg11_is_configuration_a() -> None:

@@ -29,7 +29,7 @@ def readings(count: int = 4000) -> Tensor:
 def test_its_inputs_are_decorrelated() -> None:
     coordinates, values = Decorrelated(12), readings()
     for batch in values.reshape(-1, 200, 12):
-        coordinates.observe(batch)
+        coordinates.observe(batch, torch.zeros(1, 12))
     white = torch.cov((values @ coordinates.matrix).T)
     torch.testing.assert_close(white, torch.eye(12), atol=0.15, rtol=0)
     assert values.T.corrcoef()[0, 1] > 0.9
@@ -41,14 +41,32 @@ def test_it_follows_inputs_that_change() -> None:
     # What was 10,000 times the variance of what is there now takes its time to be forgotten.
     for values in (before, *(after for _ in range(15))):
         for batch in values.reshape(-1, 200, 12):
-            coordinates.observe(batch)
+            coordinates.observe(batch, torch.zeros(1, 12))
     white = torch.cov((after @ coordinates.matrix).T)
     torch.testing.assert_close(white, torch.eye(12), atol=0.3, rtol=0)
 
 
+def test_what_was_learned_stays_when_coordinates_are_renewed() -> None:
+    torch.manual_seed(0)
+    coordinates, values, fitted = Decorrelated(12), readings(), torch.randn(5, 12)
+    chosen, renewed = 0, 0
+    for number, batch in enumerate(values.reshape(-1, 20, 12), 1):
+        matrix, weights = coordinates.matrix.clone(), coordinates(fitted)
+        coordinates.observe(batch, fitted)
+        if coordinates.matrix.equal(matrix):
+            torch.testing.assert_close(coordinates(fitted), weights, rtol=0, atol=0)
+        elif number > 4:
+            renewed += 1
+            torch.testing.assert_close(coordinates(fitted), weights, rtol=1e-4, atol=1e-4)
+        else:
+            chosen += 1
+            assert not torch.allclose(coordinates(fitted), weights, rtol=0.1, atol=0.1)
+    assert (chosen, renewed) == (3, 49)
+
+
 def test_inputs_that_do_not_vary_do_no_harm() -> None:
     coordinates = Decorrelated(3)
-    coordinates.observe(torch.ones(10, 3))
+    coordinates.observe(torch.ones(10, 3), torch.zeros(1, 3))
     assert coordinates.matrix.isfinite().all()
 
 

@@ -14,7 +14,7 @@ from veilcam_training.encoders import (
     Setup,
     make_encoder,
 )
-from veilcam_training.encoders.panel import make_operator
+from veilcam_training.encoders.panel import make_operators
 from veilcam_training.errors import TrainingError
 from veilcam_training.randomness import seeded, stream
 
@@ -59,8 +59,8 @@ def test_a_panel_that_is_shifted_shifts_the_picture() -> None:
     fine = Setup(SETUP.camera, SETUP.scene, Embedding(76, 1))
     pixel = fine.camera.sensor.height / 76
     magnified = pixel / (1 + SETUP.camera.distance / SETUP.scene.distance)
-    ideal = make_operator(fine)(weights).reshape(63, 76)
-    moved = make_operator(fine, shift=(magnified, 0.0))(weights).reshape(63, 76)
+    ideal = make_operators(fine)[0](weights).reshape(63, 76)
+    moved = make_operators(fine, shift=(magnified, 0.0))[0](weights).reshape(63, 76)
     # A panel moved by one pixel's shadow moves what is seen by one pixel.
     torch.testing.assert_close(moved[:, 6:-5], ideal[:, 5:-6], rtol=0.02, atol=1e-6)
 
@@ -69,7 +69,7 @@ def test_distance_error() -> None:
     weights = torch.rand(SETUP.camera.mask_shape, generator=stream(0, "weights"))
     other = Setup(Camera(distance=4.2e-3), SETUP.scene, SETUP.embedding)
     torch.testing.assert_close(
-        make_operator(SETUP, distance_error=2e-4)(weights), make_operator(other)(weights)
+        make_operators(SETUP, distance_error=2e-4)[0](weights), make_operators(other)[0](weights)
     )
 
 

@@ -26,8 +26,8 @@ from veilcam_training.recipe import Recipe
 from veilcam_training.workers import LocalWorkers
 
 ROOT = Path(__file__).resolve().parents[2]
-ENCODERS = ("learned", "lens")
 NOISELESS = Recipe(epochs=1, batch=90, rate=1e-2, mask_rate=1e-2, snr_db=None)
+WHITE = NOISELESS.model_copy(update={"normalisation": "white"})
 NOISY = NOISELESS.model_copy(update={"epochs": 2, "snr_db": 40.0, "dropout": 0.2})
 
 
@@ -75,6 +75,13 @@ def settings(recipe: Recipe, encoder: str = "learned") -> Settings:
     return Settings(embedding="6x8", classifier="FC20", encoder=encoder, recipe=recipe)
 
 
+QUIET = {
+    "learned": settings(NOISELESS),
+    "lens": settings(NOISELESS, "lens"),
+    "decorrelated": settings(WHITE),
+}
+
+
 def run(source: Source, chosen: Settings, ranks: Ranks, **options: Any) -> Outcome:
     return run_job(chosen, source, Camera(), ranks=ranks, **options)
 
@@ -89,7 +96,7 @@ def take_part(member: Member) -> Seen:
     meeting = f"file://{member.work / 'meeting'}"
     distributed.init_process_group("gloo", meeting, rank=member.rank, world_size=2)
     ranks, source = Ranks(member.rank, 2), open_source("mnist", member.data)
-    quiet = {name: run(source, settings(NOISELESS, name), ranks) for name in ENCODERS}
+    quiet = {name: run(source, chosen, ranks) for name, chosen in QUIET.items()}
     unbroken = run(source, settings(NOISY), ranks)
     checkpoint = member.work / str(member.rank) / "fit.checkpoint"
     with contextlib.suppress(InterruptionError):
@@ -125,16 +132,20 @@ def members(digit_folder: Path, work: Path, importable: None) -> dict[int, Seen]
     return dict(LocalWorkers(2).run(take_part, tasks))
 
 
-@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize("name", QUIET)
 def test_two_processes_do_what_one_does(
-    source: Source, members: dict[int, Seen], encoder: str
+    source: Source, members: dict[int, Seen], name: str
 ) -> None:
-    """Nine steps of Adam with batch normalisation; afterwards rounding goes its own ways."""
-    alone = run(source, settings(NOISELESS, encoder), ALONE)
+    """Nine steps of Adam with batch normalisation; afterwards rounding goes its own ways.
+
+    In decorrelated coordinates it does so sooner: there a difference that is hardly there is large.
+    """
+    precision = 5e-3 if name == "decorrelated" else 1e-5
+    alone = run(source, QUIET[name], ALONE)
     losses = [epoch.loss for epoch in alone.fit.history]
     for seen in members.values():
-        assert seen.losses[encoder] == pytest.approx(losses, abs=1e-5)
-        assert seen.accuracies[encoder] == pytest.approx(alone.accuracy.value, abs=0.02)
+        assert seen.losses[name] == pytest.approx(losses, abs=precision)
+        assert seen.accuracies[name] == pytest.approx(alone.accuracy.value, abs=0.02)
 
 
 def test_all_ranks_have_the_same_model(members: dict[int, Seen]) -> None:

@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, grid_sample, pad
 
 from veilcam_optics.geometry import Camera, Scene
 from veilcam_optics.parts import Part
 from veilcam_training.errors import TrainingError
+from veilcam_training.warping import homographies, warp
 
 HEIGHTS = (0.02, 0.20)
 """Least and largest height of an object that is rescaled [m] (the paper, section 5)."""
@@ -29,11 +29,28 @@ DISTORTION = 0.5
 """How far a corner moves inwards, as a share of half a side (the paper)."""
 
 
-class Change(ABC):
-    """Draws images into ``scene``."""
+@dataclass(frozen=True)
+class Shown:
+    """Some images of a batch, as they are shown to a camera.
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    Attributes:
+        chosen: which images these are, int64 (count,).
+        scenes: (count, rows, columns) or (count, 3, rows, columns).
+        part: of the grid that ``scenes`` are; beyond it is black. None for all of it.
+        grid: number of the grid: 0 is the change's ``scene``, the others are its ``finer`` ones.
+    """
+
+    chosen: Tensor
+    scenes: Tensor
+    part: Part | None = None
+    grid: int = 0
+
+
+class Change(ABC):
+    """Draws images into ``scene``, or into ``finer`` ones: smaller, with smaller pixels."""
+
+    def __init__(self, scene: Scene, finer: tuple[Scene, ...] = ()) -> None:
+        self.scene, self.finer = scene, finer
 
     @abstractmethod
     def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
@@ -49,20 +66,17 @@ class Change(ABC):
         """
 
     def in_parts(
-        self, images: Tensor, generator: torch.Generator
-    ) -> Iterator[tuple[Tensor, Part | None]]:
-        """The scenes, some at a time, as parts of the scene beyond which it is black.
-
-        What training takes, where it is cheaper than the scenes as a whole.
+        self, images: Tensor, generator: torch.Generator, *, training: bool
+    ) -> Iterator[Shown]:
+        """What a camera is shown, some images at a time: by default all scenes at once.
 
         Args:
             images: as above.
             generator: as above.
-
-        Yields:
-            Scenes of the next images, and which part of ``scene`` they are: None for all of it.
+            training: True may draw the images less independently of each other, if that is cheaper.
         """
-        yield self(images, generator), None
+        del training
+        yield Shown(torch.arange(len(images)), self(images, generator))
 
 
 class Unchanged(Change):
@@ -105,17 +119,20 @@ class Shift(Change):
         return scenes.reshape(*images.shape[:-2], *self.scene.shape)
 
     def in_parts(
-        self, images: Tensor, generator: torch.Generator
-    ) -> Iterator[tuple[Tensor, Part | None]]:
-        """``PLACES`` places, each with an equal share of the images.
+        self, images: Tensor, generator: torch.Generator, *, training: bool
+    ) -> Iterator[Shown]:
+        """In training ``PLACES`` places, each with an equal share of the images.
 
         A scene that moves is a mask that moves the other way: every place costs a camera one small
         transfer, where the whole scene costs one of twenty times as many pixels.
         """
-        groups = images.tensor_split(max(1, min(PLACES, len(images))))
+        if not training:
+            yield from super().in_parts(images, generator, training=training)
+            return
+        groups = torch.arange(len(images)).tensor_split(max(1, min(PLACES, len(images))))
         tops, lefts = self._places(images, len(groups), generator)
         for group, top, left in zip(groups, tops.tolist(), lefts.tolist(), strict=True):
-            yield group, Part(top, left, *images.shape[-2:])
+            yield Shown(group, images[group], Part(top, left, *images.shape[-2:]))
 
     def _places(
         self, images: Tensor, count: int, generator: torch.Generator
@@ -128,17 +145,49 @@ class Shift(Change):
 
 
 class Rescale(Change):
-    """The object's height is anything from 2 to 20 cm."""
+    """The object's height is anything from 2 to 20 cm.
+
+    On one grid the smallest would have five pixels instead of an image's 28, and lose what a mask
+    still tells apart. So there is a grid for each octave of height: a scene half as high as the one
+    before, of as many pixels. A last part of an octave goes with the octave above it.
+    """
 
     def __init__(self, image: Scene, heights: tuple[float, float] = HEIGHTS) -> None:
-        self._factors = tuple(height / image.height for height in heights)
-        rows, columns = (math.ceil(self._factors[1] * side - 1e-6) for side in image.shape)
-        super().__init__(replace(image, rows=rows, columns=columns, height=rows * image.pixel))
+        self._image, (low, high) = image, heights
+        self._heights = heights
+        rows, columns = (math.ceil(high / image.height * side - 1e-6) for side in image.shape)
+        scene = replace(image, rows=rows, columns=columns, height=rows * image.pixel)
+        halvings = range(1, round(math.log2(high / low)))
+        super().__init__(
+            scene, tuple(replace(scene, height=scene.height / 2**number) for number in halvings)
+        )
 
     def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
         """Return each image in a size of its own."""
-        low, high = self._factors
-        factors = low + (high - low) * torch.rand(len(images), generator=generator)
+        return self._draw(images, self.draw_heights(len(images), generator) / self._image.height)
+
+    def draw_heights(self, count: int, generator: torch.Generator) -> Tensor:
+        """Heights [m] of ``count`` images, as they are drawn first of all."""
+        low, high = self._heights
+        return low + (high - low) * torch.rand(count, generator=generator)
+
+    def in_parts(
+        self, images: Tensor, generator: torch.Generator, *, training: bool
+    ) -> Iterator[Shown]:
+        """Each image on the finest grid that has room for it."""
+        del training
+        heights = self.draw_heights(len(images), generator)
+        octaves = (self._heights[1] / heights).log2().long().clamp(0, len(self.finer))
+        factors = heights / self._image.height
+        for octave in range(len(self.finer) + 1):
+            chosen = (octaves == octave).nonzero().flatten()
+            if not len(chosen) and len(images):
+                continue  # a transfer that nothing is seen through
+            scenes = self._draw(images[chosen.to(images.device)], factors[chosen] * 2**octave)
+            yield Shown(chosen, scenes, grid=octave)
+
+    def _draw(self, images: Tensor, factors: Tensor) -> Tensor:
+        """Scenes with each image ``factors`` times as large as its pixels say."""
         matrices = torch.diag_embed(
             torch.stack([1 / factors, 1 / factors, torch.ones_like(factors)], dim=1)
         )
@@ -183,57 +232,6 @@ class Perspective(Change):
         return warp(
             images, homographies(ends * (1 - inwards) * half, ends * half), self.scene.shape
         )
-
-
-def homographies(sources: Tensor, target: Tensor) -> Tensor:
-    """The maps (batch, 3, 3) that take points ``sources`` (batch, 4, 2) to ``target`` (4, 2)."""
-    x, y = sources.double().unbind(-1)
-    u, v = target.double().expand(len(sources), 4, 2).unbind(-1)
-    one, zero = torch.ones_like(x), torch.zeros_like(x)
-    first = torch.stack([x, y, one, zero, zero, zero, -u * x, -u * y], dim=-1)
-    second = torch.stack([zero, zero, zero, x, y, one, -v * x, -v * y], dim=-1)
-    solved = torch.linalg.solve(torch.cat([first, second], 1), torch.cat([u, v], 1))
-    return torch.cat([solved, solved.new_ones(len(x), 1)], 1).reshape(-1, 3, 3)
-
-
-def warp(images: Tensor, matrices: Tensor, shape: tuple[int, int], *, reduce: int = 1) -> Tensor:
-    """Draw each image through a map of its own, bilinearly, on black.
-
-    Args:
-        images: (batch, rows, columns) or (batch, channels, rows, columns).
-        matrices: (batch, 3, 3); each takes a place (x, y, 1) of the result to a place in its image,
-            both in pixels from the centre.
-        shape: rows and columns of the result.
-        reduce: side of the squares of image pixels that are averaged first.
-
-    Returns:
-        (batch, [channels,] rows, columns).
-    """
-    planes = images if images.ndim == 4 else images[:, None]
-    if reduce > 1:
-        extra = [-side % reduce for side in planes.shape[-2:]]
-        top, left = extra[0] // 2, extra[1] // 2
-        planes = pad(planes, (left, extra[1] - left, top, extra[0] - top))
-        # Uneven padding moves the centre by half a pixel.
-        centre = torch.tensor([left - extra[1] / 2, top - extra[0] / 2])
-        planes = avg_pool2d(planes, reduce)
-    else:
-        centre = torch.zeros(2)
-    half = torch.tensor(planes.shape[:-3:-1]) * (reduce / 2)
-    y, x = (torch.arange(count) - (count - 1) / 2 for count in shape)
-    # Into the units of grid_sample. Rows and columns enter by a sum, so no place is multiplied out.
-    to_grid = torch.eye(3)
-    to_grid[:2] = torch.cat([torch.diag(1 / half), (centre / half)[:, None]], dim=1)
-    mapped = (to_grid @ matrices.float()).to(images)[..., None, None]
-    x, y = x.to(images), y.to(images)[:, None]
-    places = mapped[:, :2, 0] * x + (mapped[:, :2, 1] * y + mapped[:, :2, 2])
-    if bool((matrices[:, 2, :2] != 0).any()):
-        depth = mapped[:, 2:, 0] * x + (mapped[:, 2:, 1] * y + mapped[:, 2:, 2])
-        # Beyond the horizon of a perspective space folds over: nothing is there.
-        places = torch.where(depth > 1e-6, places / depth, 2e3)
-    places = places.permute(0, 2, 3, 1)
-    drawn = grid_sample(planes, places, mode="bilinear", align_corners=False)
-    return drawn if images.ndim == 4 else drawn[:, 0]
 
 
 CHANGES: Mapping[str, Callable[[Scene, Camera], Change]] = {

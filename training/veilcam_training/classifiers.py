@@ -18,6 +18,7 @@ from veilcam_training.bundle.layers import (
     Conv2d,
     Dropout,
     Flatten,
+    LayerNorm,
     LayerRecord,
     Linear,
     MaxPool,
@@ -46,6 +47,12 @@ Normalisation = Literal["shared", "per_pixel", "white"]
 learned. With ``white`` nothing does: the hidden layer takes the reading itself, and is fitted in
 coordinates in which the reading is decorrelated, see :mod:`veilcam_training.decorrelation`."""
 
+Exposure = Literal["fixed", "automatic"]
+"""``automatic`` first brings every reading to mean 0 and variance 1, as a camera that sets its
+exposure by the scene would: a small object sends a hundredth of a large one's light."""
+DARKEST = 1e-12
+"""Added to that variance, where a white scene has about 1."""
+
 
 @dataclass(frozen=True)
 class Task:
@@ -63,6 +70,7 @@ class Task:
 
     Batch normalisation is not free of units: it adds 1e-5 to every variance.
     """
+    exposure: Exposure = "fixed"
 
     @property
     def inputs(self) -> int:
@@ -111,6 +119,8 @@ def make_layers(name: str, task: Task, *, dropout: float = 0.0) -> Layers:
 def _sensor(task: Task) -> Layers:
     """Bring readings to a handy range."""
     gain: Layers = () if task.gain == 1 else (Affine(scale=task.gain),)
+    if task.exposure == "automatic":
+        gain = (*gain, LayerNorm(shape=(task.inputs,), affine=False, epsilon=DARKEST))
     if task.normalisation == "white":
         return gain
     rectifier: Layers = (ReLU(),) if task.rectified else ()

@@ -11,6 +11,8 @@ classifier that leaves in a bundle has no more layers than before.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -26,8 +28,10 @@ class Decorrelated(nn.Module):
     """``V M`` from ``V``; ``M`` follows the inputs that it is shown.
 
     The whitening matrix is symmetric, so it changes steadily where eigenvectors swap their places.
-    It is renewed after 1, 2, 4, ... batches and then often enough for a mask that is being learned:
-    every ``inputs / 3`` batches, as an eigendecomposition costs the cube of ``inputs``.
+    It is renewed after 1, 2, 4, ... batches, which choose the coordinates that ``V`` was drawn in,
+    and then often enough for a mask that is being learned: every ``inputs / 3`` batches, as an
+    eigendecomposition costs the cube of ``inputs``. From then on ``V`` changes with ``M``, so that
+    the layer goes on computing what it has learned.
 
     Args:
         inputs: of the layer.
@@ -40,6 +44,8 @@ class Decorrelated(nn.Module):
     def __init__(self, inputs: int) -> None:
         super().__init__()
         self._every = max(1, inputs // 3)
+        self.mean: Callable[[Tensor], Tensor] = lambda values: values
+        """Mean over the processes that fit together; each sees batches of its own."""
         self.register_buffer("covariance", torch.zeros(inputs, inputs))
         self.register_buffer("matrix", torch.eye(inputs))
         self.register_buffer("batches", torch.zeros((), dtype=torch.long))
@@ -53,20 +59,30 @@ class Decorrelated(nn.Module):
         return weights
 
     @torch.no_grad()
-    def observe(self, inputs: Tensor) -> None:
-        """Take a batch of inputs (batch, inputs) into account."""
+    def observe(self, inputs: Tensor, weights: Tensor) -> None:
+        """Take a batch of inputs (batch, inputs) into account.
+
+        Args:
+            inputs: of the layer.
+            weights: ``V`` (outputs, inputs), changed in place where ``M`` is.
+        """
         number = int(self.batches) + 1
         self.batches.fill_(number)
-        centred = inputs - inputs.mean(0)
+        centred = inputs - self.mean(inputs.mean(0))
         share = max(MOMENTUM, 1 / number)
-        self.covariance.lerp_(centred.T @ centred / len(inputs), share)
-        if number & (number - 1) == 0 or number % self._every == 0:
-            # In float64: the variances span more than the digits of a float32.
-            covariance = self.covariance.double()
-            floor = FLOOR * covariance.diagonal().mean().clamp_min(torch.finfo(torch.float32).tiny)
-            variances, directions = torch.linalg.eigh(covariance)
-            roots = (variances.clamp_min(0) + floor).rsqrt()
-            self.matrix.copy_((directions * roots) @ directions.T)
+        self.covariance.lerp_(self.mean(centred.T @ centred / len(inputs)), share)
+        choosing = number < self._every and number & (number - 1) == 0
+        if not choosing and number % self._every:
+            return
+        # In float64: the variances span more than the digits of a float32.
+        covariance = self.covariance.double()
+        floor = FLOOR * covariance.diagonal().mean().clamp_min(torch.finfo(torch.float32).tiny)
+        variances, directions = torch.linalg.eigh(covariance)
+        roots = (variances.clamp_min(0) + floor).sqrt()
+        if number > self._every:
+            before = weights.double() @ self.matrix.double()
+            weights.copy_(before @ (directions * roots) @ directions.T)
+        self.matrix.copy_((directions / roots) @ directions.T)
 
 
 def decorrelate(classifier: nn.Sequential) -> None:
@@ -79,9 +95,10 @@ def decorrelate(classifier: nn.Sequential) -> None:
 def _observe(layer: nn.Module, inputs: tuple[Tensor]) -> None:
     if layer.training:
         # Asked for anew each time: a copy of the layer has coordinates of its own.
-        for child in layer.modules():
-            if isinstance(child, Decorrelated):
-                child.observe(inputs[0])
+        fitted = cast(
+            parametrize.ParametrizationList, layer.get_submodule("parametrizations.weight")
+        )
+        cast(Decorrelated, fitted[0]).observe(inputs[0], fitted.original)
 
 
 def plain(classifier: nn.Module) -> nn.Module:

@@ -9,7 +9,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from veilcam_training.changes import warp
+from veilcam_training.warping import warp
 
 
 class Jitter(BaseModel):

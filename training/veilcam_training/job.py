@@ -93,6 +93,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         embedding,
         colour=source.colour,
         point_reading=settings.reading == "point",
+        finer=change.finer,
     )
     encoder = make_encoder(
         settings.encoder,
@@ -110,6 +111,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         rectified=encoder.trainable,
         normalisation=settings.recipe.normalisation,
         gain=white_gain(encoder),
+        exposure=settings.recipe.exposure,
     )
     layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
     with seeded(settings.seed, "classifier"):

@@ -68,8 +68,16 @@ class LenslessClassifier(nn.Module):
         """
         if draws is None:
             return self.read(self.encoder(images), noise)
-        if not self.training:
-            return self.read(self.encoder(self.change(images, draws)), noise)
-        parts = self.change.in_parts(images, draws)
-        embeddings = [self.encoder(scenes, part) for scenes, part in parts]
-        return self.read(torch.cat(embeddings), noise)
+        return self.read(self.embed(images, draws), noise)
+
+    def embed(self, images: Tensor, draws: torch.Generator) -> Tensor:
+        """Noiseless embeddings (batch, encoder.outputs) of images, shown as the change says."""
+        chosen: list[Tensor] = []
+        embeddings: list[Tensor] = []
+        for shown in self.change.in_parts(images, draws, training=self.training):
+            chosen.append(shown.chosen)
+            embeddings.append(self.encoder(shown.scenes, shown.part, shown.grid))
+        if len(embeddings) == 1:
+            return embeddings[0]
+        back = torch.cat(chosen).argsort().to(images.device)
+        return torch.cat(embeddings).index_select(0, back)

@@ -17,6 +17,7 @@ from torch import Tensor, distributed, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
+from veilcam_training.decorrelation import Decorrelated
 from veilcam_training.errors import TrainingError
 
 ValueT = TypeVar("ValueT")
@@ -59,7 +60,7 @@ class Ranks:
         """``module`` as all ranks train it together; its batch normalisations are replaced."""
         if self.size == 1:
             return module
-        _replace_batch_norms(module)
+        _take_moments_over_ranks(module)
         # Buffers are the same everywhere already, and a camera's matrix is large.
         return DistributedDataParallel(module, forward_sync_buffers=False)
 
@@ -170,9 +171,11 @@ class _BatchNormOverRanks(_BatchNorm):
         """Shapes were checked when the classifier was made."""
 
 
-def _replace_batch_norms(module: nn.Module) -> None:
+def _take_moments_over_ranks(module: nn.Module) -> None:
     for name, child in module.named_children():
         if isinstance(child, _BatchNorm):
             setattr(module, name, _BatchNormOverRanks(child))
-        else:
-            _replace_batch_norms(child)
+            continue
+        if isinstance(child, Decorrelated):
+            child.mean = _mean_over_ranks
+        _take_moments_over_ranks(child)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from veilcam_training.classifiers import Normalisation
+from veilcam_training.classifiers import Exposure, Normalisation
 from veilcam_training.encoders.panel import PanelErrors
 from veilcam_training.jitter import Jitter
 
@@ -39,6 +39,8 @@ class Recipe(BaseModel):
     """Epochs between two divisions of a ``steps`` schedule."""
     normalisation: Normalisation = "per_pixel"
     """How a classifier takes a reading, see :data:`veilcam_training.classifiers.Normalisation`."""
+    exposure: Exposure = "fixed"
+    """Of a reading, see :data:`veilcam_training.classifiers.Exposure`."""
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Of the classifier's hidden layers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.parts import Part
 from veilcam_training.encoders.encoder import Encoder
-from veilcam_training.encoders.panel import PanelErrors, make_operators
+from veilcam_training.encoders.panel import PanelErrors, make_places
 from veilcam_training.encoders.setup import Setup
 
 NO_ERRORS = PanelErrors()
@@ -29,22 +30,22 @@ class Mask(Encoder):
         self._drawn = random_mask(setup.camera, generator)
         self.errors = errors
         # Held in a tuple: kernels are constants of the camera and belong in no state_dict.
-        self._operators = make_operators(setup, errors, generator)
+        self._operators = make_places(setup, errors, generator)
 
-    def _transfer(self, shown: Tensor, part: Part | None) -> Tensor:
+    def _transfer(self, shown: Tensor, part: Part | None, grid: int) -> Tensor:
         """T of the mask that an ideal panel would show."""
         place = 0
         if self.training and self.errors.any:
             shown = self.errors.shown(shown)
             if self.errors.moves:
                 place = int(torch.randint(1, len(self._operators), (1,)))
-        transfer: Tensor = self._operators[place](shown, part)
+        transfer: Tensor = self._operators[place][grid](shown, part)
         return transfer
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         """Take the operators along to another device."""
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
-        for operator in self._operators:
+        for operator in chain.from_iterable(self._operators):
             # What nn.Module does to its own children.
             operator._apply(fn)  # type: ignore[no-untyped-call]  # noqa: SLF001
         return self
@@ -95,13 +96,13 @@ class LearnedMask(Mask):
             self.weights[top : top + 3, (columns - 1) // 2] = 1
         self.project()
 
-    def transfer(self, part: Part | None = None) -> Tensor:
+    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
         """T of the mask as the panel shows it, differentiable in the weights."""
         shown = quantise(self.weights, self.setup.camera.panel)
         if self.training:
             # Lifted without touching the gradient, which a plain clamp would cut.
             shown = shown + (self.closed - shown).clamp_min(0).detach()
-        return self._transfer(shown, part)
+        return self._transfer(shown, part, grid)
 
     def project(self) -> None:
         """Bring the weights back into [closed, 1]."""
@@ -123,7 +124,6 @@ class FixedMask(Mask):
     """
 
     shown: Tensor
-    matrix: Tensor
 
     def __init__(
         self, setup: Setup, generator: torch.Generator, errors: PanelErrors = NO_ERRORS
@@ -133,15 +133,16 @@ class FixedMask(Mask):
         levels = to_levels(self._drawn, panel)
         self.constant = not errors.any
         self.register_buffer("shown", torch.from_numpy(levels))
-        self.register_buffer("matrix", self._operators[0](to_weights(levels, panel)))
+        for grid, operator in enumerate(self._operators[0]):
+            self.register_buffer(f"matrix_{grid}", operator(to_weights(levels, panel)))
 
-    def transfer(self, part: Part | None = None) -> Tensor:
+    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
         """T, a constant as long as the panel does not err."""
         if self.training and self.errors.any:
             panel = self.setup.camera.panel
-            shown = to_weights(self.levels(), panel).to(self.matrix.device)
-            return self._transfer(shown, part)
-        return self._of_part(self.matrix, part)
+            shown = to_weights(self.levels(), panel).to(self.shown.device)
+            return self._transfer(shown, part, grid)
+        return self._of_part(self.get_buffer(f"matrix_{grid}"), part, grid)
 
     def levels(self) -> npt.NDArray[np.uint8]:
         """What the panel has to show, uint8, ``camera.mask_shape``."""

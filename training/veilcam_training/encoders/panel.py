@@ -50,10 +50,10 @@ class PanelErrors(BaseModel):
         return weights
 
 
-def make_operator(
+def make_operators(
     setup: Setup, *, shift: tuple[float, float] = (0.0, 0.0), distance_error: float = 0.0
-) -> TransferOperator:
-    """Transfer operator of ``setup`` with the panel out of place.
+) -> tuple[TransferOperator, ...]:
+    """Transfer operators of ``setup``, one for each grid, with the panel out of place.
 
     A point reading averages the fringes over a scene pixel's image alone, which is several times
     smaller than an embedding pixel: neighbouring columns and rows of one colour count there too.
@@ -65,27 +65,30 @@ def make_operator(
     """
     camera = replace(setup.camera, distance=setup.camera.distance + distance_error)
     y, x = (torch.tensor(value, dtype=torch.float64) for value in shift)
-    return TransferOperator(
-        camera,
-        setup.scene,
-        setup.embedding,
-        colour=setup.colour,
-        reach=Reach(3, 1) if setup.point_reading else Reach(),
-        approximation=Approximation(point_reading=setup.point_reading),
-        variables=Variables(shift_y=y, shift_x=x),
+    return tuple(
+        TransferOperator(
+            camera,
+            scene,
+            setup.embedding,
+            colour=setup.colour,
+            reach=Reach(3, 1) if setup.point_reading else Reach(),
+            approximation=Approximation(point_reading=setup.point_reading),
+            variables=Variables(shift_y=y, shift_x=x),
+        )
+        for scene in setup.grids
     )
 
 
-def make_operators(
+def make_places(
     setup: Setup, errors: PanelErrors, generator: torch.Generator
-) -> tuple[TransferOperator, ...]:
-    """The operator of the ideal place, and those of ``errors.places`` others drawn at random."""
-    operators = [make_operator(setup)]
+) -> tuple[tuple[TransferOperator, ...], ...]:
+    """Operators of the ideal place, and of ``errors.places`` others drawn at random."""
+    operators = [make_operators(setup)]
     if errors.moves:
         draws = 2 * torch.rand(errors.places, 3, generator=generator, dtype=torch.float64) - 1
         for y, x, along in draws.tolist():
             operators.append(
-                make_operator(
+                make_operators(
                     setup,
                     shift=(errors.shift * y, errors.shift * x),
                     distance_error=errors.distance * along,

@@ -21,6 +21,20 @@ class Setup:
     colour: bool = False
     """False sums the colours to a gray reading, True keeps three."""
     point_reading: bool = False
+    finer: tuple[Scene, ...] = ()
+    """Scenes of smaller pixels that are shown too; each has a transfer of its own."""
+
+    @property
+    def grids(self) -> tuple[Scene, ...]:
+        """The scene, and the finer ones, by the number of their grid."""
+        return (self.scene, *self.finer)
+
+    def light(self, grid: int) -> float:
+        """How much light a white scene on ``grid`` sends, relative to that of ``scene``."""
+        first, other = self.scene, self.grids[grid]
+        return (other.rows * other.columns * other.pixel**2) / (
+            first.rows * first.columns * first.pixel**2
+        )
 
     @property
     def channels(self) -> int:

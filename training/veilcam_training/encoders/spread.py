@@ -35,27 +35,29 @@ class SpreadEncoder(FixedEncoder):
     """A camera with one PSF for the whole scene."""
 
     def __init__(self, setup: Setup, spread: Spread) -> None:
-        camera = replace(setup.camera, distance=spread.distance)
-        if setup.point_reading:
-            image = setup.scene.pixel_at_sensor(camera)
-            channels = point_transfer(
-                spread, camera.sensor, setup.scene, setup.embedding, image=image
-            )
-        else:
-            rows, columns = spread.irradiance.shape[1:]
-            binning = TransferBinning(
-                camera,
-                setup.scene,
-                setup.embedding,
-                shape=(rows, columns),
-                pitch=spread.pitch,
-                dtype=spread.irradiance.dtype,
-            )
-            channels = binning(spread.irradiance)
-        if not setup.colour:
-            shares = torch.tensor(camera.sensor.channel_weights, dtype=channels.dtype)
-            channels = torch.einsum("c,cpe->pe", shares, channels)
-        super().__init__(setup, channels.float())
+        super().__init__(setup, [_transfer(setup, scene, spread) for scene in setup.grids])
+
+
+def _transfer(setup: Setup, scene: Scene, spread: Spread) -> Tensor:
+    camera = replace(setup.camera, distance=spread.distance)
+    if setup.point_reading:
+        image = scene.pixel_at_sensor(camera)
+        channels = point_transfer(spread, camera.sensor, scene, setup.embedding, image=image)
+    else:
+        rows, columns = spread.irradiance.shape[1:]
+        binning = TransferBinning(
+            camera,
+            scene,
+            setup.embedding,
+            shape=(rows, columns),
+            pitch=spread.pitch,
+            dtype=spread.irradiance.dtype,
+        )
+        channels = binning(spread.irradiance)
+    if not setup.colour:
+        shares = torch.tensor(camera.sensor.channel_weights, dtype=channels.dtype)
+        channels = torch.einsum("c,cpe->pe", shares, channels)
+    return channels.float()
 
 
 def point_transfer(

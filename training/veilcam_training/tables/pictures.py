@@ -50,7 +50,7 @@ def make_pictures(model: LenslessClassifier, settings: Settings, validation: Ima
     model.eval()
     with torch.no_grad():
         scenes = model.change(images, stream(seed, "pictures", "change"))
-        readings = model.encoder(scenes)
+        readings = model.embed(images, stream(seed, "pictures", "change"))
         if model.snr_db is not None:
             noise = stream(seed, "pictures", "noise", device=device)
             readings = model.encoder.add_noise(readings, model.snr_db, noise)
