@@ -8,7 +8,12 @@ with Camera("http://127.0.0.1:8787") as camera:
 
 from importlib.metadata import version
 
-from veilcam_client.calibration_models import CalibrationRecord, SignedCalibration
+from veilcam_client.calibration_models import (
+    CalibrationRecord,
+    CalibrationRun,
+    CalibrationStatus,
+    SignedCalibration,
+)
 from veilcam_client.camera import DEFAULT_URL, AsyncCamera, Camera
 from veilcam_client.decoding import SceneDecoder
 from veilcam_client.diagnostics import Diagnostics
@@ -27,6 +32,7 @@ from veilcam_client.errors import (
     VeilcamError,
 )
 from veilcam_client.events import (
+    CalibrationChanged,
     CaptureTaken,
     Classified,
     Event,
@@ -59,7 +65,10 @@ __all__ = [
     "ApiError",
     "AsyncCamera",
     "BusyError",
+    "CalibrationChanged",
     "CalibrationRecord",
+    "CalibrationRun",
+    "CalibrationStatus",
     "Camera",
     "Capture",
     "CaptureTaken",

@@ -1,4 +1,4 @@
-"""What a camera found out about itself, as it goes over the wire and lies on its disk."""
+"""What a camera found out about itself, and how it goes on finding out."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from veilcam_client.models import Answer
+from veilcam_client.models import Answer, Question
+
+SceneName = Literal["dark", "white card", "lamp"]
+"""What is held in front of a camera that is being measured."""
+Stage = Literal["waiting", "measuring", "fitting", "done", "failed", "cancelled"]
+"""``waiting`` for somebody to hold up a scene; after the last three it has ended."""
 
 
 class Quantity(Answer):
@@ -78,3 +83,41 @@ class SignedCalibration(Answer):
     """Ed25519, of the daemon that measured."""
     signature: str = Field(pattern=r"^[0-9a-f]{128}$")
     """Ed25519, of the record as compact JSON in the order of its fields."""
+
+
+class CalibrationRequest(Question):
+    """Measure the camera with itself."""
+
+    repeats: int = Field(default=2, ge=1, le=100)
+    """Exposures for one reading."""
+
+
+class ScenePresented(Question):
+    """The scene that was asked for is there."""
+
+    scene: SceneName
+
+
+class CalibrationRun(Answer):
+    """How a calibration goes on, or ended."""
+
+    stage: Stage
+    scene: SceneName | None
+    """What is, or should be, in front of the camera; None before the first and after the last."""
+    instruction: str | None
+    """How to make that scene, while it is waited for."""
+    exposures: int
+    """Taken so far."""
+    total: int
+    """Exposures that it takes."""
+    detail: str | None
+    """Why it failed, and what to do."""
+
+
+class CalibrationStatus(Answer):
+    """What a camera knows of itself."""
+
+    signed: SignedCalibration | None
+    """The record in use; None: the camera is taken to be as it was drawn."""
+    run: CalibrationRun | None
+    """The last calibration that was asked for; None since the daemon started."""

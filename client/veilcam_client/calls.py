@@ -13,7 +13,13 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
-from veilcam_client.calibration_models import SignedCalibration
+from veilcam_client.calibration_models import (
+    CalibrationRequest,
+    CalibrationRun,
+    CalibrationStatus,
+    SceneName,
+    ScenePresented,
+)
 from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.keyrings import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
 from veilcam_client.leases import Lease, LeaseRequest, NewLease
@@ -55,9 +61,27 @@ def status() -> Call[Status]:
     return Call("GET", "/v1/status", Status, headers=_headers())
 
 
-def calibration() -> Call[SignedCalibration]:
+def calibration() -> Call[CalibrationStatus]:
     """GET /v1/calibration."""
-    return Call("GET", "/v1/calibration", SignedCalibration, headers=_headers())
+    return Call("GET", "/v1/calibration", CalibrationStatus, headers=_headers())
+
+
+def start_calibration(repeats: int) -> Call[CalibrationRun]:
+    """POST /v1/calibration."""
+    body = CalibrationRequest(repeats=repeats).model_dump_json().encode()
+    return Call("POST", "/v1/calibration", CalibrationRun, body, _headers(body=True, post=True))
+
+
+def scene_presented(scene: SceneName) -> Call[CalibrationRun]:
+    """POST /v1/calibration/scene."""
+    body = ScenePresented(scene=scene).model_dump_json().encode()
+    path = "/v1/calibration/scene"
+    return Call("POST", path, CalibrationRun, body, _headers(body=True, post=True))
+
+
+def cancel_calibration() -> Call[CalibrationRun]:
+    """DELETE /v1/calibration."""
+    return Call("DELETE", "/v1/calibration", CalibrationRun, headers=_headers())
 
 
 def capture() -> Call[Capture]:

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from veilcam_client import calls
-from veilcam_client.calibration_models import SignedCalibration
+from veilcam_client.calibration_models import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.credentials import Credentials
 from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.events import Event
@@ -81,9 +81,25 @@ class Camera:
         """State, device, bundle, rotation and queue of the daemon."""
         return self._transport.send(calls.status())
 
-    def calibration(self) -> SignedCalibration:
-        """What the camera found out about itself; code ``not_calibrated`` before it did."""
+    def calibration(self) -> CalibrationStatus:
+        """What the camera found out about itself, and how finding out goes on."""
         return self._transport.send(calls.calibration())
+
+    def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
+        """Begin to measure the camera with itself; it takes no captures meanwhile.
+
+        It goes on by itself but for scenes that somebody must hold up: see ``stage`` and
+        ``instruction`` of :meth:`calibration` or of the events, and :meth:`scene_presented`.
+        """
+        return self._transport.send(calls.start_calibration(repeats))
+
+    def scene_presented(self, scene: SceneName) -> CalibrationRun:
+        """Say that the scene that the calibration waits for is there."""
+        return self._transport.send(calls.scene_presented(scene))
+
+    def cancel_calibration(self) -> CalibrationRun:
+        """End the calibration that is under way; what was in use before stays in use."""
+        return self._transport.send(calls.cancel_calibration())
 
     def capture(self) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array."""
@@ -210,9 +226,25 @@ class AsyncCamera:
         """State, device, bundle, rotation and queue of the daemon."""
         return await self._transport.send(calls.status())
 
-    async def calibration(self) -> SignedCalibration:
-        """What the camera found out about itself; code ``not_calibrated`` before it did."""
+    async def calibration(self) -> CalibrationStatus:
+        """What the camera found out about itself, and how finding out goes on."""
         return await self._transport.send(calls.calibration())
+
+    async def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
+        """Begin to measure the camera with itself; it takes no captures meanwhile.
+
+        It goes on by itself but for scenes that somebody must hold up: see ``stage`` and
+        ``instruction`` of :meth:`calibration` or of the events, and :meth:`scene_presented`.
+        """
+        return await self._transport.send(calls.start_calibration(repeats))
+
+    async def scene_presented(self, scene: SceneName) -> CalibrationRun:
+        """Say that the scene that the calibration waits for is there."""
+        return await self._transport.send(calls.scene_presented(scene))
+
+    async def cancel_calibration(self) -> CalibrationRun:
+        """End the calibration that is under way; what was in use before stays in use."""
+        return await self._transport.send(calls.cancel_calibration())
 
     async def capture(self) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array."""

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from pydantic import ValidationError
 
-from veilcam_client import keyring_command, token_command
+from veilcam_client import calibration_command, keyring_command, token_command
 from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.models import (
     EveryCaptures,
@@ -47,6 +47,7 @@ app = typer.Typer(
     "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
     "12 leased.",
 )
+app.command()(calibration_command.calibrate)
 app.add_typer(token_command.app, name="token")
 app.add_typer(keyring_command.app, name="keyring")
 

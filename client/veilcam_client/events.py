@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
+from veilcam_client.calibration_models import CalibrationRun
 from veilcam_client.models import Answer, RotationPolicy, State
 
 
@@ -64,6 +65,13 @@ class KeyringChanged(_Event):
     task: str
 
 
+class CalibrationChanged(_Event):
+    """A calibration goes on, or ended."""
+
+    kind: Literal["calibration"] = "calibration"
+    run: CalibrationRun
+
+
 class Fault(_Event):
     """Something failed; ``code`` is that of the problem."""
 
@@ -86,6 +94,7 @@ Event = Annotated[
     | Classified
     | RotationChanged
     | KeyringChanged
+    | CalibrationChanged
     | Fault
     | Gap,
     Field(discriminator="kind"),
@@ -93,5 +102,8 @@ Event = Annotated[
 
 EVENT: TypeAdapter[Event] = TypeAdapter(Event)
 EVENT_KINDS = frozenset(
-    ("state", "mask", "capture", "classification", "rotation", "keyring", "fault", "gap")
+    (
+        *("state", "mask", "capture", "classification", "rotation", "keyring", "calibration"),
+        *("fault", "gap"),
+    )
 )

@@ -19,7 +19,7 @@ API_VERSION = 1
 NPY_MEDIA_TYPE = "application/x-npy"
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 
-State = Literal["starting", "self-test", "ready", "degraded", "safe", "stopping"]
+State = Literal["starting", "self-test", "ready", "calibrating", "degraded", "safe", "stopping"]
 """``safe``: the panel is opaque (or its content unknown) and no capture is taken."""
 
 Form = Literal["flat", "white", "raw"]

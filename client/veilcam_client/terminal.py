@@ -26,19 +26,19 @@ from veilcam_client.errors import (
     VeilcamError,
 )
 
+USAGE, DEVICE = 2, 7
 EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ConnectError, 3),
     (RequestTimeoutError, 4),
     (InvalidRequestError, 5),
     (BusyError, 6),
-    (DeviceError, 7),
+    (DeviceError, DEVICE),
     (ServerError, 8),
     (ProtocolError, 9),
     (UnauthorizedError, 10),
     (ForbiddenError, 11),
     (LeasedError, 12),
 )
-USAGE = 2
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 

@@ -6,7 +6,9 @@ from datetime import UTC, datetime
 
 from pydantic import ValidationError
 
+from veilcam_client.calibration_wording import run_in_words
 from veilcam_client.events import (
+    CalibrationChanged,
     CaptureTaken,
     Classified,
     Event,
@@ -84,10 +86,12 @@ def event_in_words(event: Event) -> str:
         return policy_in_words(event.policy)
     if isinstance(event, KeyringChanged):
         return f"{event.task}  keyring {event.digest[:12]}"
-    return _trouble_in_words(event)
+    return _rare_in_words(event)
 
 
-def _trouble_in_words(event: Fault | Gap) -> str:
+def _rare_in_words(event: CalibrationChanged | Fault | Gap) -> str:
+    if isinstance(event, CalibrationChanged):
+        return run_in_words(event.run)
     if isinstance(event, Fault):
         return f"{event.code}: {event.detail}"
     return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
-from veilcam_client.calibration_models import SignedCalibration
+from veilcam_client.calibration_models import CalibrationRecord, SignedCalibration
 from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.calibration import (
     CalibratedSensor,
@@ -29,23 +30,33 @@ def open_calibration(settings: Settings, bundle: Bundle) -> SignedCalibration | 
     Raises:
         StartError: it cannot be read or trusted, or is of another camera.
     """
-    path = settings.calibration or settings.state_dir / RECORD_NAME
+    path = record_path(settings)
     if settings.calibration is None and not path.exists():
         return None
     try:
         signed = read_record(path, SigningKey.open(settings.state_dir))
-        check_fits(
-            signed.record,
-            display=ST7735R.name,
-            sensor=IMX477.name,
-            simulated=settings.device == "simulated",
-            tab=panel_tab(settings),
-            exposure=settings.exposure,
-            geometry=Geometry(bundle.camera, bundle.scene, bundle.embedding).digest,
-        )
+        check_record(signed.record, settings, bundle)
     except CalibrationError as error:
         raise StartError(str(error)) from None
     return signed
+
+
+def record_path(settings: Settings) -> Path:
+    """Where the record is that a daemon takes."""
+    return settings.calibration or settings.state_dir / RECORD_NAME
+
+
+def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) -> None:
+    """Raise :class:`CalibrationError` if ``record`` is of another camera than is set up."""
+    check_fits(
+        record,
+        display=ST7735R.name,
+        sensor=IMX477.name,
+        simulated=settings.device == "simulated",
+        tab=panel_tab(settings),
+        exposure=settings.exposure,
+        geometry=Geometry(bundle.camera, bundle.scene, bundle.embedding).digest,
+    )
 
 
 def panel_tab(settings: Settings) -> str | None:

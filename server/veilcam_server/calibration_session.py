@@ -13,10 +13,8 @@ import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
 
-from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_client.calibration_wording import record_in_words
 from veilcam_optics.decoding import write_frame
 from veilcam_optics.transfer import Reach
 from veilcam_server.calibrated import panel_tab
@@ -27,19 +25,18 @@ from veilcam_server.calibration import (
     SigningKey,
     calibrate,
     correction,
+    sign_record,
     write_record,
 )
-from veilcam_server.calibration.picture import table, write_picture
+from veilcam_server.calibration.picture import write_picture
 from veilcam_server.calibration.record import RECORD_NAME
+from veilcam_server.calibration_workshop import LONGEST
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.devices.scenes import Scenes
 from veilcam_server.errors import StartError
 from veilcam_server.open_device import open_device
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import read_bundle
-
-_LONGEST = 3.0
-"""Settling may take so many times what the daemon would grant it without a calibration."""
 
 
 def calibrate_device(
@@ -108,7 +105,7 @@ def calibrate_device(
             device,
             geometry,
             show,
-            longest=_LONGEST * settings.settle,
+            longest=LONGEST * settings.settle,
             exposure=settings.exposure,
             tab=panel_tab(settings),
             reach=bundle.fresh.reach if bundle.fresh else Reach(),
@@ -116,7 +113,7 @@ def calibrate_device(
             effort=effort,
             advance=lambda: progress.advance(task),
         )
-    write_record(out, found.record, key)
+    write_record(out, sign_record(found.record, key))
     written = [out, picture]
     try:
         write_picture(picture, found)
@@ -126,7 +123,7 @@ def calibrate_device(
             written.append(frame)
     except OSError as error:
         raise StartError(f"{error.filename} cannot be written ({error.strerror})") from None
-    _report(console, found.record)
+    console.print(record_in_words(found.record), highlight=False, markup=False)
     for path in written:
         console.print(f"wrote {path}", highlight=False, soft_wrap=True)
     console.print("a daemon that starts now uses it", highlight=False)
@@ -145,23 +142,3 @@ def _by_hand(console: Console) -> Callable[[CalibrationScene], None]:
         console.input("Press Enter when it is so: ")
 
     return present
-
-
-def _report(console: Console, record: CalibrationRecord) -> None:
-    shown = Table("", "value", "uncertainty", "residual", box=None)
-    for column in shown.columns[1:]:
-        column.justify = "right"
-    for row in table(record):
-        shown.add_row(*map(Text, row))  # units in brackets are no markup
-    console.print(shown)
-    for name, dead in (("rows", record.dead_rows), ("columns", record.dead_columns)):
-        if dead:
-            console.print(f"dead {name}: {', '.join(map(str, dead))}", highlight=False)
-    for name, share in (
-        (
-            "readings of the lamp behind patterns that no fit has seen are off by",
-            record.psf_residual,
-        ),
-        ("the light drifted by", record.drift),
-    ):
-        console.print(f"{name} {100 * share:.2g} %", highlight=False)

@@ -13,10 +13,18 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from typing import TypeVar
 
+from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.models import RotationOff, RotationPolicy, State
+from veilcam_server.calibrated import calibrated
 from veilcam_server.devices.protocols import Device
-from veilcam_server.errors import FenceError, NotReadyError, RotationImpossibleError
+from veilcam_server.errors import (
+    CalibratingError,
+    FenceError,
+    NotReadyError,
+    RotationImpossibleError,
+)
 from veilcam_server.fence import Fence, check_exposure
 from veilcam_server.health import Health, stamped
 from veilcam_server.masked_panel import MaskedPanel
@@ -26,6 +34,8 @@ from veilcam_server.proof import EVERY, Proof
 from veilcam_server.rotation import due_in, reusable
 from veilcam_server.self_test import SelfTest
 from veilcam_server.showing import Captured, Lateness
+
+ResultT = TypeVar("ResultT")
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
@@ -42,6 +52,7 @@ class MaskedCamera:
         fence: times to keep.
         policy: when masks change.
         test_every: longest time from one test to the next [s].
+        calibration: what readings are corrected by.
 
     Raises:
         RotationImpossibleError: the policy needs another mask, and there is none.
@@ -57,12 +68,14 @@ class MaskedCamera:
         fence: Fence = Fence(),  # noqa: B008 - immutable
         policy: RotationPolicy = RotationOff(),  # noqa: B008 - immutable
         test_every: float = EVERY,
+        calibration: SignedCalibration | None = None,
     ) -> None:
         self._health = Health(fence.settle + fence.timeout + _MARGIN)
-        self._device, self._preparation = stamped(device, self._health), preparation
+        self._bare, self._preparation = stamped(device, self._health), preparation
+        self._device = calibrated(self._bare, calibration)
         self._shape, self._fence = shape, fence
-        proof = Proof(test, self._device, fence, every=test_every)
-        self._panel = MaskedPanel(self._device.display, preparation, proof)
+        self._proof = Proof(test, self._device, fence, every=test_every)
+        self._panel = MaskedPanel(self._device.display, preparation, self._proof)
         self._lock = threading.Lock()
         self.lateness = Lateness()
         self.policy = policy
@@ -130,7 +143,9 @@ class MaskedCamera:
 
     def test_due_in(self) -> float:
         """Seconds until the panel must be tested, or tested again after a test that failed."""
-        return math.inf if self._stopping else self._panel.proven_for()
+        if self.state[0] in ("stopping", "calibrating"):
+            return math.inf
+        return self._panel.proven_for()
 
     def test_if_due(self) -> None:
         """Test the panel if that is due, and show the mask again; raises as :meth:`rotate`.
@@ -142,6 +157,46 @@ class MaskedCamera:
                 self._rotate()
             else:
                 self._panel.test()
+
+    def lend(self, work: Callable[[Device], ResultT]) -> ResultT:
+        """Let ``work`` have the device as it is, without any calibration; raises what it does.
+
+        No mask is shown and no capture taken from here on until :meth:`take_back`.
+
+        Raises:
+            NotReadyError: it is lent already, or the daemon is stopping.
+        """
+        with self._lock:
+            self._require_running()
+            self._panel.lend()
+            return work(self._bare)
+
+    def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:
+        """While the device is lent: go on with another calibration.
+
+        Args:
+            calibration: what readings are corrected by.
+            settle: what the panel is given [s].
+            source: whose readers are made for that calibration.
+        """
+        with self._lock:
+            self._device = calibrated(self._bare, calibration)
+            self._fence = Fence(settle, self._fence.timeout)
+            self._preparation.serve(source)
+
+    def take_back(self) -> None:
+        """End what :meth:`lend` began: test the panel, and show a mask; raises as :meth:`rotate`.
+
+        Where that fails, the state says why, and it is tried again as after any other failure.
+        """
+        with self._lock:
+            if self.state[0] != "calibrating":
+                return
+            self._proof.void(self._device, self._fence)
+            try:
+                self._panel.show(self._preparation.take())
+            finally:
+                self._panel.strand()
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -200,6 +255,7 @@ class MaskedCamera:
         """
         with self._lock:
             begun = time.monotonic()
+            self._require_running()
             if self.due_in() <= 0 and not self._may_reuse():
                 self._rotate()
             self._panel.test()
@@ -270,6 +326,8 @@ class MaskedCamera:
     def _require_running(self) -> None:
         if self._stopping:
             raise NotReadyError("the daemon is stopping")
+        if self.state[0] == "calibrating":
+            raise CalibratingError
 
     def _require_another(self) -> None:
         if not self._preparation.renewable:

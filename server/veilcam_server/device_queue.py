@@ -46,15 +46,21 @@ class DeviceQueue:
         finally:
             self._waiting -= 1
 
-    async def run(self, work: Callable[[], ResultT]) -> ResultT:
-        """Do ``work`` on the device's thread, and raise what it raises."""
+    async def run(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
+        """Do ``work`` on the device's thread, and raise what it raises.
+
+        Args:
+            work: to do.
+            counted: whether the time it takes tells of those that others wait for.
+        """
 
         def timed() -> tuple[ResultT, float]:
             begun = time.monotonic()
             return work(), time.monotonic() - begun
 
         result, took = await asyncio.get_running_loop().run_in_executor(self._thread, timed)
-        self._recent += 0.2 * (took - self._recent)
+        if counted:
+            self._recent += 0.2 * (took - self._recent)
         return result
 
     def close(self) -> None:

@@ -72,11 +72,30 @@ class ForbiddenError(Exception):
     """The caller may not do this."""
 
 
-class NotCalibratedError(Exception):
-    """There is no calibration."""
+class CalibratingError(NotReadyError):
+    """The camera is being measured, and takes no captures meanwhile."""
 
     def __init__(self) -> None:
-        super().__init__("the camera was not calibrated: run 'veilcamd calibrate', then restart")
+        super().__init__("the camera is being calibrated: see GET /v1/calibration")
+
+
+class NotCalibratingError(Exception):
+    """No calibration is under way."""
+
+    def __init__(self) -> None:
+        super().__init__("no calibration is under way: begin one with POST /v1/calibration")
+
+
+class SceneNotWantedError(Exception):
+    """Another scene is waited for, or none."""
+
+    def __init__(self, given: str, wanted: str | None) -> None:
+        what = "no scene is" if wanted is None else f"the scene {wanted!r} is"
+        super().__init__(f"{what} waited for, not {given!r}: see GET /v1/calibration")
+
+
+class CalibrationImpossibleError(Exception):
+    """This camera cannot be measured with itself."""
 
 
 class UnknownTokenError(Exception):

@@ -8,7 +8,15 @@ from datetime import UTC, datetime
 from pydantic import BaseModel
 
 from veilcam_client import __version__
-from veilcam_client.calibration_models import CalibrationRecord, Quantity, SignedCalibration
+from veilcam_client.calibration_models import (
+    CalibrationRecord,
+    CalibrationRequest,
+    CalibrationRun,
+    CalibrationStatus,
+    Quantity,
+    ScenePresented,
+    SignedCalibration,
+)
 from veilcam_client.diagnostics import Diagnostics, PastFault, PastState
 from veilcam_client.keyrings import Keyring, Keyrings
 from veilcam_client.leases import Lease, LeaseRequest, NewLease
@@ -89,6 +97,15 @@ _RECORD = CalibrationRecord(
     drift=0.001,
 )
 
+_RUN = CalibrationRun(
+    stage="waiting",
+    scene="lamp",
+    instruction="Put a lamp behind a hole of 17.1 x 17.1 mm in black card.",
+    exposures=290,
+    total=330,
+    detail=None,
+)
+
 _ALL: tuple[BaseModel, ...] = (
     Status(
         version=__version__,
@@ -141,7 +158,13 @@ _ALL: tuple[BaseModel, ...] = (
         fault_counts={"sensor_timeout": 1},
         audit_lost=0,
     ),
-    SignedCalibration(record=_RECORD, public_key=_DIGEST, signature=2 * _DIGEST),
+    CalibrationRequest(repeats=2),
+    ScenePresented(scene="lamp"),
+    _RUN,
+    CalibrationStatus(
+        signed=SignedCalibration(record=_RECORD, public_key=_DIGEST, signature=2 * _DIGEST),
+        run=_RUN,
+    ),
     _KEYRING,
     Keyrings(keyrings=(_KEYRING,)),
 )

@@ -25,6 +25,7 @@ _USE = ("keyring_invalid", "keyring_unfit")
 _DEVICE = (
     "idempotency_key_reused",
     "queue_full",
+    "calibrating",
     "not_ready",
     "rotation_impossible",
     "display_failed",

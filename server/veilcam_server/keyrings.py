@@ -103,6 +103,23 @@ class Keyrings:
                 staged.unlink(missing_ok=True)
             return await self._answer(digest)
 
+    async def reopen(self, opener: Opener, change: Change) -> None:
+        """Open the keyring in use anew, and all others from now on.
+
+        Args:
+            opener: that makes them usable from now on.
+            change: makes the camera use the keys; what it raises leaves everything as it is.
+
+        Raises:
+            KeyringInvalidError, KeyringUnfitError: it cannot be used (any more).
+        """
+        async with self._changing:
+            digest = self._keys.info.digest
+            path = await asyncio.to_thread(self._store.path, digest)
+            keys = await asyncio.to_thread(opener.open, path, digest)
+            await change(keys)
+            self._opener, self._keys = opener, keys
+
     async def remove(self, digest: str) -> KeyringsAnswer:
         """Remove a keyring for good; raises as :meth:`KeyringStore.remove`."""
         async with self._alone():

@@ -98,6 +98,19 @@ class MaskedPanel:
             self._prove()
             self._put_back(showing)
 
+    def lend(self) -> None:
+        """Show opaque, and let others show other things; raises :class:`DisplayError`."""
+        self._showing = None
+        self._enter("calibrating", "the camera is being calibrated")
+        self._display.blank()
+
+    def strand(self) -> None:
+        """After something was lent, and no mask could be shown."""
+        if self._state == "calibrating":
+            self._make_opaque(
+                "degraded", "no mask is shown after the calibration: it is tried again"
+            )
+
     def end(self) -> None:
         """No mask counts as shown any more."""
         self._showing = None
@@ -108,7 +121,7 @@ class MaskedPanel:
         if self._proof.holds_for() > 0:
             return
         self._showing = None
-        if self._state in ("starting", "ready"):
+        if self._state in ("starting", "ready", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
             self._proof.renew()

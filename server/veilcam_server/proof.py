@@ -49,6 +49,15 @@ class Proof:
             return 0.0
         return max(0.0, self._ends - self._clock())
 
+    def void(self, device: Device, fence: Fence) -> None:
+        """Test again before anything is believed.
+
+        Args:
+            device: from now on.
+            fence: times to keep from now on.
+        """
+        self._device, self._fence, self._ends = device, fence, -math.inf
+
     def renew(self) -> None:
         """Test now; raises as :meth:`SelfTest.run`, and then there is no proof any more."""
         self._ends = -math.inf

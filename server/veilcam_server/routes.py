@@ -45,6 +45,7 @@ LastEventId = Annotated[str | None, Header(max_length=128)]
 DEVICE = (
     "leased",
     "queue_full",
+    "calibrating",
     "not_ready",
     "rotation_impossible",
     "display_failed",

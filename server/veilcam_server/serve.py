@@ -15,12 +15,8 @@ from veilcam_client.calibration_models import SignedCalibration
 from veilcam_client.models import BundleInfo
 from veilcam_client.models import Device as DeviceInfo
 from veilcam_server.app import create_app
-from veilcam_server.calibrated import (
-    calibrated,
-    decoder_calibration,
-    open_calibration,
-    settle_time,
-)
+from veilcam_server.calibrated import open_calibration
+from veilcam_server.calibration_workshop import Workshop
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices.errors import (
     DeviceError,
@@ -41,7 +37,7 @@ from veilcam_server.errors import (
 from veilcam_server.fence import Fence
 from veilcam_server.gateway import open_gateway
 from veilcam_server.identity import Identity
-from veilcam_server.keyring_opening import Opener, last_good
+from veilcam_server.keyring_opening import last_good
 from veilcam_server.keyring_store import KeyringStore
 from veilcam_server.keyrings import Keyrings
 from veilcam_server.listeners import Listener, open_listeners
@@ -50,7 +46,7 @@ from veilcam_server.preparation import Preparation
 from veilcam_server.self_test import OpticalSelfTest
 from veilcam_server.service import Service
 from veilcam_server.settings import Settings
-from veilcam_server.sources import open_source, release_form, rotation_policy
+from veilcam_server.sources import release_form, rotation_policy
 from veilcam_server.systemd import notify
 from veilcam_server.tls import server_context
 from veilcam_training.bundle import BundleError, read_bundle
@@ -68,16 +64,15 @@ def build_service(settings: Settings) -> Service:
         bundle = read_bundle(settings.bundle)
         form = release_form(settings, bundle)
         calibration = open_calibration(settings, bundle)
-        opener = Opener(
-            bundle, lambda keys: open_source(settings, keys, decoder_calibration(calibration))
-        )
+        workshop = Workshop(settings, bundle)
+        opener = workshop.opener(calibration)
         store = KeyringStore(settings.state_dir / "keyrings", settings.bundle, bundle.digest)
         keys, faults = last_good(store, opener)
         keys = keys or opener.keys(bundle)
         with ExitStack() as undo:
             epochs = EpochStore(settings.state_dir)
             undo.callback(epochs.close)
-            device = calibrated(open_device(settings, bundle), calibration)
+            device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
             undo.callback(preparation.close)
@@ -86,9 +81,10 @@ def build_service(settings: Settings) -> Service:
                 preparation,
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
-                fence=Fence(settle_time(settings, calibration), settings.capture_timeout),
+                fence=Fence(workshop.settle(calibration), settings.capture_timeout),
                 policy=rotation_policy(settings, bundle),
                 test_every=settings.self_test_every,
+                calibration=calibration,
             )
             undo.pop_all()
             undo.callback(camera.stop)
@@ -106,6 +102,7 @@ def build_service(settings: Settings) -> Service:
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
+        workshop=None if device.simulated and device.scenes is None else workshop,
     )
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from datetime import datetime
 from typing import TypeVar
@@ -15,8 +15,9 @@ from typing import TypeVar
 import structlog
 
 from veilcam_client import __version__
-from veilcam_client.calibration_models import SignedCalibration
+from veilcam_client.calibration_models import CalibrationRun
 from veilcam_client.events import (
+    CalibrationChanged,
     CaptureTaken,
     Classified,
     Event,
@@ -46,10 +47,15 @@ from veilcam_server.answers import (
     rotation_answer,
     timing,
 )
+from veilcam_server.calibration_workshop import Workshop
+from veilcam_server.calibrator import Calibrator
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.device_queue import DeviceQueue
 from veilcam_server.devices.errors import SensorLostError
-from veilcam_server.errors import NotCalibratedError, RotationImpossibleError, WithheldError
+from veilcam_server.errors import (
+    RotationImpossibleError,
+    WithheldError,
+)
 from veilcam_server.events import EventLog
 from veilcam_server.history import History
 from veilcam_server.identity import Identity
@@ -75,6 +81,7 @@ class Service:
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
+        workshop: that measures the camera; None: it cannot be measured.
     """
 
     def __init__(
@@ -86,12 +93,21 @@ class Service:
         form: Release = "none",
         queue_limit: int = 8,
         heartbeat: float = 10.0,
+        workshop: Workshop | None = None,
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
         self.keyrings = keyrings
         self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
         self._events, self.history = EventLog(), History()
         self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
+        self.calibrator = Calibrator(
+            camera,
+            keyrings,
+            workshop,
+            identity.calibration,
+            on_device=self._on_device,
+            tell=self._calibration_changed,
+        )
         self._on_lost: Callable[[], None] = _ignore
         self._lost: SensorLostError | None = None
         self._captures = 0
@@ -114,6 +130,7 @@ class Service:
         finally:
             self.end_streams()
             try:
+                await self.calibrator.close()
                 await self._queue.run(self._camera.stop)
             finally:
                 self._loop = None
@@ -160,13 +177,6 @@ class Service:
         """In which form embeddings leave."""
         return self._form
 
-    def calibration(self) -> SignedCalibration:
-        """What the camera found out about itself; raises :class:`NotCalibratedError`."""
-        signed = self._identity.calibration
-        if signed is None:
-            raise NotCalibratedError
-        return signed
-
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
         return rotation_answer(self._camera)
@@ -180,7 +190,7 @@ class Service:
 
     async def rotate(self) -> Rotation:
         """Show another mask now; raises as :meth:`MaskedCamera.rotate`, or the queue is full."""
-        with self._queue.admitted():
+        with self._admitted():
             try:
                 await self._on_device(self._camera.rotate)
             finally:
@@ -195,7 +205,7 @@ class Service:
         """
         begun = time.monotonic()
         form = self._require_released()
-        with self._queue.admitted():
+        with self._admitted():
             captured, queued, released = await self._take(
                 begun, lambda captured: _released(captured, form)
             )
@@ -218,7 +228,7 @@ class Service:
             took = time.perf_counter() - started
             return verdict, _released(captured, form) if form else None, took
 
-        with self._queue.admitted():
+        with self._admitted():
             captured, queued, inferred = await self._take(begun, infer)
             name = self._taken(captured)
             verdict, embedding, inference = await asyncio.wrap_future(inferred)
@@ -242,7 +252,7 @@ class Service:
 
     async def _use(self, keys: Keys) -> None:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
-        with self._queue.admitted():
+        with self._admitted():
             prepare = self._camera.preparation.first_of
             first = await asyncio.to_thread(prepare, keys.source)
             await self._on_device(lambda: self._camera.change_source(keys.source, first))
@@ -267,6 +277,16 @@ class Service:
             lambda id_, at: StateChanged(id=id_, at=at, state=state, detail=detail)
         )
         self._from_thread(self._upkeep.wake)
+
+    def _calibration_changed(self, run: CalibrationRun) -> None:
+        self._publish_from_thread(lambda id_, at: CalibrationChanged(id=id_, at=at, run=run))
+
+    @contextmanager
+    def _admitted(self) -> Iterator[None]:
+        """Take a place in the queue, unless the device will be busy for minutes."""
+        self.calibrator.require_idle()
+        with self._queue.admitted():
+            yield
 
     def _tell_state(self, state: State, detail: str | None) -> None:
         log.info("state", state=state, detail=detail)
@@ -307,9 +327,9 @@ class Service:
         )
         return name
 
-    async def _on_device(self, work: Callable[[], ResultT]) -> ResultT:
+    async def _on_device(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
         try:
-            return await self._watched(work)
+            return await self._watched(work, counted=counted)
         except RotationImpossibleError:
             raise
         except Exception as error:
@@ -322,9 +342,9 @@ class Service:
         log.warning("fault", code=code, detail=detail)
         self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
 
-    async def _watched(self, work: Callable[[], ResultT]) -> ResultT:
+    async def _watched(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
         try:
-            return await self._queue.run(work)
+            return await self._queue.run(work, counted=counted)
         except SensorLostError as error:
             self._lost = error
             self._on_lost()

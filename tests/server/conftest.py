@@ -23,6 +23,7 @@ from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.keys import MaskDistribution, Secret
 from veilcam_server.app import create_app
+from veilcam_server.calibration_workshop import Workshop
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
@@ -198,6 +199,7 @@ class Bench:
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
     calibration: SignedCalibration | None = None
+    workshop: Workshop | None = None
 
     def camera(
         self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
@@ -246,6 +248,7 @@ class Bench:
             form=self.release,
             queue_limit=queue_limit,
             heartbeat=0.05,
+            workshop=self.workshop,
         )
         on_mask, on_state = camera._panel.on_mask, camera._panel.on_state
 

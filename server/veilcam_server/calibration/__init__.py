@@ -2,7 +2,12 @@
 
 from veilcam_server.calibration.errors import CalibrationError
 from veilcam_server.calibration.geometry import Geometry
-from veilcam_server.calibration.record import correction, read_record, write_record
+from veilcam_server.calibration.record import (
+    correction,
+    read_record,
+    sign_record,
+    write_record,
+)
 from veilcam_server.calibration.run import Calibrated, Effort, calibrate
 from veilcam_server.calibration.scenes import CalibrationScene
 from veilcam_server.calibration.sensor import CalibratedSensor
@@ -19,5 +24,6 @@ __all__ = [
     "calibrate",
     "correction",
     "read_record",
+    "sign_record",
     "write_record",
 ]

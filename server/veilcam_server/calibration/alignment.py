@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -115,6 +115,7 @@ def align(
     start: Calibration,
     *,
     reach: Reach,
+    check: Callable[[], None] = lambda: None,
 ) -> Alignment:
     """Fit shift, rotation and distance, and a gain for each sight.
 
@@ -124,6 +125,7 @@ def align(
         sights: the same patterns before several known scenes.
         start: where to begin, and what else is known.
         reach: which sub-pixels interfere.
+        check: called before each evaluation; what it raises ends the fit.
     """
     optics = Optics(geometry, weights, [sight.image for sight in sights], reach)
     scales = np.array([sight.scale for sight in sights])
@@ -134,6 +136,7 @@ def align(
     gains = _gains(optics.predict(torch.tensor(begin * _UNITS)).numpy(), observed)
 
     def residuals(values: Values) -> Values:
+        check()
         predicted = optics.predict(torch.tensor(values[:4] * _UNITS)).numpy()
         difference: Values = (values[4:, None] * predicted - observed).ravel()
         return difference

@@ -9,46 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from veilcam_client.calibration_models import CalibrationRecord, Quantity
+from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_client.calibration_wording import table
 from veilcam_server.calibration.bench import Values
 from veilcam_server.calibration.run import Calibrated
 from veilcam_server.calibration.settling import SETTLED, Settling
 
 PAPER, INK, FAINT, MEASURED, FITTED = "#0f1216", "#e8e6e1", "#7d8790", "#7fd1ae", "#f2a86b"
-ROWS = (
-    ("settling", "settling_s", 1e3, "ms"),
-    ("black level", "black_level", 1.0, ""),
-    ("gain", "gain", 1.0, ""),
-    ("full scale", "full_scale", 1.0, ""),
-    ("gamma", "gamma", 1.0, ""),
-    ("contrast floor", "contrast_floor", 1.0, ""),
-    ("dead lines pass", "dead_transmittance", 1.0, ""),
-    ("shift along y", "shift_y_m", 1e6, "um"),
-    ("shift along x", "shift_x_m", 1e6, "um"),
-    ("rotation", "rotation_rad", 1e3, "mrad"),
-    ("distance error", "distance_error_m", 1e6, "um"),
-)
-"""Name, field of the record, factor and unit."""
-
-
-def quantity_row(name: str, quantity: Quantity, factor: float, unit: str) -> tuple[str, ...]:
-    """Name, value, uncertainty and residual as a person reads them."""
-    return (
-        f"{name} [{unit}]" if unit else name,
-        f"{factor * quantity.value:.4g}",
-        f"{factor * quantity.uncertainty:.2g}",
-        f"{100 * quantity.residual:.2g} %",
-    )
-
-
-def table(record: CalibrationRecord) -> list[tuple[str, ...]]:
-    """All measured values, one row each; what dead lines pass only where there are any."""
-    dead = record.dead_rows or record.dead_columns
-    return [
-        quantity_row(name, getattr(record, field), factor, unit)
-        for name, field, factor, unit in ROWS
-        if dead or field != "dead_transmittance"
-    ]
 
 
 def write_picture(path: Path, found: Calibrated) -> None:

@@ -33,15 +33,19 @@ def correction(record: CalibrationRecord) -> Calibration:
     )
 
 
-def write_record(path: Path, record: CalibrationRecord, key: SigningKey) -> SignedCalibration:
-    """Sign ``record`` and replace ``path`` by it, or leave what was there before.
+def sign_record(record: CalibrationRecord, key: SigningKey) -> SignedCalibration:
+    """Return ``record`` with who vouches for it."""
+    return SignedCalibration(
+        record=record, public_key=key.public, signature=key.sign(_message(record))
+    )
+
+
+def write_record(path: Path, signed: SignedCalibration) -> None:
+    """Replace ``path`` by a signed record, or leave what was there before.
 
     Raises:
         CalibrationError: it cannot be written.
     """
-    signed = SignedCalibration(
-        record=record, public_key=key.public, signature=key.sign(_message(record))
-    )
     try:
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
@@ -60,7 +64,6 @@ def write_record(path: Path, record: CalibrationRecord, key: SigningKey) -> Sign
             os.close(directory)
     except OSError as error:
         raise CalibrationError(f"{path} cannot be written ({error.strerror}): check it") from None
-    return signed
 
 
 def read_record(path: Path, key: SigningKey) -> SignedCalibration:

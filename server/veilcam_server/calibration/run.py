@@ -24,7 +24,7 @@ from veilcam_server.calibration.lines import Lines, measure_lines
 from veilcam_server.calibration.patterns import Patterns
 from veilcam_server.calibration.response import STEPS, Response, Staircase, climb, fit_response
 from veilcam_server.calibration.scenes import CalibrationScene
-from veilcam_server.calibration.settling import measure_settling
+from veilcam_server.calibration.settling import Settling, measure_settling
 from veilcam_server.devices.protocols import Device, Levels
 from veilcam_server.fence import Fence
 
@@ -78,6 +78,8 @@ def calibrate(
     timeout: float = 5.0,
     effort: Effort = Effort(),
     advance: Callable[[], None] = lambda: None,
+    check: Callable[[], None] = lambda: None,
+    fitting: Callable[[], None] = lambda: None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Calibrated:
     """Measure a camera with itself. The panel is opaque afterwards, come what may.
@@ -93,6 +95,9 @@ def calibrate(
         timeout: longest wait for one reading [s].
         effort: how much is read.
         advance: called after each of ``effort.captures(geometry)`` exposures.
+        check: called after each of them and before each evaluation of a fit; what it raises ends
+            the calibration.
+        fitting: called once everything is read; the panel is opaque from then on.
         clock: monotonic time [s].
 
     Raises:
@@ -107,16 +112,37 @@ def calibrate(
             geometry.embedding.shape,
             fence=Fence(settle, timeout),
             repeats=effort.repeats,
-            advance=advance,
+            advance=advanced,
             clock=clock,
         )
 
+    def advanced() -> None:
+        advance()
+        check()
+
+    measurement = _Measurement(geometry, present, reach, effort, check)
     try:
-        found = _Measurement(geometry, present, reach, effort).run(bench, longest)
+        seen = measurement.read(bench, longest)
     finally:
         device.display.blank()
+    fitting()
+    found = measurement.fit(seen)
     record = make_record(found, device, exposure=exposure, tab=tab, geometry=geometry.digest)
     return Calibrated(record, found)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Seen:
+    """Everything that was read."""
+
+    unlit: Values
+    settling: Settling
+    lines: Lines
+    staircase: Staircase
+    levels: Sequence[Levels]
+    sights: tuple[Sight, Sight]
+    """Of the card and of the lamp."""
+    drift: float
 
 
 @dataclass(eq=False, slots=True)
@@ -125,10 +151,12 @@ class _Measurement:
     present: Callable[[CalibrationScene], None]
     reach: Reach
     effort: Effort
+    check: Callable[[], None]
     stuck_uncertainty: float = 0.0
     """Of what dead lines let through."""
 
-    def run(self, make: Callable[[float], Bench], longest: float) -> Findings:
+    def read(self, make: Callable[[float], Bench], longest: float) -> _Seen:
+        """Ask for scenes, and read them behind patterns."""
         geometry = self.geometry
         bench = make(longest)
         self.present(scenes.dark(geometry.scene))
@@ -167,21 +195,24 @@ class _Measurement:
             )
         self.present(lamp)
         sights = (before_card, self._look(bench, levels, lamp, black))
+        return _Seen(unlit, settling, lines, staircase, levels, sights, drift)
 
-        response, alignment = self._fit(levels, sights, lines, staircase)
-        predicted, errors = self._verdict(levels, sights, alignment)
+    def fit(self, seen: _Seen) -> Findings:
+        """Find the camera that would read what was read."""
+        response, alignment = self._fit(seen.levels, seen.sights, seen.lines, seen.staircase)
+        predicted, errors = self._verdict(seen.levels, seen.sights, alignment)
         return Findings(
-            unlit=unlit,
-            settling=settling,
-            lines=lines,
-            staircase=staircase,
+            unlit=seen.unlit,
+            settling=seen.settling,
+            lines=seen.lines,
+            staircase=seen.staircase,
             response=response,
             alignment=alignment,
             stuck_uncertainty=self.stuck_uncertainty,
             card_error=errors[0],
             lamp_error=errors[1],
-            drift=drift,
-            seen=sights[1].readings[-1],
+            drift=seen.drift,
+            seen=seen.sights[1].readings[-1],
             predicted=predicted[1, -1],
         )
 
@@ -244,6 +275,7 @@ class _Measurement:
             [replace(sight, readings=sight.readings[used]) for sight in sights],
             start,
             reach=self.reach,
+            check=self.check,
         )
 
     def _shown(self, levels: Sequence[Levels], calibration: Calibration) -> torch.Tensor:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.calibration_models import SceneName
 from veilcam_optics.geometry import Scene
 
 _LAMP = 7
@@ -18,12 +19,12 @@ class CalibrationScene:
     """A scene that a person can make.
 
     Attributes:
-        name: for progress bars.
+        name: short.
         instruction: how to make it.
         image: what it is, reflectances in [0, 1], shape of the scene.
     """
 
-    name: str
+    name: SceneName
     instruction: str
     image: npt.NDArray[np.float32] = field(repr=False)
 

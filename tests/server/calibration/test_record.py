@@ -20,6 +20,7 @@ from veilcam_server.calibration import (
     SigningKey,
     correction,
     read_record,
+    sign_record,
     write_record,
 )
 from veilcam_server.calibration.record import RECORD_NAME
@@ -59,6 +60,12 @@ def make_record(**changes: Any) -> CalibrationRecord:
     return CalibrationRecord(**given | changes)
 
 
+def written(path: Path, record: CalibrationRecord, key: SigningKey) -> SignedCalibration:
+    signed = sign_record(record, key)
+    write_record(path, signed)
+    return signed
+
+
 @pytest.fixture
 def key(tmp_path: Path) -> SigningKey:
     return SigningKey.open(tmp_path, create=True)
@@ -67,7 +74,7 @@ def key(tmp_path: Path) -> SigningKey:
 def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
     path = tmp_path / RECORD_NAME
     record = make_record()
-    signed = write_record(path, record, key)
+    signed = written(path, record, key)
     assert read_record(path, SigningKey.open(tmp_path)) == signed
     assert signed.record == record
     assert path.stat().st_mode & 0o777 == 0o600
@@ -103,7 +110,7 @@ def test_a_record_that_was_changed_is_refused(
     tmp_path: Path, key: SigningKey, where: tuple[str, ...], value: object
 ) -> None:
     path = tmp_path / RECORD_NAME
-    write_record(path, make_record(), key)
+    written(path, make_record(), key)
     contents = json.loads(path.read_text())
     place = contents
     for name in where[:-1]:
@@ -124,7 +131,7 @@ def test_what_is_no_record_is_refused(tmp_path: Path, key: SigningKey, text: str
 
 def test_a_record_of_another_version_or_key_is_refused(tmp_path: Path, key: SigningKey) -> None:
     path = tmp_path / RECORD_NAME
-    write_record(path, make_record(), key)
+    written(path, make_record(), key)
     other = tmp_path / "other"
     other.mkdir()
     with pytest.raises(CalibrationError, match="signed by another daemon"):
@@ -138,7 +145,7 @@ def test_a_record_of_another_version_or_key_is_refused(tmp_path: Path, key: Sign
 
 def test_an_unwritable_place_is_said(tmp_path: Path, key: SigningKey) -> None:
     with pytest.raises(CalibrationError, match="cannot be written"):
-        write_record(tmp_path / "missing" / RECORD_NAME, make_record(), key)
+        written(tmp_path / "missing" / RECORD_NAME, make_record(), key)
     blocked = tmp_path / "file"
     blocked.touch()
     with pytest.raises(CalibrationError, match="cannot be used"):
@@ -157,12 +164,12 @@ def test_the_daemon_takes_the_record_in_its_state_directory(
     tmp_path: Path, key: SigningKey, bundle: Bundle
 ) -> None:
     assert open_calibration(settings_for(tmp_path), bundle) is None
-    signed = write_record(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
+    signed = written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
     assert open_calibration(settings_for(tmp_path), bundle) == signed
     elsewhere = tmp_path / "elsewhere.json"
     with pytest.raises(StartError, match="cannot be read"):
         open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle)
-    other = write_record(elsewhere, make_record(geometry=geometry_of(bundle), drift=0.01), key)
+    other = written(elsewhere, make_record(geometry=geometry_of(bundle), drift=0.01), key)
     assert open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle) == other
 
 
@@ -181,7 +188,7 @@ def test_a_record_of_another_camera_is_refused(
     tmp_path: Path, key: SigningKey, bundle: Bundle, changes: dict[str, Any], what: str
 ) -> None:
     record = make_record(**{"geometry": geometry_of(bundle)} | changes)
-    write_record(tmp_path / RECORD_NAME, record, key)
+    written(tmp_path / RECORD_NAME, record, key)
     with pytest.raises(StartError, match=f"another {what}.*run 'veilcamd calibrate'"):
         open_calibration(settings_for(tmp_path), bundle)
 

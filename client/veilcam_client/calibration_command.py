@@ -1,0 +1,77 @@
+"""``veilcam calibrate``: a daemon's camera measured with itself, over its API."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from typing import Annotated
+
+import typer
+
+from veilcam_client.calibration_models import CalibrationRun, CalibrationStatus
+from veilcam_client.calibration_wording import record_in_words, run_in_words
+from veilcam_client.camera import DEFAULT_URL, Camera
+from veilcam_client.errors import VeilcamError
+from veilcam_client.terminal import (
+    DEVICE,
+    JsonOption,
+    TimeoutOption,
+    UrlOption,
+    errors,
+    fail,
+    print_json,
+)
+
+_EVERY = 0.5
+"""Between two looks at how it goes on [s]."""
+
+
+def calibrate(
+    *,
+    repeats: Annotated[int, typer.Option(min=1, max=100, help="Exposures for one reading.")] = 2,
+    url: UrlOption = DEFAULT_URL,
+    timeout: TimeoutOption = 30.0,
+    json: JsonOption = False,
+) -> None:
+    """Measure the camera with itself; it takes no captures meanwhile, for some minutes.
+
+    Three scenes are asked for: darkness, a white card, and a small lamp. The daemon uses what is
+    found from then on. Wants a token of the scope calibrate; Ctrl-C ends it, and nothing changes.
+    """
+    with errors(), Camera(url, read_timeout=timeout) as camera:
+        run = camera.start_calibration(repeats=repeats)
+        try:
+            run = _follow(camera, run)
+        except BaseException:
+            # It may have ended by itself, or the daemon be gone.
+            with suppress(VeilcamError):
+                camera.cancel_calibration()
+            raise
+        found = camera.calibration()
+    if run.stage != "done":
+        fail(f"{run.detail or 'the calibration was cancelled'}; nothing was changed", DEVICE)
+    _print(found, json)
+
+
+def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
+    """Ask for scenes until it has ended, and say on the way how it goes on."""
+    said = ""
+    while run.stage in ("waiting", "measuring", "fitting"):
+        if run.stage == "waiting" and run.scene is not None:
+            typer.echo(f"\n{run.instruction}", err=True)
+            typer.prompt("Press Enter when it is so", default="", show_default=False, err=True)
+            run = camera.scene_presented(run.scene)
+            continue
+        if (line := run_in_words(run)) != said:
+            typer.echo(line, err=True)
+            said = line
+        time.sleep(_EVERY)
+        run = camera.calibration().run or run
+    return run
+
+
+def _print(found: CalibrationStatus, json: bool) -> None:
+    if json:
+        print_json(found)
+    elif found.signed is not None:
+        typer.echo(record_in_words(found.signed.record))

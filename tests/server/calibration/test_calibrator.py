@@ -1,0 +1,378 @@
+"""A calibration asked for over the API: one at a time, undisturbed, and wholly or not at all."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import numpy as np
+import pytest
+
+from veilcam_client.calibration_models import (
+    CalibrationRecord,
+    CalibrationRun,
+    CalibrationStatus,
+    SceneName,
+    SignedCalibration,
+)
+from veilcam_client.models import Capture, Status
+from veilcam_client.tokens import Scope
+from veilcam_server.calibration import CalibrationError, CalibrationScene, SigningKey, sign_record
+from veilcam_server.calibration.scenes import dark, lamp, white
+from veilcam_server.calibration_run import CancelledError, Run
+from veilcam_server.calibration_workshop import Workshop
+from veilcam_server.devices import Device, DisplayError
+from veilcam_server.errors import SceneNotWantedError
+from veilcam_server.gateway import Gateway
+from veilcam_server.keyring_opening import Opener
+from veilcam_server.pairs import load_pairs
+from veilcam_server.tokens import TokenStore
+from veilcam_training.bundle import read_bundle
+
+from .test_record import make_record
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+pytestmark = pytest.mark.anyio
+SCENES: tuple[SceneName, ...] = ("dark", "white card", "lamp")
+READS = 4
+"""Of each scene."""
+
+
+class Measuring(Workshop):
+    """Asks for scenes and reads them as a real one does, and finds what it is told to find."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.record = make_record()
+        self.before_reading: Callable[[], None] = lambda: None
+        self.kept: list[SignedCalibration] = []
+        self.fault: Exception | None = None
+
+    def open_key(self) -> SigningKey:
+        return SigningKey.open(self.bench.state_dir, create=True)
+
+    def exposures(self, repeats: int) -> int:
+        return repeats * READS * len(SCENES)
+
+    def measure(self, device: Device, run: Run, repeats: int) -> CalibrationRecord:
+        scene = self.bench.bundle.scene
+        for wanted in (dark(scene), white(scene), lamp(scene)):
+            run.ask_for(wanted)
+            for _ in range(repeats * READS):
+                self.before_reading()
+                device.display.show(np.zeros((9, 5), np.uint8))
+                device.sensor.capture(0.0, 1.0)
+                run.advance()
+                run.check()
+        run.fit()
+        return self.record
+
+    def sign(self, record: CalibrationRecord, key: SigningKey) -> SignedCalibration:
+        return sign_record(record, key)
+
+    def keep(self, signed: SignedCalibration) -> None:
+        if self.fault is not None:
+            raise self.fault
+        self.kept.append(signed)
+
+    def settle(self, signed: SignedCalibration | None) -> float:
+        return 0.03
+
+    def opener(self, signed: SignedCalibration | None) -> Opener:
+        return Opener(read_bundle(self.bench.state_dir / "configured.veilcam"), load_pairs)
+
+
+@pytest.fixture
+def workshop(bench: Bench) -> Measuring:
+    made = Measuring(bench)
+    bench.workshop = made
+    return made
+
+
+async def status(client: httpx.AsyncClient) -> CalibrationStatus:
+    return CalibrationStatus.model_validate_json((await client.get("/v1/calibration")).content)
+
+
+async def until(
+    client: httpx.AsyncClient, wanted: Callable[[CalibrationRun], bool]
+) -> CalibrationRun:
+    async with asyncio.timeout(20):
+        while True:
+            run = (await status(client)).run
+            assert run is not None
+            if wanted(run):
+                return run
+            await asyncio.sleep(0.005)
+
+
+def waits_for(scene: str) -> Callable[[CalibrationRun], bool]:
+    return lambda run: run.stage == "waiting" and run.scene == scene
+
+
+def ended(run: CalibrationRun) -> bool:
+    return run.stage in ("done", "failed", "cancelled")
+
+
+async def present(client: httpx.AsyncClient, scene: str) -> httpx.Response:
+    return await client.post("/v1/calibration/scene", json={"scene": scene})
+
+
+async def start(client: httpx.AsyncClient, **asked: Any) -> httpx.Response:
+    return await client.post("/v1/calibration", json=asked or None)
+
+
+async def measured(client: httpx.AsyncClient, **asked: Any) -> CalibrationRun:
+    """From the beginning to the end."""
+    assert (await start(client, **asked)).status_code == 202
+    for scene in SCENES:
+        here = waits_for(scene)
+        await until(client, lambda run: ended(run) or here(run))  # noqa: B023 - used at once
+        if (await present(client, scene)).is_error:
+            break
+    return await until(client, ended)
+
+
+async def state(client: httpx.AsyncClient) -> str:
+    return Status.model_validate_json((await client.get("/v1/status")).content).state
+
+
+async def reading(client: httpx.AsyncClient) -> Capture:
+    return Capture.model_validate_json((await client.post("/v1/captures")).content)
+
+
+async def test_what_is_found_is_used_from_then_on(
+    running: Running, bench: Bench, workshop: Measuring
+) -> None:
+    async with running() as client:
+        assert await status(client) == CalibrationStatus(signed=None, run=None)
+        assert np.asarray(await reading(client)) == pytest.approx(1.0)
+        tests = bench.test.runs
+        run = await measured(client, repeats=1)
+        assert (run.stage, run.exposures, run.total, run.detail) == ("done", 12, 12, None)
+        assert (run.scene, run.instruction) == (None, None)
+        assert await state(client) == "ready"
+        assert bench.test.runs == tests + 1
+        after = await reading(client)
+        assert np.asarray(after) == pytest.approx((1 - 0.02) / 0.5)
+        assert after.exposure.settle_s == 0.03
+        assert bench.pair_shown() is not None
+        found = await status(client)
+        assert found.signed is not None
+        assert workshop.kept == [found.signed]
+        counted = (await client.get("/v1/diagnostics")).json()
+        assert counted["events"]["calibration"] > 6
+        assert "calibrating" in [past["state"] for past in counted["states"]]
+
+
+async def test_nobody_disturbs_it(running: Running, bench: Bench, workshop: Measuring) -> None:
+    async with running() as client:
+        assert (await start(client)).json()["total"] == 2 * READS * len(SCENES)
+        run = await until(client, waits_for("dark"))
+        assert run.instruction is not None
+        assert "Cover the camera" in run.instruction
+        assert await state(client) == "calibrating"
+        captures = bench.sensor.captures
+        for path in ("/v1/captures", "/v1/classifications", "/v1/rotation/advance"):
+            answer = await client.post(path)
+            assert (answer.status_code, answer.json()["code"]) == (503, "calibrating")
+            assert answer.headers["retry-after"]
+        again = await start(client)
+        assert (again.status_code, again.json()["code"]) == (503, "calibrating")
+        for scene in ("lamp", "white card"):
+            answer = await present(client, scene)
+            assert (answer.status_code, answer.json()["code"]) == (409, "scene_not_wanted")
+            assert "'dark'" in answer.json()["detail"]
+        assert (await present(client, "a tree")).status_code == 422
+        assert bench.sensor.captures == captures
+        assert np.array_equal(bench.display.shown[-1], np.zeros((9, 5)))
+        assert (await client.delete("/v1/calibration")).json()["stage"] == "cancelled"
+
+
+async def test_it_can_be_cancelled_while_it_waits_and_while_it_reads(
+    running: Running, bench: Bench, workshop: Measuring
+) -> None:
+    reads = threading.Event()
+    async with running() as client:
+        for at_once in (True, False):
+            await start(client)
+            await until(client, waits_for("dark"))
+            if not at_once:
+                workshop.before_reading = reads.set
+                await present(client, "dark")
+                await asyncio.to_thread(reads.wait, 10)
+            ended_as = (await client.delete("/v1/calibration")).json()
+            assert (ended_as["stage"], ended_as["detail"]) == ("cancelled", None)
+            assert await state(client) == "ready"
+            assert np.asarray(await reading(client)) == pytest.approx(1.0)
+            again = await client.delete("/v1/calibration")
+            assert (again.status_code, again.json()["code"]) == (409, "not_calibrating")
+            assert (await present(client, "dark")).json()["code"] == "not_calibrating"
+        assert (await status(client)).signed is None
+        assert not workshop.kept
+
+
+def refused() -> None:
+    raise CalibrationError("too little light: light it")
+
+
+def broken() -> None:
+    raise DisplayError("the bus gave no answer")
+
+
+def defective() -> None:
+    raise ZeroDivisionError("secret words")
+
+
+@pytest.mark.parametrize(
+    ("before_reading", "detail"),
+    [
+        (refused, "too little light: light it"),
+        (broken, "the bus gave no answer"),
+        (defective, "the daemon has a defect: nothing was changed"),
+    ],
+)
+async def test_a_failure_changes_nothing(
+    running: Running,
+    workshop: Measuring,
+    before_reading: Callable[[], None],
+    detail: str,
+) -> None:
+    workshop.before_reading = before_reading
+    async with running() as client:
+        run = await measured(client)
+        assert (run.stage, run.detail) == ("failed", detail)
+        assert (await status(client)).signed is None
+        assert await state(client) == "ready"
+        assert np.asarray(await reading(client)) == pytest.approx(1.0)
+
+
+async def test_what_cannot_be_kept_is_not_used(running: Running, workshop: Measuring) -> None:
+    workshop.fault = CalibrationError("the disk is full: check it")
+    async with running() as client:
+        run = await measured(client)
+        assert (run.stage, run.detail) == ("failed", "the disk is full: check it")
+        assert (await status(client)).signed is None
+        assert np.asarray(await reading(client)) == pytest.approx(1.0)
+        workshop.fault = None
+        assert (await measured(client)).stage == "done"
+        assert np.asarray(await reading(client)) == pytest.approx(1.96)
+
+
+async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
+    running: Running, bench: Bench, workshop: Measuring
+) -> None:
+    async with running() as client:
+        await start(client)
+        await until(client, waits_for("dark"))
+        bench.test.faults = [DisplayError("the bus gave no answer")]
+        assert (await client.delete("/v1/calibration")).json()["stage"] == "cancelled"
+        assert await state(client) == "safe"
+        async with asyncio.timeout(10):
+            while await state(client) != "ready":
+                await asyncio.sleep(0.05)
+
+
+async def test_a_daemon_that_stops_waits_for_no_scene(
+    running: Running, bench: Bench, workshop: Measuring
+) -> None:
+    async with running() as client, asyncio.timeout(10):
+        await start(client)
+        await until(client, waits_for("dark"))
+    assert np.array_equal(bench.display.shown[-1], np.zeros((9, 5)))
+    assert bench.display.closed
+
+
+async def test_a_recording_cannot_be_calibrated(running: Running) -> None:
+    async with running() as client:
+        answer = await start(client)
+        assert (answer.status_code, answer.json()["code"]) == (409, "calibration_impossible")
+
+
+async def test_a_key_that_cannot_be_made_is_found_out_at_once(
+    running: Running, bench: Bench, workshop: Measuring
+) -> None:
+    async with running() as client:
+        (bench.state_dir / "calibration-key").write_text("no key")
+        answer = await start(client)
+        assert (answer.status_code, answer.json()["code"]) == (409, "calibration_impossible")
+        assert "is no key" in answer.json()["detail"]
+        assert await state(client) == "ready"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[TokenStore]:
+    store = TokenStore(tmp_path / "state")
+    yield store
+    store.close()
+
+
+async def test_it_wants_its_scope_and_that_nobody_else_holds_the_camera(
+    running: Running, workshop: Measuring, store: TokenStore
+) -> None:
+    def headers(*scopes: Scope) -> dict[str, str]:
+        return {"Authorization": "Bearer " + store.create("x", scopes, None).secret}
+
+    may, other = headers("calibrate", "mask:rotate"), headers("mask:rotate", "classify")
+    async with running(gateway=Gateway(tokens=store)) as client:
+        for method, path, body in (
+            ("POST", "/v1/calibration", None),
+            ("POST", "/v1/calibration/scene", {"scene": "dark"}),
+            ("DELETE", "/v1/calibration", None),
+        ):
+            answer = await client.request(method, path, json=body, headers=other)
+            assert answer.status_code == 403, path
+        lease = {"owner": "an experiment", "seconds": 60}
+        assert (await client.post("/v1/lease", json=lease, headers=other)).is_success
+        assert (await client.post("/v1/calibration", headers=may)).status_code == 423
+        await client.delete("/v1/lease", headers=other)
+        assert (await client.post("/v1/calibration", headers=may)).status_code == 202
+        assert (await client.delete("/v1/calibration", headers=may)).is_success
+
+
+# One run.
+
+
+def run_of(total: int = 40, patience: float = 10.0) -> tuple[Run, list[CalibrationRun]]:
+    told: list[CalibrationRun] = []
+    return Run(total, told.append, patience=patience), told
+
+
+def scene_of(name: SceneName) -> CalibrationScene:
+    return CalibrationScene(name, "Do it.", np.zeros((2, 2), np.float32))
+
+
+async def test_nobody_is_waited_for_for_ever() -> None:
+    run, _ = run_of(patience=0.01)
+    with pytest.raises(CalibrationError, match=r"within 0.01 s.*lamp.*start again"):
+        run.ask_for(scene_of("lamp"))
+
+
+async def test_every_twentieth_part_is_told() -> None:
+    run, told = run_of(40)
+    for _ in range(40):
+        run.advance()
+    assert [each.exposures for each in told] == list(range(2, 41, 2))
+    run.cancel()
+    with pytest.raises(CancelledError):
+        run.check()
+    with pytest.raises(SceneNotWantedError, match="no scene is waited for"):
+        run.presented("dark")
+
+
+async def test_a_scene_that_is_there_already_is_said_once() -> None:
+    run, told = run_of()
+    waiting = threading.Thread(target=run.ask_for, args=(scene_of("dark"),))
+    waiting.start()
+    while not told:
+        await asyncio.sleep(0.001)
+    run.presented("dark")
+    waiting.join()
+    with pytest.raises(SceneNotWantedError):
+        run.presented("dark")
+    assert [each.stage for each in told] == ["waiting", "measuring"]
