@@ -56,6 +56,7 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_client.simulation import HeldScene
 from veilcam_client.tokens import NewToken, Scope, Token
 
 __version__ = version("veilcam")
@@ -84,6 +85,7 @@ __all__ = [
     "Fault",
     "ForbiddenError",
     "Gap",
+    "HeldScene",
     "InvalidRequestError",
     "Keyring",
     "KeyringChanged",

@@ -31,6 +31,7 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_client.simulation import PICTURE_MEDIA_TYPE, HeldScene
 from veilcam_client.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
@@ -169,6 +170,17 @@ def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Ca
 def revoke_token(token_id: str) -> Call[Token]:
     """DELETE /v1/tokens/ID."""
     return Call("DELETE", f"/v1/tokens/{quote(token_id, safe='')}", Token, headers=_headers())
+
+
+def hold_scene(picture: bytes) -> Call[HeldScene]:
+    """PUT /v1/simulation/scene."""
+    headers = {**_headers(), "Content-Type": PICTURE_MEDIA_TYPE}
+    return Call("PUT", "/v1/simulation/scene", HeldScene, picture, headers)
+
+
+def take_scene_away() -> Call[HeldScene]:
+    """DELETE /v1/simulation/scene."""
+    return Call("DELETE", "/v1/simulation/scene", HeldScene, headers=_headers())
 
 
 def keyrings() -> Call[Keyrings]:

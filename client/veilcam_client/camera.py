@@ -8,6 +8,8 @@ from contextlib import asynccontextmanager, contextmanager
 from types import TracebackType
 from typing import Self
 
+import numpy.typing as npt
+
 from veilcam_client import calls
 from veilcam_client.calibration_models import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.credentials import Credentials
@@ -17,6 +19,7 @@ from veilcam_client.keyrings import Keyring
 from veilcam_client.leases import Lease, NewLease
 from veilcam_client.models import Capture, Classification, Rotation, RotationPolicy, Status
 from veilcam_client.retry import RetryPolicy
+from veilcam_client.simulation import HeldScene, picture_bytes
 from veilcam_client.tokens import NewToken, Scope, Token
 from veilcam_client.transport import (
     AsyncHttpClient,
@@ -168,6 +171,17 @@ class Camera:
         """Let a token do nothing any more."""
         return self._transport.send(calls.revoke_token(token_id))
 
+    def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
+        """Hold a picture up before a simulated camera that allows it; None takes it away.
+
+        Args:
+            picture: the content of a PNG, JPEG or ``.npy`` file, or an array (rows, columns) or
+                (rows, columns, 3), uint8, or floats in [0, 1].
+        """
+        if picture is None:
+            return self._transport.send(calls.take_scene_away())
+        return self._transport.send(calls.hold_scene(picture_bytes(picture)))
+
     def keyrings(self) -> tuple[Keyring, ...]:
         """All keyrings; one of them is ``active``."""
         return (self._transport.send(calls.keyrings())).keyrings
@@ -314,6 +328,12 @@ class AsyncCamera:
     async def revoke_token(self, token_id: str) -> Token:
         """Let a token do nothing any more."""
         return await self._transport.send(calls.revoke_token(token_id))
+
+    async def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
+        """Hold a picture up, or take it away, as :meth:`Camera.hold_scene` does."""
+        if picture is None:
+            return await self._transport.send(calls.take_scene_away())
+        return await self._transport.send(calls.hold_scene(picture_bytes(picture)))
 
     async def keyrings(self) -> tuple[Keyring, ...]:
         """All keyrings; one of them is ``active``."""

@@ -16,6 +16,7 @@ Scope = Literal[
     "read:embedding:raw",
     "mask:rotate",
     "calibrate",
+    "simulate",
     "admin:keyring",
     "admin:tokens",
     "metrics",

@@ -20,10 +20,13 @@ from veilcam_server.metrics import Metrics
 from veilcam_server.middleware import RequestContext
 from veilcam_server.routes import router
 from veilcam_server.service import Service
+from veilcam_server.simulation_routes import MAX_PICTURE
+from veilcam_server.simulation_routes import PATH as SCENE
+from veilcam_server.simulation_routes import router as simulation_router
 from veilcam_server.token_routes import router as token_router
 
 MAX_BODY = 16 * 1024
-"""No request needs more than a few hundred bytes, but for the upload of a keyring [bytes]."""
+"""No request needs more than a few hundred bytes, but for uploads [bytes]."""
 
 
 def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
@@ -69,12 +72,13 @@ def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
     app.include_router(diagnostics_router)
     app.include_router(calibration_router)
     app.include_router(keyring_router)
+    app.include_router(simulation_router)
     problems.install(app)
     app.add_middleware(
         RequestContext,
         gateway=gateway,
         metrics=metrics,
         max_body=MAX_BODY,
-        max_uploads={("POST", KEYRINGS): service.keyrings.limit},
+        max_uploads={("POST", KEYRINGS): service.keyrings.limit, ("PUT", SCENE): MAX_PICTURE},
     )
     return app

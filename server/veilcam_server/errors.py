@@ -98,6 +98,17 @@ class CalibrationImpossibleError(Exception):
     """This camera cannot be measured with itself."""
 
 
+class SceneApiOffError(Exception):
+    """Scenes are not held up by program before this camera."""
+
+    def __init__(self) -> None:
+        super().__init__("this daemon takes no scenes: start it with --simulate --scene-api")
+
+
+class SceneInvalidError(Exception):
+    """What should be held up is no picture."""
+
+
 class UnknownTokenError(Exception):
     """There is no token of this id."""
 

@@ -38,6 +38,7 @@ from veilcam_client.models import (
     Status,
     Timing,
 )
+from veilcam_client.simulation import HeldScene
 from veilcam_client.tokens import NewToken, Token, TokenRequest, Tokens
 
 _AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
@@ -167,6 +168,7 @@ _ALL: tuple[BaseModel, ...] = (
     ),
     _KEYRING,
     Keyrings(keyrings=(_KEYRING,)),
+    HeldScene(scene=1),
 )
 EXAMPLES: Mapping[str, BaseModel] = {type(example).__name__: example for example in _ALL}
 """By the name of the model."""

@@ -102,6 +102,7 @@ def build_service(settings: Settings) -> Service:
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
+        scenes=device.scenes if settings.scene_api else None,
         workshop=None if device.simulated and device.scenes is None else workshop,
     )
 

@@ -38,6 +38,12 @@ def serve(
             metavar="PATH",
         ),
     ] = None,
+    scene_api: Annotated[
+        bool,
+        typer.Option(
+            "--scene-api", help="Let callers hold scenes up before the simulated camera, for tests."
+        ),
+    ] = False,
     host: Annotated[
         str | None, typer.Option(help="Address to listen on; others than loopback need TLS.")
     ] = None,
@@ -134,6 +140,7 @@ def serve(
         "bundle": bundle,
         "device": "simulated" if simulate else None,
         "scenes": scenes or None,
+        "scene_api": scene_api or None,
         "host": host,
         "port": port,
         "socket": socket,

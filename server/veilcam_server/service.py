@@ -12,6 +12,8 @@ from dataclasses import replace
 from datetime import datetime
 from typing import TypeVar
 
+import numpy as np
+import numpy.typing as npt
 import structlog
 
 from veilcam_client import __version__
@@ -41,6 +43,7 @@ from veilcam_client.models import (
     State,
     Status,
 )
+from veilcam_client.simulation import HeldScene
 from veilcam_server.answers import (
     capture_answer,
     classification_answer,
@@ -52,8 +55,12 @@ from veilcam_server.calibrator import Calibrator
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.device_queue import DeviceQueue
 from veilcam_server.devices.errors import SensorLostError
+from veilcam_server.devices.images import PictureError, decode, fitted
+from veilcam_server.devices.scenes import Scenes
 from veilcam_server.errors import (
     RotationImpossibleError,
+    SceneApiOffError,
+    SceneInvalidError,
     WithheldError,
 )
 from veilcam_server.events import EventLog
@@ -81,6 +88,7 @@ class Service:
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
+        scenes: before which pictures may be held up; None: nobody may.
         workshop: that measures the camera; None: it cannot be measured.
     """
 
@@ -93,10 +101,11 @@ class Service:
         form: Release = "none",
         queue_limit: int = 8,
         heartbeat: float = 10.0,
+        scenes: Scenes | None = None,
         workshop: Workshop | None = None,
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
-        self.keyrings = keyrings
+        self.keyrings, self._scenes = keyrings, scenes
         self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
         self._events, self.history = EventLog(), History()
         self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
@@ -246,6 +255,22 @@ class Service:
             name, captured, verdict, embedding, timing(captured, queued, begun, inference)
         )
 
+    async def hold_scene(self, content: bytes | None) -> HeldScene:
+        """Hold a picture up before a simulated camera, between two captures; None: take it away.
+
+        Raises:
+            SceneApiOffError: that is not allowed here.
+            SceneInvalidError: it is no picture.
+        """
+        scenes = self._scenes
+        if scenes is None:
+            raise SceneApiOffError
+        picture = None if content is None else await asyncio.to_thread(_picture, content, scenes)
+        with self._admitted():
+            # In line with captures and self tests, so that none of them sees two scenes.
+            number = await self._on_device(lambda: scenes.hold(picture))
+        return HeldScene(scene=number)
+
     async def activate_keyring(self, digest: str) -> Keyring:
         """Use another keyring from now on; raises as :meth:`Keyrings.activate`, or as `rotate`."""
         return await self.keyrings.activate(digest, self._use)
@@ -360,6 +385,13 @@ class Service:
         loop = self._loop
         if loop is not None:
             loop.call_soon_threadsafe(act)
+
+
+def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
+    try:
+        return fitted(decode(content), scenes.shape)
+    except PictureError as error:
+        raise SceneInvalidError(f"this {error}") from None
 
 
 def _ignore() -> None:

@@ -39,6 +39,8 @@ class Settings(Wiring):
     device: Literal["pi", "simulated"] = "pi"
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
     """What a simulated camera sees; the file of 'veilcamd show' if there is nothing."""
+    scene_api: bool = False
+    """Whether scenes may be held up over REST."""
     host: str = "127.0.0.1"
     port: int = Field(default=DEFAULT_PORT, ge=0, le=65_535)
     socket: Path | None = None
@@ -109,6 +111,8 @@ class Settings(Wiring):
     def _fit_together(self) -> Self:
         if self.device != "simulated" and self.scenes:
             raise ValueError("only a simulated camera has --scenes: add --simulate")
+        if self.device != "simulated" and self.scene_api:
+            raise ValueError("--scene-api is for a simulated camera: add --simulate")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":

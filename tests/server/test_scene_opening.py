@@ -138,7 +138,7 @@ async def test_each_capture_sees_the_next_scene(
         assert service.status().state == "ready"
         answers: list[Capture] = [await service.capture() for _ in range(3)]
         label = await service.classify(include_embedding=False)
-    assert [answer.scene for answer in (*answers, label)] == [0, 1, 0, 1]
+    assert [*(answer.scene for answer in answers), label.scene] == [0, 1, 0, 1]
     first, second, third = (float(np.asarray(answer).mean()) for answer in answers)
     assert second / first == pytest.approx(4.0, rel=0.02)
     assert third / first == pytest.approx(1.0, rel=0.02)

@@ -93,9 +93,9 @@ def _reflectance(picture: Picture) -> Reflectance:
             f"has the shape {picture.shape}: use (rows, columns), or (rows, columns, 3) for colour"
         )
     _require_size(picture.shape[0] * picture.shape[1])
-    if picture.dtype in (np.uint8, np.uint16):
-        white = np.float32(np.iinfo(picture.dtype).max)
-        return np.asarray(picture.astype(np.float32) / white)
+    for kind in (np.uint8, np.uint16):
+        if picture.dtype == kind:
+            return np.asarray(picture.astype(np.float32) / np.float32(np.iinfo(kind).max))
     if picture.dtype.kind != "f":
         raise PictureError("holds no reflectances: use uint8, uint16, or floats in [0, 1]")
     values = picture.astype(np.float32)

@@ -1,0 +1,157 @@
+"""Scenes held up before a simulated camera over REST."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from veilcam_client import AsyncCamera, LeasedError
+from veilcam_client.errors import ApiError
+from veilcam_server.access import ANYONE
+from veilcam_server.app import create_app
+from veilcam_server.gateway import Gateway
+from veilcam_server.serve import build_service
+from veilcam_server.settings import Settings
+from veilcam_server.simulation_routes import MAX_PICTURE, PATH
+
+EXPOSURE = 0.2
+
+
+@pytest.fixture
+def given(tmp_path: Path, bundle_file: Path, scene_file: Path) -> dict[str, Any]:
+    return {
+        "device": "simulated",
+        "bundle": bundle_file,
+        "scenes": (str(scene_file),),
+        "scene_api": True,
+        "state_dir": tmp_path / "state",
+        "settle": 0.0,
+        "exposure": 0.0,
+        "snr_db": float("inf"),
+    }
+
+
+@asynccontextmanager
+async def client(given: dict[str, Any]) -> AsyncIterator[httpx.AsyncClient]:
+    service = build_service(Settings.model_validate(given))
+    transport = httpx.ASGITransport(create_app(service, Gateway()))
+    async with (
+        service.open(),
+        httpx.AsyncClient(transport=transport, base_url="http://localhost") as http,
+    ):
+        yield http
+
+
+@asynccontextmanager
+async def camera(given: dict[str, Any]) -> AsyncIterator[AsyncCamera]:
+    async with (
+        client(given) as http,
+        AsyncCamera("http://localhost", http_client=http, max_retries=0) as sdk,
+    ):
+        yield sdk
+
+
+def png(level: int) -> bytes:
+    stream = io.BytesIO()
+    Image.new("RGB", (10, 20), (level, level, level)).save(stream, "PNG")
+    return stream.getvalue()
+
+
+@pytest.mark.anyio
+async def test_what_is_held_up_is_what_captures_see(given: dict[str, Any]) -> None:
+    async with camera(given) as sdk:
+        first = await sdk.capture()
+        assert first.scene == 0
+        assert (await sdk.hold_scene(np.zeros((28, 28), np.uint8))).scene == 1
+        dark = await sdk.capture()
+        assert dark.scene == 1
+        assert not np.asarray(dark).any()
+        assert (await sdk.hold_scene(png(255))).scene == 2
+        label = await sdk.classify(include_embedding=True)
+        assert label.scene == 2
+        # White, but half as wide as the scene.
+        assert np.asarray(label.embedding).mean() > 0.5 * np.asarray(first).mean()
+        assert (await sdk.hold_scene(None)).scene == 0
+        again = await sdk.capture()
+        assert again.scene == 0
+        assert np.asarray(again) == pytest.approx(np.asarray(first))
+
+
+@pytest.mark.anyio
+async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
+    given: dict[str, Any],
+) -> None:
+    async with camera({**given, "exposure": EXPOSURE}) as sdk:
+        before = np.asarray(await sdk.capture())
+        under_way = asyncio.create_task(sdk.capture())
+        await asyncio.sleep(EXPOSURE / 2)
+        held = await sdk.hold_scene(np.zeros((28, 28)))
+        old, new = await under_way, await sdk.capture()
+    assert (old.scene, held.scene, new.scene) == (0, 1, 1)
+    assert np.asarray(old) == pytest.approx(before)
+    assert not np.asarray(new).any()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("content", "status", "code", "detail"),
+    [
+        (b"", 422, "scene_invalid", "this is no image: use .npy, PNG or JPEG"),
+        (b"\x89PNG\r\n\x1a\nabc", 422, "scene_invalid", "this is no image"),
+        (bytes(MAX_PICTURE + 1), 413, "body_too_large", f"at most {MAX_PICTURE} bytes"),
+    ],
+)
+async def test_what_is_no_picture_changes_nothing(
+    given: dict[str, Any], content: bytes, status: int, code: str, detail: str
+) -> None:
+    async with client(given) as http:
+        answer = await http.put(PATH, content=content)
+        assert (answer.status_code, answer.json()["code"]) == (status, code)
+        assert detail in answer.json()["detail"]
+        assert (await http.post("/v1/captures")).json()["scene"] == 0
+        assert (await http.get("/v1/diagnostics")).json()["faults"] == []
+
+
+@pytest.mark.anyio
+async def test_it_has_to_be_allowed(given: dict[str, Any]) -> None:
+    async with camera({**given, "scene_api": False}) as sdk:
+        for picture in (png(0), None):
+            with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
+                await sdk.hold_scene(picture)
+            assert caught.value.code == "scene_api_off"
+
+
+@pytest.mark.anyio
+async def test_who_holds_the_camera_decides_what_it_sees(given: dict[str, Any]) -> None:
+    async with camera(given) as sdk, client_of(sdk) as other, sdk.lease(seconds=30):
+        with pytest.raises(LeasedError):
+            await other.hold_scene(png(0))
+        assert (await sdk.hold_scene(png(0))).scene == 1
+
+
+@asynccontextmanager
+async def client_of(sdk: AsyncCamera) -> AsyncIterator[AsyncCamera]:
+    """Somebody else, at the same daemon."""
+    http = sdk._transport._client
+    async with AsyncCamera("http://localhost", http_client=http, max_retries=0) as other:
+        yield other
+
+
+def test_it_has_a_scope_of_its_own() -> None:
+    assert "simulate" in ANYONE.scopes
+
+
+def test_a_real_camera_takes_no_scenes() -> None:
+    from pydantic import ValidationError
+
+    with pytest.raises(ValidationError, match="--scene-api is for a simulated camera"):
+        Settings.model_validate({"device": "pi", "bundle": "a.veilcam", "scene_api": True})
