@@ -113,7 +113,9 @@ def _best_of_changed(situation: Situation) -> Recipe:
     """No jitter: a change of the scene is one. Objects anywhere are first found by a pinhole."""
     recipe = _default(situation).model_copy(update={"epochs": 30})
     if situation.change != "shift" and situation.classifier.startswith("FC"):
-        return recipe.model_copy(update={"normalisation": "white"})
+        return recipe.model_copy(
+            update={"epochs": 50, "normalisation": "white", "exposure": "automatic"}
+        )
     if situation.change != "shift" or situation.classifier == "LR":
         return recipe
     changes: dict[str, object] = {
