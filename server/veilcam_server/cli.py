@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -113,8 +112,9 @@ def demo(
     # Imported late: --help need not wait for torch and matplotlib.
     from rich.console import Console  # noqa: PLC0415
 
-    from veilcam_server.demo.figures import record  # noqa: PLC0415
     from veilcam_server.demo.run import Plan, demonstrate  # noqa: PLC0415
+    from veilcam_training.errors import TrainingError  # noqa: PLC0415
+    from veilcam_training.figures import record_figures  # noqa: PLC0415
 
     bundle = bundle or (FRESH if fresh else KEYRING)
     every = every or (1 if fresh else 10)
@@ -126,10 +126,9 @@ def demo(
         if figures is not None:
             name = "demo_fresh" if fresh else "demo"
             name += "_wrong_classifier_accuracy" if wrong_classifier else "_accuracy"
-            command = shlex.join(["veilcamd", *sys.argv[1:]])
-            record(figures, name, round(tally.accuracy, 4), command)
+            record_figures(figures, {name: round(tally.accuracy, 4)})
         typer.echo(tally.summary())
-    except (StartError, VeilcamError) as error:
+    except (StartError, VeilcamError, TrainingError) as error:
         fail(str(error))
     except KeyboardInterrupt:
         raise SystemExit(130) from None

@@ -16,7 +16,6 @@ from veilcam_optics.grid import GridLight
 from veilcam_optics.masks import to_weights
 from veilcam_optics.noise import shot_noise
 from veilcam_server.cli import app
-from veilcam_server.demo.figures import record
 from veilcam_server.demo.observer import KeyObserver, PairObserver
 from veilcam_server.demo.report import draw_mask
 from veilcam_server.demo.tally import EPOCHS_SHOWN, Sample, Tally
@@ -157,14 +156,6 @@ def test_a_drawn_mask_shows_levels_filters_and_dead_space(bundle: Bundle) -> Non
         draw_mask(np.full_like(levels, 63), bundle.camera)[6, 18],
         draw_mask(np.full_like(levels, 63), bundle.camera)[18, 18],
     )
-
-
-def test_figures_that_cannot_be_written_are_an_error(tmp_path: Path) -> None:
-    path = tmp_path / "figures.json"
-    path.write_text("not json")
-    with pytest.raises(StartError, match="figures cannot be written"):
-        record(path, "demo_accuracy", 0.9, "veilcamd demo")
-    assert path.read_text() == "not json"
 
 
 def test_the_sample_is_whole() -> None:

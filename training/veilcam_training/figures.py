@@ -82,7 +82,8 @@ def commit() -> str:
     try:
         head = _git(here, "rev-parse", "--short=12", "HEAD")
         top = Path(_git(here, "rev-parse", "--show-toplevel"))
-        packages = [name for name in ("client", "optics", "training") if (top / name).is_dir()]
+        names = ("client", "optics", "server", "training")
+        packages = [name for name in names if (top / name).is_dir()]
         changed = _git(top, "status", "--porcelain", "--untracked-files=no", "--", *packages)
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
