@@ -14,14 +14,15 @@ if [ -d /run/systemd/system ]; then
     systemctl stop veilcamd.socket veilcamd.service || true
 fi
 systemctl disable veilcamd.socket veilcamd.service || true
-rm -rf /opt/veilcam
+rm -rf /opt/veilcam /run/veilcam
 rm -f /etc/systemd/system/veilcamd.service /etc/systemd/system/veilcamd.socket \
     /etc/udev/rules.d/60-veilcam.rules /etc/sysusers.d/veilcam.conf \
     /etc/avahi/services/veilcam.service
-if [ -d /run/systemd/system ]; then systemctl daemon-reload; fi
 if [ "${1:-}" = --purge ]; then
-    rm -rf /var/lib/veilcam /etc/veilcam /etc/credstore.encrypted/veilcam.mask-key
+    rm -rf /var/lib/veilcam /etc/veilcam /etc/credstore.encrypted/veilcam.mask-key \
+        /etc/systemd/system/veilcamd.service.d /etc/systemd/system/veilcamd.socket.d
     echo "Removed, with state, settings and secrets."
 else
     echo "Removed. Left: /var/lib/veilcam, /etc/veilcam, /etc/credstore.encrypted/veilcam.mask-key"
 fi
+if [ -d /run/systemd/system ]; then systemctl daemon-reload; fi

@@ -56,6 +56,17 @@ def test_the_sandbox_leaves_little_exposed(units: Path) -> None:
     assert analyze("security", "--offline=true", "--threshold=10", service).returncode != 0
 
 
+def test_no_path_of_its_own_slips_through_the_rule_for_everything() -> None:
+    # systemd leaves such a path out of what it does to /: that it is read-only, or runs nothing.
+    unit = (DEPLOY / "veilcamd.service").read_text()
+    paths = {name: value.split() for name, value in re.findall(r"(?m)^(\w+Paths)=(.*)$", unit)}
+    assert paths["NoExecPaths"][0] == "/"
+    assert paths["BindReadOnlyPaths"] == paths["ExecPaths"]
+    state = re.search(r"(?m)^StateDirectory=(.*)$", unit)
+    assert state is not None
+    assert {f"/var/lib/{state[1]}", "/tmp", "/var/tmp", "/dev/shm"} <= set(paths["NoExecPaths"])
+
+
 def test_the_settings_that_come_along_are_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     # Those that are commented out too.
     given = dict(re.findall(r"(?m)^#?(VEILCAM_\w+)=(.*)$", (DEPLOY / "veilcam.env").read_text()))

@@ -18,13 +18,15 @@ from pathlib import Path
 from veilcam_client import Camera, EveryCaptures, VeilcamError
 
 from . import panel, probe
-from .prepare import SHARED
+from .prepare import CREDENTIAL, SHARED
 
 SOCKET = Path("/run/veilcam/api.sock")
 URLS = (f"unix://{SOCKET}", "http://127.0.0.1:8787")
 STATE = Path("/var/lib/veilcam")
 HERE = Path(__file__).resolve().parent
 PYTHON = "/opt/veilcam/current/bin/python"
+SETTINGS_OF_UNIT = Path("/etc/systemd/system/veilcamd.service.d")
+"""What ``systemctl edit`` makes; here it is virtual-machine.conf's."""
 DROP_IN = Path("/run/systemd/system/veilcamd.service.d/other.conf")
 PATIENCE = 900.0
 """Of waits for the daemon; an emulated processor is slow [s]."""
@@ -90,6 +92,7 @@ class Checks:
                 self._report(name, True, check() or "")
             except Exception as error:  # whatever it is, the others are made
                 self._report(name, False, f"{type(error).__name__}: {error}")
+                print(journal()[-1500:], flush=True)  # noqa: T201
 
     def ready_at_boot(self) -> str:
         """Type=notify: active means that requests are answered."""
@@ -248,12 +251,27 @@ class Checks:
         return run(PYTHON, "-m", "guest.panel", "write")
 
     def uninstall_leaves_the_state(self) -> str:
-        """Nothing is left but state, settings and secrets."""
-        run(str(HERE.parent / "uninstall.sh"))
-        assert not Path("/opt/veilcam").exists()
-        assert "veilcamd" not in run("systemctl", "list-unit-files", "--no-legend")
+        """Nothing is left but state, settings and secrets; with --purge these go, too."""
+        uninstall = str(HERE.parent / "uninstall.sh")
+        run(uninstall)
+        kept = {STATE, Path("/etc/veilcam"), CREDENTIAL, SETTINGS_OF_UNIT}
+        assert self._left() == kept, self._left()
         assert (STATE / "epochs.sqlite3").exists()
-        return "and nothing of the program"
+        assert not SOCKET.exists()
+        assert "veilcamd" not in run("systemctl", "list-unit-files", "--no-legend")
+        run(uninstall, "--purge")
+        assert not self._left(), self._left()
+        return "and with --purge nothing"
+
+    @staticmethod
+    def _left() -> set[Path]:
+        """Files and folders by our name; the checks' own are called veilcam-SOMETHING."""
+        names = run(
+            *("find", "/etc", "/opt", "/run/veilcam", "/usr", "/var", "-name", "*veilcam*"),
+            *("-not", "-name", "veilcam-*", "-prune"),
+            check=False,  # one of the folders may be gone
+        )
+        return {Path(name) for name in names.splitlines()}
 
     @staticmethod
     def _bus() -> list[panel.Byte]:

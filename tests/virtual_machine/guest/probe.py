@@ -21,10 +21,13 @@ from functools import partial
 from pathlib import Path
 
 OPEN_FOLDERS = tuple(
-    Path(parent) / "open-to-all" for parent in ("/etc", "/opt/veilcam", "/usr", "/var/lib", "/srv")
+    Path(parent) / "open-to-all"
+    for parent in ("/etc", "/opt/veilcam", "/usr", "/usr/lib", "/var/lib", "/srv")
 )
 OPEN_DEVICES = (Path("/dev/vda"), Path("/dev/ttyS3"), Path("/dev/fuse"))
 OTHERS = (Path("/home/open-to-all"), Path("/tmp/open-to-all"))
+SCRATCH = (Path("/tmp"), Path("/var/tmp"), Path("/dev/shm"))
+"""Where every user may write."""
 PORT = 4711
 _NEW_USER, _NO_RANDOM_ADDRESSES = 0x10000000, 0x0040000
 
@@ -37,7 +40,10 @@ def attempts(state: Path) -> dict[str, Callable[[], object]]:
         **{f"write to {folder}": partial(_write, folder) for folder in OPEN_FOLDERS},
         **{f"open {device}": partial(_open, device) for device in OPEN_DEVICES},
         **{f"look into {folder.parent}": folder.read_text for folder in OTHERS},
-        "run a file it wrote": lambda: _run_copy(state),
+        **{
+            f"run a file it wrote to {name}": partial(_run_copy, folder)
+            for name, folder in (("its state", state), *((str(one), one) for one in SCRATCH))
+        },
         "open an internet socket": lambda: socket.socket(socket.AF_INET).close(),
         "call another program's port": _call,
         "see other users' processes": lambda: Path("/proc/1/status").read_text(),
