@@ -26,6 +26,7 @@ from veilcam_client.errors import (
     InvalidRequestError,
     LeasedError,
     ProtocolError,
+    RecordingError,
     RequestTimeoutError,
     ServerError,
     UnauthorizedError,
@@ -56,6 +57,7 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_client.recording import Recording, read_recording, record
 from veilcam_client.simulation import HeldScene
 from veilcam_client.tokens import NewToken, Scope, Token
 
@@ -95,6 +97,8 @@ __all__ = [
     "NewLease",
     "NewToken",
     "ProtocolError",
+    "Recording",
+    "RecordingError",
     "RequestTimeoutError",
     "Rotation",
     "RotationChanged",
@@ -110,4 +114,6 @@ __all__ = [
     "UnauthorizedError",
     "VeilcamError",
     "__version__",
+    "read_recording",
+    "record",
 ]

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 from pydantic import ValidationError
 
-from veilcam_client import calibration_command, keyring_command, token_command
+from veilcam_client import calibration_command, keyring_command, record_command, token_command
 from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.models import (
     EveryCaptures,
@@ -37,6 +37,7 @@ from veilcam_client.wording import (
     next_in_words,
     policy_in_words,
     refusal,
+    replay_in_words,
 )
 
 app = typer.Typer(
@@ -45,11 +46,12 @@ app = typer.Typer(
     epilog="VEILCAM_TOKEN holds the token for a daemon that wants one, VEILCAM_CA_FILE the "
     "authority of an https one. Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request "
     "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
-    "12 leased.",
+    "12 leased, 13 recording.",
 )
 app.command()(calibration_command.calibrate)
 app.add_typer(token_command.app, name="token")
 app.add_typer(keyring_command.app, name="keyring")
+app.command()(record_command.record)
 
 
 @app.callback()
@@ -105,7 +107,7 @@ def capture(
     shape = " x ".join(str(count) for count in values.shape)
     typer.echo(
         f"{answer.id}  epoch {answer.epoch}  {shape} {answer.embedding.form}  "
-        f"mean {values.mean():.4g}  {1e3 * answer.timing.total_s:.0f} ms"
+        f"mean {values.mean():.4g}  {1e3 * answer.timing.total_s:.0f} ms{replay_in_words(answer)}"
     )
 
 
@@ -120,7 +122,7 @@ def classify(
         return
     typer.echo(
         f"{answer.label}  {100 * answer.confidence:.1f} %  epoch {answer.epoch}  "
-        f"{1e3 * answer.timing.total_s:.0f} ms"
+        f"{1e3 * answer.timing.total_s:.0f} ms{replay_in_words(answer)}"
     )
 
 

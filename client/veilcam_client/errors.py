@@ -4,6 +4,7 @@
     ``ConnectError``: nobody answers at that address.
     ``RequestTimeoutError``: connected or not, no answer in time.
     ``ProtocolError``: an answer that this SDK cannot read.
+    ``RecordingError``: a recording that cannot be written or read.
     ``ApiError``: the daemon answered with a problem.
         ``UnauthorizedError``: HTTP 401, the token is missing or not valid any more.
         ``ForbiddenError``: the token lacks a scope.
@@ -71,6 +72,13 @@ class ProtocolError(VeilcamError):
         self, message: str, *, status: int | None = None, request_id: str | None = None
     ) -> None:
         super().__init__(message, code="protocol_error", status=status, request_id=request_id)
+
+
+class RecordingError(VeilcamError):
+    """A recording that cannot be written or read."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, code="recording_failed")
 
 
 class ApiError(VeilcamError):

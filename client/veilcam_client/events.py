@@ -38,6 +38,8 @@ class CaptureTaken(_Event):
     kind: Literal["capture"] = "capture"
     capture: str
     epoch: str
+    replay: bool = False
+    """Whether it comes from a recording."""
 
 
 class Classified(_Event):
@@ -48,6 +50,8 @@ class Classified(_Event):
     epoch: str
     label: str
     confidence: float
+    replay: bool = False
+    """Whether the label comes from a recording."""
 
 
 class RotationChanged(_Event):

@@ -19,8 +19,11 @@ API_VERSION = 1
 NPY_MEDIA_TYPE = "application/x-npy"
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 
-State = Literal["starting", "self-test", "ready", "calibrating", "degraded", "safe", "stopping"]
-"""``safe``: the panel is opaque (or its content unknown) and no capture is taken."""
+State = Literal[
+    "starting", "self-test", "ready", "calibrating", "degraded", "safe", "replay", "stopping"
+]
+"""``safe``: the panel is opaque (or its content unknown) and no capture is taken; ``replay``: there
+is no panel, and captures come from a recording."""
 
 Form = Literal["flat", "white", "raw"]
 """What an embedding is: ``raw`` as it was read; ``flat`` without the exposure and without what the
@@ -138,6 +141,17 @@ class Timing(Answer):
     total_s: float
 
 
+class Replay(Answer):
+    """Where a capture comes from that was not taken now: from a recording."""
+
+    capture: str
+    """Its id when it was taken."""
+    place: int
+    """In the recording, from 0 on."""
+    exposure: Exposure
+    """What the recording tells of it. The daemon that replays it has seen no exposure."""
+
+
 class Capture(Answer):
     """One embedding and the mask epoch that it was taken under."""
 
@@ -148,7 +162,9 @@ class Capture(Answer):
     scene: int | None = None
     """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
     embedding: Embedding
-    exposure: Exposure
+    exposure: Exposure | None
+    """None when nothing was exposed, because a recording is replayed."""
+    replay: Replay | None = None
     timing: Timing
 
     def __array__(
@@ -172,7 +188,9 @@ class Classification(Answer):
     """Probability of every label; they sum to 1."""
     embedding: Embedding | None = None
     """Only when it was asked for."""
-    exposure: Exposure
+    exposure: Exposure | None
+    """None when nothing was exposed, because a recording is replayed."""
+    replay: Replay | None = None
     timing: Timing
 
 

@@ -20,6 +20,7 @@ from veilcam_client.errors import (
     InvalidRequestError,
     LeasedError,
     ProtocolError,
+    RecordingError,
     RequestTimeoutError,
     ServerError,
     UnauthorizedError,
@@ -38,6 +39,7 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (UnauthorizedError, 10),
     (ForbiddenError, 11),
     (LeasedError, 12),
+    (RecordingError, 13),
 )
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
@@ -46,7 +48,7 @@ UrlOption = Annotated[
     str,
     typer.Option(envvar="VEILCAM_URL", help="http://HOST:PORT or unix:///PATH."),
 ]
-TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer [s].")]
+TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, in seconds.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 

@@ -22,6 +22,8 @@ from veilcam_client.events import (
 from veilcam_client.keyrings import Keyring
 from veilcam_client.models import (
     BundleInfo,
+    Capture,
+    Classification,
     EverySeconds,
     Preparation,
     Rotation,
@@ -67,6 +69,13 @@ def next_in_words(preparation: Preparation) -> str:
     return f"{ready}; late {preparation.late} times, {preparation.reused} captures reused a mask"
 
 
+def replay_in_words(answer: Capture | Classification) -> str:
+    """That a capture comes from a recording, and from when; nothing if it was taken now."""
+    if answer.replay is None:
+        return ""
+    return f"  replay of {answer.taken_at:%Y-%m-%d %H:%M:%S}"
+
+
 def epoch_in_words(rotation: Rotation) -> str:
     """The present epoch."""
     if rotation.epoch is None:
@@ -76,9 +85,12 @@ def epoch_in_words(rotation: Rotation) -> str:
 
 def event_in_words(event: Event) -> str:
     """What happened, in one line."""
-    if isinstance(event, Classified):
-        return f"{event.label}  {100 * event.confidence:.1f} %  epoch {event.epoch}"
-    if isinstance(event, (MaskChanged, CaptureTaken)):
+    if isinstance(event, (Classified, CaptureTaken)):
+        label = (
+            f"{event.label}  {100 * event.confidence:.1f} %  " if event.kind != "capture" else ""
+        )
+        return f"{label}epoch {event.epoch}{'  replay' if event.replay else ''}"
+    if isinstance(event, MaskChanged):
         return f"epoch {event.epoch}"
     if isinstance(event, StateChanged):
         return f"{event.state}  {event.detail or ''}".rstrip()

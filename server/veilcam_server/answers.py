@@ -27,6 +27,7 @@ def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: 
         scene=captured.scene,
         embedding=embedding,
         exposure=_exposure(captured),
+        replay=captured.replay,
         timing=timing,
     )
 
@@ -45,6 +46,7 @@ def classification_answer(
         scores=verdict.scores,
         embedding=embedding,
         exposure=_exposure(captured),
+        replay=captured.replay,
         timing=timing,
     )
 
@@ -81,7 +83,10 @@ def timing(
     )
 
 
-def _exposure(captured: Captured) -> Exposure:
+def _exposure(captured: Captured) -> Exposure | None:
+    if captured.replay is not None:
+        # Whoever looks for the proof finds none: what was recorded stands in `replay`.
+        return None
     return Exposure(
         started_after_shown_s=captured.started_after_shown,
         settle_s=captured.settle,

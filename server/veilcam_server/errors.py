@@ -98,6 +98,22 @@ class CalibrationImpossibleError(Exception):
     """This camera cannot be measured with itself."""
 
 
+class ReplayingError(Exception):
+    """What is asked for needs a camera, and there is a recording only."""
+
+    def __init__(
+        self, why: str = "there is no panel and no sensor: this daemon replays a recording"
+    ) -> None:
+        super().__init__(why)
+
+
+class ReplayOverError(ReplayingError):
+    """The recording has come to its end."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(f"all {count} captures were replayed: start the daemon again")
+
+
 class SceneApiOffError(Exception):
     """Scenes are not held up by program before this camera."""
 

@@ -20,7 +20,7 @@ _UPLOAD: dict[str, Any] = {
         "content": {BUNDLE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-_CHANGE = ("keyrings_busy", "keyring_not_stored")
+_CHANGE = ("keyrings_busy", "keyring_not_stored", "replaying")
 _USE = ("keyring_invalid", "keyring_unfit")
 _DEVICE = (
     "idempotency_key_reused",
@@ -38,7 +38,7 @@ _DEVICE = (
 router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:keyring")], redirect_slashes=False)
 
 
-@router.get("", responses=problems())
+@router.get("", responses=problems("replaying"))
 async def keyrings(service: ServiceDep) -> Keyrings:
     """Every keyring that can be used, and which one is."""
     return await service.keyrings.all()

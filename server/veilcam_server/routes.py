@@ -53,6 +53,8 @@ DEVICE = (
     "sensor_timeout",
     "fence_violated",
     "epoch_not_recorded",
+    "replaying",
+    "replay_over",
 )
 """What a route that needs the device can answer with besides."""
 
@@ -106,6 +108,8 @@ async def capture(
             "Veilcam-Epoch": taken.epoch,
             "Veilcam-Form": taken.embedding.form,
         }
+        if taken.replay is not None:
+            names["Veilcam-Replay"] = str(taken.replay.place)
         return Response(buffer.getvalue(), headers=names, media_type=NPY_MEDIA_TYPE)
     return Response(taken.model_dump_json(), media_type="application/json")
 
@@ -137,7 +141,7 @@ async def rotation(service: ServiceDep) -> Rotation:
 @router.put(
     "/rotation",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(*BODY, "leased", "rotation_impossible"),
+    responses=problems(*BODY, "leased", "rotation_impossible", "replaying"),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     """Change when masks change: off, every N seconds, or every N captures."""

@@ -43,6 +43,7 @@ from veilcam_server.keyrings import Keyrings
 from veilcam_server.listeners import Listener, open_listeners
 from veilcam_server.open_device import open_device
 from veilcam_server.preparation import Preparation
+from veilcam_server.replay import replay_service
 from veilcam_server.self_test import OpticalSelfTest
 from veilcam_server.service import Service
 from veilcam_server.settings import Settings
@@ -55,11 +56,13 @@ log = structlog.get_logger()
 
 
 def build_service(settings: Settings) -> Service:
-    """Read the bundle, open the device and show the first mask.
+    """Read the bundle, open the device and show the first mask; or read a recording.
 
     Raises:
         StartError: whatever stands in the way, in one line.
     """
+    if settings.replay is not None:
+        return replay_service(settings, settings.replay)
     try:
         bundle = read_bundle(settings.bundle)
         form = release_form(settings, bundle)
@@ -212,7 +215,8 @@ def _serve(
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
             server = _Server(config, service, listening)
-            log.info("start", urls=urls, device=settings.device, auth=settings.auth)
+            what = settings.device if settings.replay is None else "replay"
+            log.info("start", urls=urls, device=what, auth=settings.auth)
             if settings.auth == "none":
                 log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
             service.on_lost(server.end)

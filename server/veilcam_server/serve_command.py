@@ -44,6 +44,12 @@ def serve(
             "--scene-api", help="Let callers hold scenes up before the simulated camera, for tests."
         ),
     ] = False,
+    replay: Annotated[
+        Path | None,
+        typer.Option(
+            help="Answer with what 'veilcam record' wrote to this file, instead of a camera."
+        ),
+    ] = None,
     host: Annotated[
         str | None, typer.Option(help="Address to listen on; others than loopback need TLS.")
     ] = None,
@@ -141,6 +147,7 @@ def serve(
         "device": "simulated" if simulate else None,
         "scenes": scenes or None,
         "scene_api": scene_api or None,
+        "replay": replay,
         "host": host,
         "port": port,
         "socket": socket,

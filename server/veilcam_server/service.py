@@ -58,6 +58,7 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.images import PictureError, decode, fitted
 from veilcam_server.devices.scenes import Scenes
 from veilcam_server.errors import (
+    ReplayingError,
     RotationImpossibleError,
     SceneApiOffError,
     SceneInvalidError,
@@ -249,6 +250,7 @@ class Service:
                 epoch=captured.epoch,
                 label=verdict.label,
                 confidence=verdict.confidence,
+                replay=captured.replay is not None,
             )
         )
         return classification_answer(
@@ -348,14 +350,20 @@ class Service:
         name = secrets.token_hex(8)
         self._captures += 1
         self._publish(
-            lambda id_, at: CaptureTaken(id=id_, at=at, capture=name, epoch=captured.epoch)
+            lambda id_, at: CaptureTaken(
+                id=id_,
+                at=at,
+                capture=name,
+                epoch=captured.epoch,
+                replay=captured.replay is not None,
+            )
         )
         return name
 
     async def _on_device(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
         try:
             return await self._watched(work, counted=counted)
-        except RotationImpossibleError:
+        except (RotationImpossibleError, ReplayingError):
             raise
         except Exception as error:
             code = code_of(error)

@@ -22,6 +22,20 @@ SCENE_NAME = "scene.npy"
 _WORDS = frozenset(("auth", "device", "log_level", "release"))
 """Settings that are one of a few words."""
 
+_OF_A_CAMERA = {
+    "device": "--simulate",
+    "bundle": "--bundle",
+    "scenes": "--scenes",
+    "scene_api": "--scene-api",
+    "rotation": "--every-seconds and --every-captures",
+    "mask_secret": "--mask-secret",
+    "device_label": "--device-label",
+    "release": "--release",
+    "calibration": "--calibration",
+    "wrong_classifier": "--wrong-classifier",
+}
+"""Settings that mean nothing where there is no camera, and their options."""
+
 
 def default_state_dir() -> Path:
     """Where systemd says (``StateDirectory=``), or the user's state directory (XDG)."""
@@ -39,6 +53,8 @@ class Settings(Wiring):
     device: Literal["pi", "simulated"] = "pi"
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
     """What a simulated camera sees; the file of 'veilcamd show' if there is nothing."""
+    replay: Path | None = None
+    """Recording that stands in the place of a camera."""
     scene_api: bool = False
     """Whether scenes may be held up over REST."""
     host: str = "127.0.0.1"
@@ -106,6 +122,17 @@ class Settings(Wiring):
         if given.get("device") == "simulated":
             return {"bundle": KEYRING, **given}
         return given
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_camera_where_a_recording_is(cls, given: dict[str, Any]) -> dict[str, Any]:
+        if given.get("replay") is None:
+            return given
+        for name, option in _OF_A_CAMERA.items():
+            if name in given:
+                raise ValueError(f"--replay plays a recording as it is: leave out {option}")
+        # A recording needs no bundle, and nothing reads this one.
+        return {"bundle": given["replay"], **given}
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:

@@ -6,6 +6,7 @@ import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from veilcam_client.models import Replay
 from veilcam_server.devices.protocols import Reading
 from veilcam_server.masks import Mask, Reader
 
@@ -64,6 +65,8 @@ class Captured:
     capture_time: float
     scene: int | None = None
     """Number of what a simulated camera looked at."""
+    replay: Replay | None = None
+    """From a recording: nothing was exposed, and the times are the recording's."""
 
 
 @dataclass(slots=True)

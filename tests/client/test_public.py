@@ -50,6 +50,8 @@ def test_the_public_names_are_these() -> None:
         "NewLease",
         "NewToken",
         "ProtocolError",
+        "Recording",
+        "RecordingError",
         "RequestTimeoutError",
         "Rotation",
         "RotationChanged",
@@ -65,6 +67,8 @@ def test_the_public_names_are_these() -> None:
         "UnauthorizedError",
         "VeilcamError",
         "__version__",
+        "read_recording",
+        "record",
     ]
     for name in veilcam_client.__all__:
         assert hasattr(veilcam_client, name)

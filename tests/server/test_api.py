@@ -69,6 +69,7 @@ async def test_capture_as_json_and_as_npy(running: Running, bench: Bench) -> Non
         npy = await client.post("/v1/captures", headers={"Accept": NPY_MEDIA_TYPE})
     assert capture.epoch == bench.epochs[0]
     assert np.array_equal(np.asarray(capture), bench.sensor.reading)
+    assert capture.exposure is not None
     assert capture.exposure.started_after_shown_s >= capture.exposure.settle_s == 0.01
     assert npy.headers["content-type"] == NPY_MEDIA_TYPE
     assert npy.headers["veilcam-epoch"] == capture.epoch

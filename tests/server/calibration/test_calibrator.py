@@ -160,6 +160,7 @@ async def test_what_is_found_is_used_from_then_on(
         assert bench.test.runs == tests + 1
         after = await reading(client)
         assert np.asarray(after) == pytest.approx((1 - 0.02) / 0.5)
+        assert after.exposure is not None
         assert after.exposure.settle_s == 0.03
         assert bench.pair_shown() is not None
         found = await status(client)

@@ -1,0 +1,187 @@
+"""Recordings: what a camera answered, in a file, for ``veilcamd serve --replay``.
+
+JSON lines. The first tells which camera it was, every other one is a capture as the API answered
+it, with its label where it was asked for. Whoever may read the file may read the embeddings.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+from pydantic import ValidationError
+
+from veilcam_client.camera import Camera
+from veilcam_client.errors import RecordingError
+from veilcam_client.models import Answer, Capture, Classification, Exposure, Status
+
+MAX_BYTES = 2**28
+"""Of a recording: some 16,000 captures of 24 x 32 [bytes]."""
+
+
+class Header(Answer):
+    """The first line."""
+
+    format: Literal["veilcam-recording"] = "veilcam-recording"
+    version: Literal[1] = 1
+    recorded_at: datetime
+    status: Status
+    """Of the camera when the recording began."""
+
+
+class Verdict(Answer):
+    """What the camera said of a capture."""
+
+    label: str
+    confidence: float
+    scores: dict[str, float]
+
+
+class Recorded(Answer):
+    """One capture; every other line is one."""
+
+    capture: Capture
+    verdict: Verdict | None = None
+
+    @property
+    def exposure(self) -> Exposure:
+        """Proof of the exposure, which every capture has that was not itself replayed."""
+        if self.capture.exposure is None:
+            raise ValueError("the capture was itself replayed: record a camera")
+        return self.capture.exposure
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What is in a file."""
+
+    header: Header
+    captures: tuple[Recorded, ...]
+
+
+def record(
+    camera: Camera,
+    path: Path,
+    *,
+    count: int,
+    labels: bool = False,
+    advance: Callable[[], None] = lambda: None,
+) -> int:
+    """Take captures and write them to a new file, each as soon as it is taken.
+
+    Args:
+        camera: needs the scopes ``read:status``, ``read:embedding``, with ``raw`` embeddings
+            ``read:embedding:raw``, and with labels ``classify``.
+        path: readable by its owner alone.
+        count: how many captures.
+        labels: have each classified as well.
+        advance: called after each.
+
+    Returns:
+        Bytes that were written.
+
+    Raises:
+        RecordingError: the file exists or cannot be written, or the camera itself is a recording.
+        VeilcamError: as :meth:`Camera.capture`; what was written before is a whole recording.
+    """
+    status = camera.status()
+    if status.state == "replay":
+        raise RecordingError("this daemon replays a recording: copy its file")
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as stream:
+            _write(stream, Header(recorded_at=datetime.now(UTC), status=status))
+            for _ in range(count):
+                _write(stream, _take(camera, labels=labels))
+                advance()
+            return stream.tell()
+    except FileExistsError:
+        raise RecordingError(f"{path} exists: give another name") from None
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be written ({error.strerror})") from None
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a file that :func:`record` wrote, and check all of it.
+
+    Raises:
+        RecordingError: it is missing, damaged, or no such file.
+    """
+    try:
+        size = path.stat().st_size
+        content = path.read_bytes() if size <= MAX_BYTES else b""
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read ({error.strerror})") from None
+    if size > MAX_BYTES:
+        raise RecordingError(f"{path} is larger than {MAX_BYTES >> 20} MiB: replay a part of it")
+    first, *lines = content.split(b"\n")
+    try:
+        header = Header.model_validate_json(first)
+    except ValidationError:
+        raise RecordingError(
+            f"{path} is no recording of this version: make one with 'veilcam record'"
+        ) from None
+    if not lines or lines.pop() != b"":
+        raise RecordingError(f"{path} is cut off: remove its last line")
+    if not lines:
+        raise RecordingError(f"{path} holds no captures: make it again with 'veilcam record'")
+    captures = tuple(_recorded(header, path, number, line) for number, line in enumerate(lines, 2))
+    return Recording(header, captures)
+
+
+def _take(camera: Camera, *, labels: bool) -> Recorded:
+    if not labels:
+        return Recorded(capture=camera.capture())
+    return _split(camera.classify(include_embedding=True))
+
+
+def _split(answer: Classification) -> Recorded:
+    if answer.embedding is None:
+        raise RecordingError("the daemon left the embedding out: update it")
+    return Recorded(
+        capture=Capture(
+            id=answer.id,
+            taken_at=answer.taken_at,
+            epoch=answer.epoch,
+            scene=answer.scene,
+            embedding=answer.embedding,
+            exposure=answer.exposure,
+            replay=answer.replay,
+            timing=answer.timing,
+        ),
+        verdict=Verdict(
+            label=answer.label, confidence=answer.confidence, scores=dict(answer.scores)
+        ),
+    )
+
+
+def _recorded(header: Header, path: Path, number: int, line: bytes) -> Recorded:
+    """One line, which has to be of the camera that the header names."""
+    try:
+        recorded = Recorded.model_validate_json(line)
+    except ValidationError:
+        raise RecordingError(f"{path}, line {number}: this is no capture: remove it") from None
+    capture, bundle = recorded.capture, header.status.bundle
+    if capture.replay is not None or capture.exposure is None:
+        raise RecordingError(f"{path}, line {number}: this was itself replayed: record a camera")
+    if capture.embedding.shape != bundle.embedding_shape:
+        raise RecordingError(f"{path}, line {number}: this is of another camera: remove it")
+    if capture.embedding.form != header.status.release:
+        raise RecordingError(
+            f"{path}, line {number}: this is {capture.embedding.form}, and the camera released "
+            f"{header.status.release}: remove it"
+        )
+    if recorded.verdict is not None and recorded.verdict.label not in bundle.labels:
+        raise RecordingError(
+            f"{path}, line {number}: this label is not one of the camera's: remove it"
+        )
+    return recorded
+
+
+def _write(stream: BinaryIO, line: Answer) -> None:
+    stream.write(line.model_dump_json().encode() + b"\n")
+    stream.flush()

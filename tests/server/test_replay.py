@@ -1,0 +1,221 @@
+"""A recording in the place of a camera: all of it, once, and never as if it were live."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from tests.client.recordings import AT, EXPOSURE, STATUS, VERDICT, Daemon, answer
+
+from veilcam_client import AsyncCamera, Capture, Classification, EveryCaptures, RotationOff
+from veilcam_client.errors import ApiError
+from veilcam_client.events import CaptureTaken, Classified, Event
+from veilcam_client.recording import record
+from veilcam_client.wording import event_in_words
+from veilcam_server.app import create_app
+from veilcam_server.errors import StartError
+from veilcam_server.gateway import Gateway
+from veilcam_server.serve import build_service
+from veilcam_server.service import Service
+from veilcam_server.settings import Settings
+from veilcam_server.terminal import one_line
+
+COUNT = 3
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "recording.jsonl"
+    record(Daemon().camera(), path, count=COUNT, labels=True)
+    return path
+
+
+def service_of(replay: Path) -> Service:
+    given = {"replay": replay, "state_dir": replay.parent / "state", "heartbeat": 0.02}
+    return build_service(Settings.model_validate(given))
+
+
+@asynccontextmanager
+async def replaying(path: Path) -> AsyncIterator[httpx.AsyncClient]:
+    service = service_of(path)
+    transport = httpx.ASGITransport(create_app(service, Gateway()))
+    async with (
+        service.open(),
+        httpx.AsyncClient(transport=transport, base_url="http://localhost") as http,
+    ):
+        yield http
+
+
+@asynccontextmanager
+async def camera(path: Path) -> AsyncIterator[AsyncCamera]:
+    async with (
+        replaying(path) as http,
+        AsyncCamera("http://localhost", http_client=http, max_retries=0) as sdk,
+    ):
+        yield sdk
+
+
+async def code(asked: Any) -> str:
+    with pytest.raises(ApiError) as caught:
+        await asked
+    assert caught.value.status == 409
+    return caught.value.code
+
+
+@pytest.mark.anyio
+async def test_everything_comes_once_as_it_was_recorded_and_says_so(path: Path) -> None:
+    async with camera(path) as sdk:
+        first = await sdk.capture()
+        second = await sdk.classify(include_embedding=True)
+        third = await sdk.classify()
+        assert third.embedding is None
+        assert await code(sdk.capture()) == await code(sdk.classify()) == "replay_over"
+        assert (await sdk.status()).detail == f"3 of 3 captures recorded on {today(path)}"
+    answers: tuple[Capture | Classification, ...] = (first, second, third)
+    for place, taken in enumerate(answers):
+        recorded = answer(place)
+        assert taken.epoch == recorded["epoch"]
+        assert taken.taken_at.isoformat() == recorded["taken_at"]
+        assert taken.exposure is None
+        assert taken.replay is not None
+        assert taken.replay.model_dump() == {
+            "capture": recorded["id"],
+            "place": place,
+            "exposure": EXPOSURE,
+        }
+        assert taken.id != recorded["id"]
+    values = np.asarray(answer(0)["embedding"]["values"], np.float32).reshape(2, 3)
+    assert np.array_equal(np.asarray(first), values)
+    assert second.embedding is not None
+    assert np.array_equal(np.asarray(second.embedding), values + 1)
+    verdict = {"label": second.label, "confidence": second.confidence, "scores": second.scores}
+    assert verdict == VERDICT
+
+
+def today(path: Path) -> str:
+    header: dict[str, str] = json.loads(path.read_text().splitlines()[0])
+    return header["recorded_at"][:10]
+
+
+@pytest.mark.anyio
+async def test_the_array_alone_says_so_too(path: Path) -> None:
+    async with replaying(path) as http:
+        await http.post("/v1/captures")
+        taken = await http.post("/v1/captures", headers={"Accept": "application/x-npy"})
+    assert taken.headers["Veilcam-Replay"] == "1"
+    assert taken.headers["Veilcam-Epoch"] == answer(1)["epoch"]
+
+
+@pytest.mark.anyio
+async def test_the_status_never_says_ready(path: Path) -> None:
+    async with camera(path) as sdk:
+        status = await sdk.status()
+        assert status.state == "replay"
+        assert status.device.display == "replay of ST7735R"
+        assert status.device.sensor == "replay of IMX477"
+        assert status.bundle.model_dump(mode="json") == STATUS["bundle"]
+        assert status.release == "white"
+        assert status.rotation.epoch is None
+        assert status.rotation.policy == RotationOff()
+        states = (await sdk.diagnostics()).states
+        assert [each.state for each in states] == ["replay"]
+
+
+@pytest.mark.anyio
+async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
+    async with camera(path) as sdk:
+        assert await code(sdk.rotate()) == "replaying"
+        assert await code(sdk.set_rotation(EveryCaptures(captures=1))) == "replaying"
+        assert await code(sdk.keyrings()) == "replaying"
+        assert await code(sdk.install_keyring(b"bundle")) == "replaying"
+        assert await code(sdk.activate_keyring("0f" * 32)) == "replaying"
+        assert await code(sdk.remove_keyring("0f" * 32)) == "replaying"
+        assert await code(sdk.start_calibration()) == "calibration_impossible"
+        assert await code(sdk.hold_scene(None)) == "scene_api_off"
+        assert (await sdk.rotation()).epoch is None
+        assert (await sdk.status()).captures == 0
+        assert not (await sdk.diagnostics()).faults
+        # What was refused took nothing out of the recording.
+        assert (await sdk.capture()).epoch == answer(0)["epoch"]
+
+
+@pytest.mark.anyio
+async def test_events_say_that_they_tell_of_a_replay(path: Path) -> None:
+    service = service_of(path)
+    async with service.open():
+        events = service.events(None)
+        assert await anext(events) is None
+        await service.classify(include_embedding=False)
+        told = [event async for event in _some(events, 2)]
+    assert [type(event) for event in told] == [CaptureTaken, Classified]
+    for event in told:
+        assert isinstance(event, (CaptureTaken, Classified))
+        assert event.replay
+        assert "replay" in event_in_words(event)
+
+
+async def _some(events: AsyncIterator[Event | None], count: int) -> AsyncIterator[Event]:
+    async for event in events:
+        if event is not None:
+            count -= 1
+            yield event
+        if not count:
+            return
+
+
+@pytest.mark.anyio
+async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> None:
+    path = tmp_path / "bare.jsonl"
+    record(Daemon().camera(), path, count=1)
+    async with camera(path) as sdk:
+        assert await code(sdk.classify()) == "replaying"
+
+
+@pytest.mark.anyio
+async def test_recording_a_replay_is_refused_by_what_is_read(path: Path, tmp_path: Path) -> None:
+    """Whoever writes down what a replay answers gets no recording of it."""
+    async with replaying(path) as http:
+        status, taken = await http.get("/v1/status"), await http.post("/v1/captures")
+    header = {"recorded_at": AT.isoformat(), "status": status.json()}
+    header |= {"format": "veilcam-recording", "version": 1}
+    again = tmp_path / "again.jsonl"
+    lines = (header, {"capture": taken.json()})
+    again.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(StartError, match="line 2: this was itself replayed"):
+        service_of(again)
+
+
+def test_what_cannot_be_replayed_is_refused_at_the_start(path: Path) -> None:
+    with pytest.raises(StartError, match="cannot be read"):
+        service_of(path.with_name("missing"))
+    service = service_of(path)
+    with pytest.raises(StartError, match="another veilcamd uses"):
+        service_of(path)
+    service.stop()
+    assert service.status().state == "stopping"
+    service_of(path).stop()
+
+
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [
+        ({"device": "simulated"}, "--simulate"),
+        ({"bundle": "a.veilcam"}, "--bundle"),
+        ({"scenes": ("a.png",)}, "--scenes"),
+        ({"rotation": {"mode": "off"}}, "--every-seconds and --every-captures"),
+        ({"release": "white"}, "--release"),
+        ({"wrong_classifier": True}, "--wrong-classifier"),
+    ],
+)
+def test_a_recording_is_played_as_it_is(given: dict[str, Any], option: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        Settings.model_validate({"replay": "recording.jsonl", **given})
+    assert f"leave out {option}" in one_line(caught.value)
+    assert Settings.model_validate({"replay": "recording.jsonl"}).auth == "tokens"
