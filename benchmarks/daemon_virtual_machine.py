@@ -3,7 +3,7 @@
     sudo python benchmarks/daemon_virtual_machine.py --figures benchmarks/results/daemon.json
 
 Needs a Linux machine with x86-64 processor, root rights for building the image, and the programs
-of ``TOOLS``. No KVM is needed; the emulated processor then takes half an hour.
+of ``TOOLS``. No KVM is needed: the processor is emulated, and two cores take a quarter of an hour.
 """
 
 from __future__ import annotations
