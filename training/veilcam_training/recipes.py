@@ -90,7 +90,7 @@ def _best(situation: Situation) -> Recipe:
     """Settings for each kind of fit on MNIST; for everything else as ``long``.
 
     Chosen on the validation part, in runs of 30 epochs or more: LR at 12x16, 6x8 and 3x4, FC at
-    12x16, 6x8 and 3x4; in runs of 20 or fewer: FC behind a fixed mask, and wherever objects are
+    12x16, 6x8 and 3x4; in runs of 20 or fewer: FC behind a fixed mask, FC and CNN where objects are
     changed. The others carry over, not tried at length.
 
     Few pixels need many steps, which cost little there. Behind many, a classifier learns its images
@@ -111,24 +111,17 @@ def _best(situation: Situation) -> Recipe:
 
 def _best_of_changed(situation: Situation) -> Recipe:
     """No jitter: a change of the scene is one. Objects anywhere are first found by a pinhole."""
-    recipe = _default(situation).model_copy(update={"epochs": 30})
-    if situation.change != "shift" and situation.classifier.startswith("FC"):
-        return recipe.model_copy(
-            update={"epochs": 50, "normalisation": "white", "exposure": "automatic"}
-        )
-    if situation.change != "shift" or situation.classifier == "LR":
-        return recipe
-    changes: dict[str, object] = {
+    hidden = situation.classifier.startswith("FC")
+    changes: dict[str, object] = {"epochs": 30}
+    if hidden:
+        changes = {"epochs": 50, "normalisation": "white", "exposure": "automatic"}
+    if situation.change == "shift" and situation.classifier != "LR":
         # Half of a step goes into the transfers of its places, however many images share them.
-        "batch": 256 if situation.classifier.startswith("CNN") else 512,
-        "rate": 3e-3,
-        "mask_rate": 0.1,
-        "weight_decay": 0.0,
-        "precision": "mixed",
-    }
-    if situation.encoder == "learned":
-        changes["mask_start"] = "pinhole"
-    return recipe.model_copy(update=changes)
+        changes |= {"batch": 512 if hidden else 256, "rate": 3e-3, "mask_rate": 0.1}
+        changes |= {"weight_decay": 0.0, "precision": "full" if hidden else "mixed"}
+        if situation.encoder == "learned":
+            changes["mask_start"] = "pinhole"
+    return _default(situation).model_copy(update=changes)
 
 
 def _paper(situation: Situation) -> Recipe:
