@@ -55,16 +55,16 @@ def calibrate(
 
 def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
     """Ask for scenes until it has ended, and say on the way how it goes on."""
-    said = ""
+    said: object = None
     while run.stage in ("waiting", "measuring", "fitting"):
         if run.stage == "waiting" and run.scene is not None:
             typer.echo(f"\n{run.instruction}", err=True)
             typer.prompt("Press Enter when it is so", default="", show_default=False, err=True)
             run = camera.scene_presented(run.scene)
             continue
-        if (line := run_in_words(run)) != said:
-            typer.echo(line, err=True)
-            said = line
+        if (news := (run.stage, run.scene, 10 * run.exposures // max(1, run.total))) != said:
+            typer.echo(run_in_words(run), err=True)
+            said = news
         time.sleep(_EVERY)
         run = camera.calibration().run or run
     return run

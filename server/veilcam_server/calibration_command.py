@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from veilcam_server import wiring_options as options
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
-from veilcam_server.terminal import StateDirOption, fail, one_line
+from veilcam_server.terminal import AsBuiltOption, StateDirOption, fail, one_line
 
 
 def calibrate(
@@ -23,6 +23,7 @@ def calibrate(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Measure the simulated panel and sensor.")
     ] = False,
+    as_built: AsBuiltOption = None,
     state_dir: StateDirOption = None,
     out: Annotated[
         Path | None,
@@ -71,6 +72,7 @@ def calibrate(
     given: dict[str, Any] = {
         "bundle": bundle,
         "device": "simulated" if simulate else None,
+        "as_built": as_built,
         "state_dir": state_dir,
         "panel_tab": panel_tab,
         "spi": spi,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from functools import partial
 
+from veilcam_server.as_built import AsBuilt, read_as_built
 from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.linux_bus import LinuxLines, LinuxSpi
@@ -23,6 +24,7 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
 
     Raises:
         DeviceError: it is not there, or there is nothing in front of a simulated one.
+        StartError: how the simulated one was built cannot be read.
     """
     return (_simulated if settings.device == "simulated" else _pi)(settings, bundle)
 
@@ -52,8 +54,10 @@ def _pi(settings: Settings, bundle: Bundle) -> Device:
 
 
 def _simulated(settings: Settings, bundle: Bundle) -> Device:
+    built = AsBuilt() if settings.as_built is None else read_as_built(settings.as_built)
+    built.require_lines(*bundle.camera.mask_shape)
     return simulated_device(
-        planned_light(bundle.camera, bundle.scene, bundle.embedding),
+        planned_light(bundle.camera, bundle.scene, bundle.embedding, built.conditions),
         *open_scenes(settings, bundle.scene.shape),
         camera=bundle.camera,
         embedding=bundle.embedding,
@@ -63,5 +67,8 @@ def _simulated(settings: Settings, bundle: Bundle) -> Device:
             scan=min(REFRESH, 0.1 * settings.settle),
             exposure=settings.exposure,
             snr_db=settings.snr_db,
+            dead_rows=built.dead_rows,
+            dead_columns=built.dead_columns,
+            dead_level=built.dead_level,
         ),
     )

@@ -15,7 +15,7 @@ from veilcam_server.demo_data import Digits, load_digits
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import StartError, StoppedError
 from veilcam_server.settings import Settings
-from veilcam_server.terminal import fail, one_line
+from veilcam_server.terminal import AsBuiltOption, fail, one_line
 
 
 def serve(
@@ -111,6 +111,7 @@ def serve(
     snr_db: Annotated[
         float | None, typer.Option(help="Simulated signal-to-noise ratio in dB.")
     ] = None,
+    as_built: AsBuiltOption = None,
     self_test_every: Annotated[
         float | None, typer.Option(help="Seconds between two self tests of the panel, at most.")
     ] = None,
@@ -168,6 +169,7 @@ def serve(
         "settle": settle,
         "exposure": exposure,
         "snr_db": snr_db,
+        "as_built": as_built,
         "self_test_every": self_test_every,
         "queue_limit": queue_limit,
         "auth": auth,

@@ -70,6 +70,8 @@ class Settings(Wiring):
     settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)
     exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)
     snr_db: float = Field(default=40.0)
+    as_built: Path | None = None
+    """How the simulated camera departs from its drawing."""
     capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
     self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
     """Longest time from one self test of the panel to the next; there is no way around it [s]."""
@@ -140,6 +142,8 @@ class Settings(Wiring):
             raise ValueError("only a simulated camera has --scenes: add --simulate")
         if self.device != "simulated" and self.scene_api:
             raise ValueError("--scene-api is for a simulated camera: add --simulate")
+        if self.device != "simulated" and self.as_built is not None:
+            raise ValueError("only a simulated camera is built --as-built: add --simulate")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":

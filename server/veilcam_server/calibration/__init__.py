@@ -1,5 +1,6 @@
 """The camera measured with itself: what panel, sensor and their distance really are."""
 
+from veilcam_server.calibration.effort import Effort
 from veilcam_server.calibration.errors import CalibrationError
 from veilcam_server.calibration.geometry import Geometry
 from veilcam_server.calibration.record import (
@@ -8,7 +9,7 @@ from veilcam_server.calibration.record import (
     sign_record,
     write_record,
 )
-from veilcam_server.calibration.run import Calibrated, Effort, calibrate
+from veilcam_server.calibration.run import Calibrated, calibrate
 from veilcam_server.calibration.scenes import CalibrationScene
 from veilcam_server.calibration.sensor import CalibratedSensor
 from veilcam_server.calibration.signing import SigningKey

@@ -1,0 +1,183 @@
+"""The camera that would read what was read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from veilcam_optics.decoding import Calibration
+from veilcam_optics.masks import to_weights
+from veilcam_optics.transfer import Reach
+from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, Sight, align
+from veilcam_server.calibration.bench import Values
+from veilcam_server.calibration.darkness import split_darkness
+from veilcam_server.calibration.errors import CalibrationError
+from veilcam_server.calibration.findings import Findings
+from veilcam_server.calibration.geometry import Geometry
+from veilcam_server.calibration.lines import Lines
+from veilcam_server.calibration.observations import Observations
+from veilcam_server.calibration.patterns import Patterns
+from veilcam_server.calibration.response import Response, Staircase, fit_response
+from veilcam_server.devices.protocols import Levels
+
+_MISFIT = 0.1
+"""Largest relative error of predicted readings behind patterns that no fit has seen."""
+_ROUNDS = 2
+"""How often light of the floor, light of dead lines, and gain are fitted in turn."""
+_FARTHEST, _TURNED = 1e-3, 20e-3
+"""Largest shift [m] and rotation [rad] that decoders can take in."""
+
+
+def fit(
+    seen: Observations,
+    geometry: Geometry,
+    *,
+    reach: Reach,
+    patterns: Patterns,
+    check: Callable[[], None],
+) -> Findings:
+    """Find the camera that would read what was read.
+
+    Args:
+        seen: what was read.
+        geometry: the camera as drawn.
+        reach: which sub-pixels interfere.
+        patterns: that were shown.
+        check: called before each evaluation; what it raises ends the fit.
+
+    Raises:
+        CalibrationError: there is no such camera, or it is too far from the drawing.
+    """
+    return _Fit(geometry, reach, patterns, check).fit(seen)
+
+
+@dataclass(eq=False, slots=True)
+class _Fit:
+    geometry: Geometry
+    reach: Reach
+    patterns: Patterns
+    check: Callable[[], None]
+    stuck_uncertainty: float = 0.0
+    """Of what dead lines let through."""
+
+    def fit(self, seen: Observations) -> Findings:
+        """Return everything that was found."""
+        response, alignment = self._fit(seen.levels, seen.sights, seen.lines, seen.staircase)
+        predicted, errors = self._verdict(seen.levels, seen.sights, alignment)
+        return Findings(
+            unlit=seen.unlit,
+            settling=seen.settling,
+            lines=seen.lines,
+            staircase=seen.staircase,
+            response=response,
+            alignment=alignment,
+            stuck_uncertainty=self.stuck_uncertainty,
+            card_error=errors[0],
+            lamp_error=errors[1],
+            drift=seen.drift,
+            seen=seen.sights[1].readings[-1],
+            predicted=predicted[1, -1],
+        )
+
+    def _fit(
+        self,
+        levels: Sequence[Levels],
+        sights: Sequence[Sight],
+        lines: Lines,
+        staircase: Staircase,
+    ) -> tuple[Response, Alignment]:
+        """Coarse patterns first, then all.
+
+        What dead lines let through is not known at first, but is there at every pattern: where
+        there are any, the first fits are of what patterns add to the opaque panel's light.
+        """
+        patterns = self.patterns
+        coarse = slice(1, 1 + patterns.coarse)
+        every = slice(1, 1 + patterns.coarse + patterns.fine)
+        dead = bool(lines.dead_rows or lines.dead_columns)
+        response = fit_response(staircase, floor=0.0 if dead else None)
+        known = Calibration(
+            gamma=response.gamma,
+            contrast_floor=response.floor,
+            dead_rows=lines.dead_rows,
+            dead_columns=lines.dead_columns,
+        )
+        added = [_added(sight) for sight in sights] if dead else sights
+        alignment = self._align(levels, added, known, coarse)
+        alignment = self._align(levels, added, alignment.calibration, every)
+        for _ in range(_ROUNDS if dead else 0):
+            opaque = [replace(sight, readings=sight.readings[:1]) for sight in sights]
+            known, floor_spread, self.stuck_uncertainty = split_darkness(
+                self.geometry, opaque, alignment.gains, alignment.calibration, reach=self.reach
+            )
+            response = fit_response(
+                staircase, floor=known.contrast_floor, floor_uncertainty=floor_spread
+            )
+            known = replace(known, gamma=response.gamma)
+            alignment = self._align(levels, sights, known, every)
+        return response, alignment
+
+    def _align(
+        self,
+        levels: Sequence[Levels],
+        sights: Sequence[Sight],
+        start: Calibration,
+        used: slice,
+    ) -> Alignment:
+        return align(
+            self.geometry,
+            self._shown(levels[used], start),
+            [replace(sight, readings=sight.readings[used]) for sight in sights],
+            start,
+            reach=self.reach,
+            check=self.check,
+        )
+
+    def _shown(self, levels: Sequence[Levels], calibration: Calibration) -> torch.Tensor:
+        panel = self.geometry.camera.panel
+        return torch.stack([calibration.shown(to_weights(each, panel)) for each in levels])
+
+    def _verdict(
+        self, levels: Sequence[Levels], sights: Sequence[Sight], alignment: Alignment
+    ) -> tuple[Values, tuple[float, ...]]:
+        """Predicted readings of the held-out patterns, and their relative error for each scene."""
+        found = alignment.calibration
+        for name, amount, limit, unit in (
+            ("shifted", max(abs(found.shift_y), abs(found.shift_x)), _FARTHEST, 1e-3),
+            ("turned", abs(found.rotation), _TURNED, 1e-3),
+        ):
+            if amount > limit:
+                kind = "mm" if name == "shifted" else "mrad"
+                raise CalibrationError(
+                    f"the panel is {name} by {amount / unit:.3g} {kind}, more than decoders can "
+                    f"take in ({limit / unit:g}): mount it anew, or check where the card was"
+                )
+        held_out = slice(-self.patterns.held_out, None)
+        optics = Optics(
+            self.geometry,
+            self._shown(levels[held_out], found),
+            [sight.image for sight in sights],
+            self.reach,
+        )
+        place = torch.tensor([getattr(found, name) for name in NAMES], dtype=torch.float64)
+        gains = np.array(alignment.gains)[:, None, None, None]
+        shape = (len(sights), -1, *self.geometry.embedding.shape)
+        predicted: Values = gains * optics.predict(place).numpy().reshape(shape)
+        seen = np.stack([sight.readings[held_out] for sight in sights])
+        axes = (1, 2, 3)
+        errors = np.sqrt(((predicted - seen) ** 2).sum(axes) / (seen**2).sum(axes))
+        for name, error in zip(("white card", "lamp"), errors, strict=True):
+            if error > _MISFIT:
+                raise CalibrationError(
+                    f"readings of the {name} are {100 * error:.2g} % off what the optics predict: "
+                    "check that card and lamp were where they should be, and no other light was on"
+                )
+        return predicted, tuple(errors.tolist())
+
+
+def _added(sight: Sight) -> Sight:
+    """What patterns add to the first one, the opaque panel."""
+    return replace(sight, readings=sight.readings - sight.readings[0])
