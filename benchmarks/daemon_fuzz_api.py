@@ -412,7 +412,7 @@ def ask_daemon(
     state, scene = directory / "state", directory / "scene.npy"
     write_scene(scene, load_digits().images[seed % 100])
     options = ["--auth", "tokens", "--release", setting.release]
-    options += ["--settle", "0", "--exposure", "0", "--log-level", "debug"]
+    options += ["--settle", "0", "--exposure", "0", "--log-level", "debug", "--scene-api"]
     if setting.secret is not None:
         secret_file = directory / "secret"
         secret_file.touch(mode=0o600)

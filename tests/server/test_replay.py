@@ -171,6 +171,25 @@ async def _some(events: AsyncIterator[Event | None], count: int) -> AsyncIterato
 
 
 @pytest.mark.anyio
+async def test_no_route_answers_as_a_camera_would(path: Path) -> None:
+    """Every operation, asked plainly: what is documented, and no proof of an exposure anywhere."""
+    async with replaying(path) as http:
+        document = (await http.get("/v1/openapi.json")).json()
+        for route, operations in document["paths"].items():
+            for method, operation in operations.items():
+                if route == "/v1/events":
+                    continue
+                url = route.replace("{digest}", "0f" * 32).replace("{token_id}", "0" * 12)
+                given = await http.request(method, url)
+                place = f"{method} {route}: {given.status_code}"
+                assert str(given.status_code) in operation["responses"], place
+                assert given.status_code < 500, place
+                if route != "/v1/openapi.json":  # full of examples of a camera
+                    assert '"state":"ready"' not in given.text, place
+                    assert '"exposure":{' not in given.text.partition('"replay":{')[0], place
+
+
+@pytest.mark.anyio
 async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> None:
     path = tmp_path / "bare.jsonl"
     record(Daemon().camera(), path, count=1)

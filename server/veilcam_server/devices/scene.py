@@ -49,7 +49,7 @@ class FileScene:
             return fitted(decode(content), self._shape)
         except FileNotFoundError:
             raise SensorError(
-                f"there is no scene file {self._path}: write one with 'veilcamd show'"
+                f"there is no scene file {self._path}: check --scenes, or 'veilcamd show' a digit"
             ) from None
         except OSError as error:
             raise SensorError(
