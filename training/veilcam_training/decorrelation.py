@@ -24,6 +24,11 @@ FLOOR = 1e-6
 """Added to every variance, as a share of their mean."""
 
 
+def _alone(mean: Tensor) -> Tensor:
+    """Mean over processes where there is one."""
+    return mean
+
+
 class Decorrelated(nn.Module):
     """``V M`` from ``V``; ``M`` follows the inputs that it is shown.
 
@@ -44,7 +49,7 @@ class Decorrelated(nn.Module):
     def __init__(self, inputs: int) -> None:
         super().__init__()
         self._every = max(1, inputs // 3)
-        self.mean: Callable[[Tensor], Tensor] = lambda values: values
+        self.mean: Callable[[Tensor], Tensor] = _alone
         """Mean over the processes that fit together; each sees batches of its own."""
         self.register_buffer("covariance", torch.zeros(inputs, inputs))
         self.register_buffer("matrix", torch.eye(inputs))
