@@ -216,7 +216,9 @@ class Bench:
         )
         if brighter != 1:
             # A converter that gives other numbers for the same light.
-            sensor = CalibratedSensor(self.device.sensor, black_level=0.0, gain=1 / brighter)
+            sensor = CalibratedSensor(
+                self.device.sensor, black_level=0.0, gain=1 / brighter, stray_light=0.0
+            )
             self.device = replace(self.device, sensor=sensor)
 
     def calibrate(self, effort: Effort = EFFORT) -> Calibrated:
@@ -259,8 +261,8 @@ class Bench:
                 before.add(mask.reader, reading, image, label)
                 if found is not None and after is not None and isinstance(other, FreshReader):
                     record = found.record
-                    corrected = (reading - record.black_level.value) / record.gain.value
-                    after.add(other, corrected.astype(np.float32), image, label)
+                    corrected = CalibratedSensor.of(self.device.sensor, record).corrected(reading)
+                    after.add(other, corrected, image, label)
         return before, after
 
 
@@ -313,6 +315,7 @@ def _summary(found: Calibrated) -> str:
         f"rotation {1e3 * record.rotation_rad.value:.2f} mrad, "
         f"distance {1e6 * record.distance_error_m.value:.0f} um, gamma {record.gamma.value:.3f}, "
         f"floor {record.contrast_floor.value:.3f}, gain {record.gain.value:.3f}, "
+        f"stray {100 * record.stray_light.value:.2f} %, "
         f"dead {record.dead_rows} {record.dead_columns}, lamp {record.psf_residual:.3f}"
     )
 

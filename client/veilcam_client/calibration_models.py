@@ -28,7 +28,7 @@ class Quantity(Answer):
 class CalibrationRecord(Answer):
     """A camera measured with itself. No mask and no reading is in it."""
 
-    version: Literal[1] = 1
+    version: Literal[2] = 2
     taken_at: datetime
     temperature_c: float | None = None
     """Of the panel [degree Celsius]; None: there is no thermometer."""
@@ -69,6 +69,8 @@ class CalibrationRecord(Answer):
     """Of the mask around the axis, from x towards y [rad]."""
     distance_error_m: Quantity
     """How much farther from the mask the sensor is than drawn [m]."""
+    stray_light: Quantity
+    """Share of the light on the sensor that is spread evenly over it."""
     psf_residual: float = Field(ge=0, allow_inf_nan=False)
     """Relative error of the predicted response to a point behind masks that no fit has seen."""
     drift: float = Field(allow_inf_nan=False)

@@ -16,6 +16,7 @@ _ROWS = (
     ("shift along x", "shift_x_m", 1e6, "um"),
     ("rotation", "rotation_rad", 1e3, "mrad"),
     ("distance error", "distance_error_m", 1e6, "um"),
+    ("stray light", "stray_light", 1e2, "%"),
 )
 """Name, field of the record, factor and unit."""
 

@@ -73,11 +73,7 @@ def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
     """The device with readings as decoders expect them."""
     if signed is None:
         return device
-    record = signed.record
-    sensor = CalibratedSensor(
-        device.sensor, black_level=record.black_level.value, gain=record.gain.value
-    )
-    return replace(device, sensor=sensor)
+    return replace(device, sensor=CalibratedSensor.of(device.sensor, signed.record))
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:

@@ -94,6 +94,7 @@ _RECORD = CalibrationRecord(
     shift_x_m=_quantity(-2e-5),
     rotation_rad=_quantity(0.001),
     distance_error_m=_quantity(2e-5),
+    stray_light=_quantity(0.01),
     psf_residual=0.01,
     drift=0.001,
 )

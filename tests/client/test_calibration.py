@@ -46,6 +46,7 @@ SIGNED = {
             (
                 *("settling_s", "black_level", "gain", "full_scale", "gamma", "contrast_floor"),
                 *("dead_transmittance", "shift_y_m", "shift_x_m"),
+                "stray_light",
                 *("rotation_rad", "distance_error_m"),
             ),
             QUANTITY,

@@ -1,4 +1,4 @@
-"""Where the mask is: shift, rotation and distance, fitted through the differentiable optics."""
+"""Where the mask is, fitted through the differentiable optics, and what light goes astray."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from veilcam_server.calibration.response import uncertainties
 NAMES = ("shift_y", "shift_x", "rotation", "distance_error")
 _UNITS = np.array([1e-6, 1e-6, 1e-3, 1e-5])
 """Of the numbers that the fit moves: um, um, mrad, 10 um."""
+_PERCENT = 1e-2
+"""Unit in which the fit moves the share of stray light."""
 _STEP = 6.2e-6
 """Distance of integration nodes [m]: four times the operator's own, which changes the shift found
 by less than 0.1 um."""
@@ -49,6 +51,9 @@ class Alignment:
     gains: tuple[float, ...]
     """Reading per predicted reading, of each sight."""
     gain_uncertainties: tuple[float, ...]
+    stray: float
+    """Share of the light on the sensor that is spread evenly over it."""
+    stray_uncertainty: float
     residuals: tuple[float, ...]
     """Of each sight: root mean square, relative to its readings."""
 
@@ -117,7 +122,10 @@ def align(
     reach: Reach,
     check: Callable[[], None] = lambda: None,
 ) -> Alignment:
-    """Fit shift, rotation and distance, and a gain for each sight.
+    """Fit shift, rotation and distance, stray light, and a gain for each sight.
+
+    Light that goes astray between panel and sensor is taken to fall evenly on the sensor: a share
+    ``s`` of it makes ``(1 - s) y + s mean(y)`` of a reading ``y``.
 
     Args:
         geometry: the camera as drawn.
@@ -134,25 +142,30 @@ def align(
     )
     begin = np.array([getattr(start, name) for name in NAMES]) / _UNITS
     gains = _gains(optics.predict(torch.tensor(begin * _UNITS)).numpy(), observed)
+    size = geometry.embedding.size
 
     def residuals(values: Values) -> Values:
         check()
         predicted = optics.predict(torch.tensor(values[:4] * _UNITS)).numpy()
-        difference: Values = (values[4:, None] * predicted - observed).ravel()
+        seen = strayed(predicted, values[4] * _PERCENT, size)
+        difference: Values = (values[5:, None] * seen - observed).ravel()
         return difference
 
     def jacobian(values: Values) -> Values:
         predicted, slopes = optics.linearise(torch.tensor(values[:4] * _UNITS))
+        stray, gains = values[4] * _PERCENT, values[5:, None]
         columns = np.zeros((len(values), *observed.shape))
-        columns[:4] = slopes.numpy() * values[4:, None] * _UNITS[:, None, None]
-        for index, row in enumerate(predicted.numpy()):
-            columns[4 + index, index] = row
+        columns[:4] = strayed(slopes.numpy(), stray, size) * gains * _UNITS[:, None, None]
+        straight = predicted.numpy()
+        columns[4] = (strayed(straight, 1.0, size) - straight) * gains * _PERCENT
+        for index, row in enumerate(strayed(straight, stray, size)):
+            columns[5 + index, index] = row
         flat: Values = columns.reshape(len(values), -1).T
         return flat
 
     found = least_squares(
         residuals,
-        np.concatenate([begin, gains]),
+        np.concatenate([begin, [0.0], gains]),
         jac=jacobian,
         x_scale="jac",
         xtol=1e-6,
@@ -165,10 +178,20 @@ def align(
     return Alignment(
         calibration=replace(start, **dict(zip(NAMES, place.tolist(), strict=True))),
         uncertainties=(spread_y, spread_x, spread_angle, spread_distance),
-        gains=tuple((found.x[4:] * scales).tolist()),
-        gain_uncertainties=tuple((spread[4:] * scales).tolist()),
+        gains=tuple((found.x[5:] * scales).tolist()),
+        gain_uncertainties=tuple((spread[5:] * scales).tolist()),
+        # A little less than none is none.
+        stray=max(0.0, float(found.x[4]) * _PERCENT),
+        stray_uncertainty=float(spread[4]) * _PERCENT,
         residuals=tuple(np.sqrt(np.mean(found.fun.reshape(observed.shape) ** 2, axis=1)).tolist()),
     )
+
+
+def strayed(readings: Values, share: float, size: int) -> Values:
+    """Spread a share of the light of every reading of so many values evenly over it."""
+    each = readings.reshape(*readings.shape[:-1], -1, size)
+    spread: Values = (1 - share) * each + share * each.mean(-1, keepdims=True)
+    return spread.reshape(readings.shape)
 
 
 def _gains(predicted: Values, observed: Values) -> Values:

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from veilcam_optics.decoding import Calibration
 from veilcam_optics.transfer import Reach
-from veilcam_server.calibration.alignment import NAMES, Optics, Sight
+from veilcam_server.calibration.alignment import NAMES, Optics, Sight, strayed
 from veilcam_server.calibration.geometry import Geometry
 from veilcam_server.calibration.response import uncertainties
 
@@ -23,6 +23,7 @@ def split_darkness(
     calibration: Calibration,
     *,
     reach: Reach,
+    stray: float = 0.0,
 ) -> tuple[Calibration, float, float]:
     """Contrast floor and transmittance of dead lines, from where an opaque panel's light falls.
 
@@ -32,6 +33,7 @@ def split_darkness(
         gains: reading per predicted reading of those scenes.
         calibration: where the mask is, and which lines are dead.
         reach: which sub-pixels interfere.
+        stray: share of the light that is spread evenly.
 
     Returns:
         The calibration with both, and their standard uncertainties.
@@ -43,7 +45,8 @@ def split_darkness(
         geometry, torch.stack([alive, ones - alive]), [sight.image for sight in opaque], reach
     )
     place = torch.tensor([getattr(calibration, name) for name in NAMES], dtype=torch.float64)
-    predicted = optics.predict(place).reshape(len(opaque), 2, -1).numpy()
+    straight = optics.predict(place).reshape(len(opaque), 2, -1).numpy()
+    predicted = strayed(straight, stray, geometry.embedding.size)
     columns, values = [], []
     for sight, gain, each in zip(opaque, gains, predicted, strict=True):
         # Not scaled to each other: what little comes of a lamp is below a step of the converter.

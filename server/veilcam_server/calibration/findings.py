@@ -107,6 +107,9 @@ def make_record(
         shift_x_m=placed("shift_x"),
         rotation_rad=placed("rotation"),
         distance_error_m=placed("distance_error"),
+        stray_light=Quantity(
+            value=alignment.stray, uncertainty=alignment.stray_uncertainty, residual=fit
+        ),
         psf_residual=found.lamp_error,
         drift=found.drift,
     )

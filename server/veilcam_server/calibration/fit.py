@@ -11,7 +11,7 @@ import torch
 from veilcam_optics.decoding import Calibration
 from veilcam_optics.masks import to_weights
 from veilcam_optics.transfer import Reach
-from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, Sight, align
+from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, Sight, align, strayed
 from veilcam_server.calibration.bench import Values
 from veilcam_server.calibration.darkness import split_darkness
 from veilcam_server.calibration.errors import CalibrationError
@@ -111,7 +111,12 @@ class _Fit:
         for _ in range(_ROUNDS if dead else 0):
             opaque = [replace(sight, readings=sight.readings[:1]) for sight in sights]
             known, floor_spread, self.stuck_uncertainty = split_darkness(
-                self.geometry, opaque, alignment.gains, alignment.calibration, reach=self.reach
+                self.geometry,
+                opaque,
+                alignment.gains,
+                alignment.calibration,
+                reach=self.reach,
+                stray=alignment.stray,
             )
             response = fit_response(
                 staircase, floor=known.contrast_floor, floor_uncertainty=floor_spread
@@ -165,7 +170,9 @@ class _Fit:
         place = torch.tensor([getattr(found, name) for name in NAMES], dtype=torch.float64)
         gains = np.array(alignment.gains)[:, None, None, None]
         shape = (len(sights), -1, *self.geometry.embedding.shape)
-        predicted: Values = gains * optics.predict(place).numpy().reshape(shape)
+        straight = optics.predict(place).numpy()
+        light = strayed(straight, alignment.stray, self.geometry.embedding.size)
+        predicted: Values = gains * light.reshape(shape)
         seen = np.stack([sight.readings[held_out] for sight in sights])
         axes = (1, 2, 3)
         errors = np.sqrt(((predicted - seen) ** 2).sum(axes) / (seen**2).sum(axes))

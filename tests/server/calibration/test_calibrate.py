@@ -10,7 +10,12 @@ import torch
 
 from veilcam_client.calibration_models import CalibrationRecord
 from veilcam_optics import conditions as optical
-from veilcam_server.calibration import CalibrationError, CalibrationScene, correction
+from veilcam_server.calibration import (
+    CalibratedSensor,
+    CalibrationError,
+    CalibrationScene,
+    correction,
+)
 from veilcam_server.calibration.settling import SETTLED
 
 from .camera import EFFORT, GEOMETRY, QUIET, SCAN, SETTLE, Built
@@ -42,6 +47,7 @@ def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord
         (record.distance_error_m, 80e-6, 20e-6),
         (record.gamma, 1.5, 0.01),
         (record.contrast_floor, 0.1, 0.005),
+        (record.stray_light, 0.0, 0.003),
         (record.gain, 1.0, 0.01),
         (record.black_level, 0.0, 1e-3),
     ):
@@ -72,6 +78,26 @@ def test_decoders_for_what_was_found_expect_what_is_read(
         errors.append(np.linalg.norm(expected.numpy()[0] - seen) / np.linalg.norm(seen))
     assert errors[0] < 0.03
     assert errors[1] > 10 * errors[0]
+
+
+def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
+    built = Built(replace(BADLY, stray_light=0.1))
+    record = built.calibrate().record
+    assert record.stray_light.value == pytest.approx(0.1, abs=0.003)
+    assert record.stray_light.uncertainty < 0.003
+    assert record.shift_y_m.value == pytest.approx(30e-6, abs=1e-6)
+    assert record.distance_error_m.value == pytest.approx(80e-6, abs=20e-6)
+    assert record.psf_residual < 0.03
+    seen = []
+    levels = np.full(GEOMETRY.camera.mask_shape, 40, np.uint8)
+    for each in (built, Built(BADLY)):
+        each.image = np.random.default_rng(8).random(GEOMETRY.scene.shape, np.float32)
+        shown = each.device.display.show(levels)
+        seen.append(each.device.sensor.capture(shown.completed_at + 0.1, 1.0).embedding)
+    corrected = CalibratedSensor.of(built.device.sensor, record).corrected(seen[0])
+    for reading, low, high in ((corrected, 0.0, 0.03), (seen[0], 0.03, 1.0)):
+        difference = np.linalg.norm(reading - seen[1]) / np.linalg.norm(seen[1])
+        assert low < difference < high
 
 
 def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:

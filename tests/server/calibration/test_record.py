@@ -54,6 +54,7 @@ def make_record(**changes: Any) -> CalibrationRecord:
         "shift_x_m": quantity(-2e-5),
         "rotation_rad": quantity(1e-3),
         "distance_error_m": quantity(5e-5),
+        "stray_light": quantity(0.0),
         "psf_residual": 0.016,
         "drift": -0.001,
     }
@@ -136,7 +137,7 @@ def test_a_record_of_another_version_or_key_is_refused(tmp_path: Path, key: Sign
     other.mkdir()
     with pytest.raises(CalibrationError, match="signed by another daemon"):
         read_record(path, SigningKey.open(other, create=True))
-    path.write_text(path.read_text().replace('"version": 1', '"version": 2'))
+    path.write_text(path.read_text().replace('"version": 2', '"version": 3'))
     with pytest.raises(CalibrationError, match="version"):
         read_record(path, key)
     with pytest.raises(CalibrationError, match="No such file"):
@@ -226,7 +227,7 @@ class Sensor:
 
 def test_readings_are_those_that_decoders_expect() -> None:
     sensor = Sensor()
-    corrected = CalibratedSensor(sensor, black_level=0.02, gain=0.5)
+    corrected = CalibratedSensor(sensor, black_level=0.02, gain=0.5, stray_light=0.0)
     exposure = corrected.capture(1.0, 2.0)
     np.testing.assert_allclose(exposure.embedding, [[0.0, 1.0]], atol=1e-7)
     assert exposure.embedding.dtype == np.float32
@@ -235,6 +236,18 @@ def test_readings_are_those_that_decoders_expect() -> None:
     assert corrected.name == "a sensor"
     corrected.close()
     assert sensor.closed
+
+
+def test_light_that_went_astray_is_put_back() -> None:
+    straight, share = np.array([[0.0, 1.0]]), 0.1
+    strayed = (1 - share) * straight + share * straight.mean()
+
+    class Hazy(Sensor):
+        def capture(self, not_before: float, timeout: float) -> Exposure:
+            return Exposure((0.02 + 0.5 * strayed).astype(np.float32), not_before, timeout)
+
+    corrected = CalibratedSensor(Hazy(), black_level=0.02, gain=0.5, stray_light=share)
+    np.testing.assert_allclose(corrected.capture(1.0, 2.0).embedding, straight, atol=1e-7)
 
 
 def test_a_device_without_a_record_is_left_alone() -> None:
