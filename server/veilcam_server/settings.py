@@ -22,19 +22,16 @@ SCENE_NAME = "scene.npy"
 _WORDS = frozenset(("auth", "device", "log_level", "release"))
 """Settings that are one of a few words."""
 
-_OF_A_CAMERA = {
-    "device": "--simulate",
-    "bundle": "--bundle",
-    "scenes": "--scenes",
-    "scene_api": "--scene-api",
-    "rotation": "--every-seconds and --every-captures",
-    "mask_secret": "--mask-secret",
-    "device_label": "--device-label",
-    "release": "--release",
-    "calibration": "--calibration",
-    "wrong_classifier": "--wrong-classifier",
-}
-"""Settings that mean nothing where there is no camera, and their options."""
+_REPLAYED = frozenset(
+    (
+        *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
+        *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
+        *("heartbeat", "log_level"),
+    )
+)
+"""Settings that a recording has too; all others are of a camera."""
+_OPTIONS = {"device": "simulate", "rotation": "every-seconds and --every-captures"}
+"""Options of another name than their setting's."""
 
 
 def default_state_dir() -> Path:
@@ -130,9 +127,10 @@ class Settings(Wiring):
     def _no_camera_where_a_recording_is(cls, given: dict[str, Any]) -> dict[str, Any]:
         if given.get("replay") is None:
             return given
-        for name, option in _OF_A_CAMERA.items():
-            if name in given:
-                raise ValueError(f"--replay plays a recording as it is: leave out {option}")
+        for name in given:
+            if name not in _REPLAYED:
+                option = _OPTIONS.get(name, name).replace("_", "-")
+                raise ValueError(f"--replay plays a recording as it is: leave out --{option}")
         # A recording needs no bundle, and nothing reads this one.
         return {"bundle": given["replay"], **given}
 

@@ -231,10 +231,17 @@ def test_what_cannot_be_replayed_is_refused_at_the_start(path: Path) -> None:
         ({"rotation": {"mode": "off"}}, "--every-seconds and --every-captures"),
         ({"release": "white"}, "--release"),
         ({"wrong_classifier": True}, "--wrong-classifier"),
+        ({"panel_tab": "green"}, "--panel-tab"),
+        ({"settle": 0.1}, "--settle"),
     ],
 )
 def test_a_recording_is_played_as_it_is(given: dict[str, Any], option: str) -> None:
     with pytest.raises(ValidationError) as caught:
         Settings.model_validate({"replay": "recording.jsonl", **given})
     assert f"leave out {option}" in one_line(caught.value)
-    assert Settings.model_validate({"replay": "recording.jsonl"}).auth == "tokens"
+
+
+def test_a_recording_wants_tokens_and_may_be_limited() -> None:
+    made = Settings.model_validate({"replay": "recording.jsonl", "port": 0, "rate_limit": 3.0})
+    assert made.auth == "tokens"
+    assert made.redacted()["replay"] == "given"

@@ -15,6 +15,7 @@ from veilcam_server.devices.errors import (
     SensorTimeoutError,
 )
 from veilcam_server.devices.protocols import Device, Display, Exposure, Sensor, Shown
+from veilcam_server.devices.scenes import Scenes
 
 __all__ = [
     "Device",
@@ -23,6 +24,7 @@ __all__ = [
     "Display",
     "DisplayError",
     "Exposure",
+    "Scenes",
     "Sensor",
     "SensorError",
     "SensorLostError",
