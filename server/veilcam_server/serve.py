@@ -106,7 +106,7 @@ def build_service(settings: Settings) -> Service:
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
-        workshop=None if device.simulated and device.scenes is None else workshop,
+        workshop=workshop,
     )
 
 

@@ -20,7 +20,10 @@ _PICTURE: dict[str, Any] = {
         "content": {PICTURE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-_REFUSALS = ("invalid_request", "body_too_large", "scene_api_off", "leased", "queue_full")
+_REFUSALS = (
+    *("invalid_request", "body_too_large", "scene_api_off", "leased", "queue_full"),
+    "calibrating",
+)
 
 router = APIRouter(
     prefix=PATH, dependencies=[requires("simulate"), unleased()], redirect_slashes=False
