@@ -8,13 +8,14 @@ with Camera("http://127.0.0.1:8787") as camera:
 
 from importlib.metadata import version
 
+from veilcam_client.async_camera import AsyncCamera
 from veilcam_client.calibration_models import (
     CalibrationRecord,
     CalibrationRun,
     CalibrationStatus,
     SignedCalibration,
 )
-from veilcam_client.camera import DEFAULT_URL, AsyncCamera, Camera
+from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.decoding import SceneDecoder
 from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.errors import (

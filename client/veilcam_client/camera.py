@@ -1,10 +1,10 @@
-"""The camera as a program sees it: ``Camera``, and ``AsyncCamera`` with the same surface."""
+"""The camera as a program sees it; ``async_camera.py`` has the same surface for asyncio."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
@@ -22,8 +22,6 @@ from veilcam_client.retry import RetryPolicy
 from veilcam_client.simulation import HeldScene, picture_bytes
 from veilcam_client.tokens import NewToken, Scope, Token
 from veilcam_client.transport import (
-    AsyncHttpClient,
-    AsyncTransport,
     HttpClient,
     Options,
     Transport,
@@ -199,158 +197,5 @@ class Camera:
         return (self._transport.send(calls.remove_keyring(digest))).keyrings
 
     def events(self, *, last_event_id: str | None = None) -> Iterator[Event]:
-        """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""
-        return self._transport.events(last_event_id)
-
-
-class AsyncCamera:
-    """:class:`Camera` for asyncio: the same arguments, methods and results."""
-
-    def __init__(
-        self,
-        url: str = DEFAULT_URL,
-        *,
-        connect_timeout: float = 2.0,
-        read_timeout: float = 30.0,
-        max_retries: int = 2,
-        token: str | None = None,
-        ca_file: str | os.PathLike[str] | None = None,
-        http_client: AsyncHttpClient | None = None,
-    ) -> None:
-        retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
-        options = Options(url, connect_timeout, read_timeout, retry, credentials)
-        self._transport = AsyncTransport(options, http_client)
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        await self.close()
-
-    async def close(self) -> None:
-        """Close the connection."""
-        await self._transport.close()
-
-    async def status(self) -> Status:
-        """State, device, bundle, rotation and queue of the daemon."""
-        return await self._transport.send(calls.status())
-
-    async def calibration(self) -> CalibrationStatus:
-        """What the camera found out about itself, and how finding out goes on."""
-        return await self._transport.send(calls.calibration())
-
-    async def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
-        """Begin to measure the camera with itself; it takes no captures meanwhile.
-
-        It goes on by itself but for scenes that somebody must hold up: see ``stage`` and
-        ``instruction`` of :meth:`calibration` or of the events, and :meth:`scene_presented`.
-        """
-        return await self._transport.send(calls.start_calibration(repeats))
-
-    async def scene_presented(self, scene: SceneName) -> CalibrationRun:
-        """Say that the scene that the calibration waits for is there."""
-        return await self._transport.send(calls.scene_presented(scene))
-
-    async def cancel_calibration(self) -> CalibrationRun:
-        """End the calibration that is under way; what was in use before stays in use."""
-        return await self._transport.send(calls.cancel_calibration())
-
-    async def capture(self) -> Capture:
-        """Take one embedding; ``np.asarray`` of the result is the array."""
-        return await self._transport.send(calls.capture())
-
-    async def classify(self, *, include_embedding: bool = False) -> Classification:
-        """Take one embedding and classify it on the device."""
-        return await self._transport.send(calls.classify(include_embedding))
-
-    async def rotation(self) -> Rotation:
-        """The rotation policy and the present mask epoch."""
-        return await self._transport.send(calls.rotation())
-
-    async def set_rotation(self, policy: RotationPolicy) -> Rotation:
-        """Change when masks change."""
-        return await self._transport.send(calls.set_rotation(policy))
-
-    async def rotate(self) -> Rotation:
-        """Show another mask now."""
-        return await self._transport.send(calls.rotate())
-
-    async def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
-        """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
-        taken = await self._transport.send(calls.take_lease(seconds, owner))
-        self._transport.options.credentials.lease = taken.secret
-        return taken
-
-    async def release_lease(self) -> Lease:
-        """Hold the camera no longer."""
-        released = await self._transport.send(calls.release_lease())
-        self._transport.options.credentials.lease = None
-        return released
-
-    @asynccontextmanager
-    async def lease(
-        self, *, seconds: float, owner: str = "veilcam_client"
-    ) -> AsyncIterator[NewLease]:
-        """Hold the camera within the context; :meth:`take_lease` within it renews."""
-        taken = await self.take_lease(seconds=seconds, owner=owner)
-        try:
-            yield taken
-        finally:
-            await self.release_lease()
-
-    async def break_lease(self) -> Lease:
-        """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
-        return await self._transport.send(calls.release_lease(force=True))
-
-    async def lease_state(self) -> Lease:
-        """Who holds the camera, and how long."""
-        return await self._transport.send(calls.lease_state())
-
-    async def diagnostics(self) -> Diagnostics:
-        """Versions, settings, and the last states and faults of the daemon."""
-        return await self._transport.send(calls.diagnostics())
-
-    async def tokens(self) -> tuple[Token, ...]:
-        """All tokens, revoked and expired ones included."""
-        return (await self._transport.send(calls.tokens())).tokens
-
-    async def create_token(
-        self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
-    ) -> NewToken:
-        """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        return await self._transport.send(calls.create_token(label, scopes, seconds))
-
-    async def revoke_token(self, token_id: str) -> Token:
-        """Let a token do nothing any more."""
-        return await self._transport.send(calls.revoke_token(token_id))
-
-    async def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
-        """Hold a picture up, or take it away, as :meth:`Camera.hold_scene` does."""
-        if picture is None:
-            return await self._transport.send(calls.take_scene_away())
-        return await self._transport.send(calls.hold_scene(picture_bytes(picture)))
-
-    async def keyrings(self) -> tuple[Keyring, ...]:
-        """All keyrings; one of them is ``active``."""
-        return (await self._transport.send(calls.keyrings())).keyrings
-
-    async def install_keyring(self, bundle: bytes) -> Keyring:
-        """Hand over the content of a bundle; it is checked, and not used yet."""
-        return await self._transport.send(calls.install_keyring(bundle))
-
-    async def activate_keyring(self, digest: str) -> Keyring:
-        """Take masks and classifiers from this keyring from now on."""
-        return await self._transport.send(calls.activate_keyring(digest))
-
-    async def remove_keyring(self, digest: str) -> tuple[Keyring, ...]:
-        """Remove a keyring that is not in use for good; return those that are left."""
-        return (await self._transport.send(calls.remove_keyring(digest))).keyrings
-
-    def events(self, *, last_event_id: str | None = None) -> AsyncIterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""
         return self._transport.events(last_event_id)
