@@ -132,7 +132,8 @@ async def test_each_capture_sees_the_next_scene(
     dark, light = folder / "a.npy", folder / "b.npy"
     write(dark, 60)
     write(light, 240)
-    made = settings(tmp_path, dark, light, bundle=bundle_file, settle=0.0, exposure=0.0)
+    still = {"settle": 0.0, "exposure": 0.0, "snr_db": float("inf")}
+    made = settings(tmp_path, dark, light, bundle=bundle_file, **still)
     service = build_service(made)
     async with service.open():
         assert service.status().state == "ready"

@@ -16,7 +16,6 @@ from PIL import Image
 
 from veilcam_client import AsyncCamera, LeasedError
 from veilcam_client.errors import ApiError
-from veilcam_server.access import ANYONE
 from veilcam_server.app import create_app
 from veilcam_server.gateway import Gateway
 from veilcam_server.serve import build_service
@@ -144,10 +143,6 @@ async def client_of(sdk: AsyncCamera) -> AsyncIterator[AsyncCamera]:
     http = sdk._transport._client
     async with AsyncCamera("http://localhost", http_client=http, max_retries=0) as other:
         yield other
-
-
-def test_it_has_a_scope_of_its_own() -> None:
-    assert "simulate" in ANYONE.scopes
 
 
 def test_a_real_camera_takes_no_scenes() -> None:
