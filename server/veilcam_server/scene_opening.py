@@ -59,7 +59,7 @@ def _folder(folder: Path, shape: tuple[int, int]) -> Iterator[SceneSource]:
 def _data_set(name: str, shape: tuple[int, int]) -> Iterator[SceneSource]:
     """The images of a part of a data set; labels stay on the disk."""
     # Imported late: of all daemons, only those that look at a data set need it.
-    from veilcam_training.data import open_source, split  # noqa: PLC0415
+    from veilcam_training.data import SOURCES, open_source, split  # noqa: PLC0415
     from veilcam_training.errors import TrainingError  # noqa: PLC0415
 
     known, _, rest = name.partition(":")
@@ -68,6 +68,8 @@ def _data_set(name: str, shape: tuple[int, int]) -> Iterator[SceneSource]:
         folder, part = rest, "validation"
     if part not in _PARTS:
         raise StartError(f"--scenes {name}: no part {part!r}: use {' or '.join(_PARTS)}")
+    if known in SOURCES and not Path(folder).is_dir():
+        raise StartError(f"--scenes {name}: {folder} is not a folder: give the one with {known}")
     try:
         source = open_source(known, Path(folder))
         images = source.test() if part == "test" else split(source.training()).validation
