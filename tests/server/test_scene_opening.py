@@ -88,7 +88,7 @@ def test_colour_of_a_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             return data.Images(pixels, torch.zeros(1, dtype=torch.int64))
 
     monkeypatch.setattr(data, "open_source", lambda *_: Red())
-    (scene,) = open_scenes(settings(tmp_path, "cifar10:somewhere:test"), SHAPE)
+    (scene,) = open_scenes(settings(tmp_path, f"cifar10:{tmp_path}:test"), SHAPE)
     middle = scene.read()[:, 7:21]
     assert middle == pytest.approx(0.299)
     assert scene.read().sum() == pytest.approx(middle.sum())
