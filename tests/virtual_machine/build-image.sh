@@ -62,7 +62,7 @@ cp "$here/spidev.c" root/tmp/
 inside sh -c 'gcc -Wall -Wextra -Werror -O1 -o /usr/local/bin/spidev-in-user-space /tmp/spidev.c \
     $(pkg-config --cflags --libs fuse3)'
 mkdir -p root/usr/local/lib/veilcam-checks/guest
-cp "$project/deploy/uninstall.sh" root/usr/local/lib/veilcam-checks/
+cp "$project/deploy/uninstall.sh" "$project/deploy/README.md" root/usr/local/lib/veilcam-checks/
 cp "$here"/guest/*.py root/usr/local/lib/veilcam-checks/guest/
 cp "$here"/guest/*.service root/etc/systemd/system/
 install -D -m 644 "$here/guest/virtual-machine.conf" \

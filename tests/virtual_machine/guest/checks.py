@@ -17,7 +17,7 @@ from pathlib import Path
 
 from veilcam_client import Camera, EveryCaptures, VeilcamError
 
-from . import panel, probe
+from . import network, panel, probe
 from .prepare import CREDENTIAL, SHARED
 
 SOCKET = Path("/run/veilcam/api.sock")
@@ -25,8 +25,6 @@ URLS = (f"unix://{SOCKET}", "http://127.0.0.1:8787")
 STATE = Path("/var/lib/veilcam")
 HERE = Path(__file__).resolve().parent
 PYTHON = "/opt/veilcam/current/bin/python"
-SETTINGS_OF_UNIT = Path("/etc/systemd/system/veilcamd.service.d")
-"""What ``systemctl edit`` makes; here it is virtual-machine.conf's."""
 DROP_IN = Path("/run/systemd/system/veilcamd.service.d/other.conf")
 PATIENCE = 900.0
 """Of waits for the daemon; an emulated processor is slow [s]."""
@@ -84,6 +82,7 @@ class Checks:
             self.stop_ends_opaque,
             self.sandbox_holds,
             self.bytes_of_py_spidev,
+            self.serves_others_over_tls,
             self.uninstall_leaves_the_state,
         ):
             name = check.__name__.replace("_", " ")
@@ -250,11 +249,23 @@ class Checks:
         """What came out of the bus is what the emulator took, byte for byte with D/C."""
         return run(PYTHON, "-m", "guest.panel", "write")
 
+    def serves_others_over_tls(self) -> str:
+        """As deploy/README.md says, whatever the daemon itself may do in a network."""
+        network.open_to_others((HERE.parent / "README.md").read_text())
+        url = f"https://{network.ADDRESS}:8787"
+        file = network.CERTIFICATE
+        with Camera(url, token=self._token, ca_file=file, read_timeout=PATIENCE) as camera:
+            label = camera.classify().label
+        with Camera(url, max_retries=0, ca_file=file) as camera:
+            self._refused(camera)
+        return f"label {label} with a token, none without"
+
     def uninstall_leaves_the_state(self) -> str:
         """Nothing is left but state, settings and secrets; with --purge these go, too."""
         uninstall = str(HERE.parent / "uninstall.sh")
         run(uninstall)
-        kept = {STATE, Path("/etc/veilcam"), CREDENTIAL, SETTINGS_OF_UNIT}
+        edited = {network.UNITS / f"veilcamd.{kind}.d" for kind in ("service", "socket")}
+        kept = {STATE, Path("/etc/veilcam"), CREDENTIAL, *edited}
         assert self._left() == kept, self._left()
         assert (STATE / "epochs.sqlite3").exists()
         assert not SOCKET.exists()
