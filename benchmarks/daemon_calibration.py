@@ -106,7 +106,7 @@ KNOBS: Mapping[str, Knob] = {
     # Noise of a pixel is four times that of a reading: at the usual headroom some saturate.
     "noise_30db": Knob("signal to noise 30 dB, not 40", hardware={"snr_db": 30.0}, headroom=2.0),
 }
-"""The last ones are not measured by a calibration."""
+"""Leakage, warm-up and noise are not measured by a calibration."""
 
 
 BADLY_BUILT = Knob(
