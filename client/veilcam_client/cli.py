@@ -11,7 +11,13 @@ import numpy as np
 import typer
 from pydantic import ValidationError
 
-from veilcam_client import calibration_command, keyring_command, record_command, token_command
+from veilcam_client import (
+    calibration_command,
+    keyring_command,
+    lease_command,
+    record_command,
+    token_command,
+)
 from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.models import (
     EveryCaptures,
@@ -49,6 +55,7 @@ app = typer.Typer(
     "12 leased, 13 recording.",
 )
 app.command()(calibration_command.calibrate)
+app.command()(lease_command.lease)
 app.add_typer(token_command.app, name="token")
 app.add_typer(keyring_command.app, name="keyring")
 app.command()(record_command.record)

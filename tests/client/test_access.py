@@ -183,6 +183,23 @@ async def test_the_lease_of_another_is_ended_by_force(daemon: Daemon) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("options", "method", "said"),
+    [
+        ([], "GET", "held by 'me' for another 10 s"),
+        (["--break"], "DELETE", "nobody holds the camera"),
+    ],
+)
+@pytest.mark.usefixtures("url")
+def test_the_lease_from_a_terminal(
+    daemon: Daemon, options: list[str], method: str, said: str
+) -> None:
+    result = CliRunner().invoke(app, ["lease", *options])
+    assert (result.exit_code, result.stdout.strip()) == (0, said)
+    assert daemon.requests[0].method == method
+    assert '"held":' in CliRunner().invoke(app, ["lease", *options, "--json"]).stdout
+
+
 def test_a_lease_is_given_back_when_something_fails(daemon: Daemon) -> None:
     camera = Camera(http_client=client(daemon))
     with pytest.raises(RuntimeError), camera.lease(seconds=10):
