@@ -80,11 +80,15 @@ README: Figures = {
         )
         for size in ("24x32", "12x16", "6x8", "3x4")
     },
-    "robust_shift": (
-        "training",
-        "digits anywhere in the view, learned mask, best head",
-        "{:.2f} %",
-    ),
+    **{
+        f"robust_{change}": ("training", f"{objects}, learned mask, best head, 24x32", "{:.2f} %")
+        for change, objects in {
+            "shift": "digits anywhere in the view",
+            "rescale": "digits 2 to 20 cm tall",
+            "rotate": "digits turned by up to 90 degrees to either side",
+            "perspective": "digits tilted",
+        }.items()
+    },
     "fit50_minutes": ("training", "50 epochs of FC-800 behind a learned mask", "{:.1f} min"),
     "fresh_mnist_24x32": (
         "fresh-masks",
