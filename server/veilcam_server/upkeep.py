@@ -110,7 +110,7 @@ class Upkeep:
                 self._tell("WATCHDOG=1")
             elif not hung:
                 hung = True
-                log.error("the panel or the camera hangs: the watchdog is not fed any more")
+                log.error("panel, camera or processor too slow: the watchdog is not fed any more")
             await asyncio.sleep(every)
 
 

@@ -122,7 +122,7 @@ async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> Non
     assert set(told) == {"WATCHDOG=1"}
     # Once when it goes down.
     assert [entry["event"] for entry in logs].count(
-        "the panel or the camera hangs: the watchdog is not fed any more"
+        "panel, camera or processor too slow: the watchdog is not fed any more"
     ) == 1
     camera.stop()
 
