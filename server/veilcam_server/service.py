@@ -1,4 +1,4 @@
-"""The camera for an event loop: what the API does, and the events that tell of it."""
+"""The camera for an event loop: what the API does."""
 
 from __future__ import annotations
 
@@ -9,26 +9,13 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
-from datetime import datetime
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import structlog
 
 from veilcam_client import __version__
-from veilcam_client.calibration_models import CalibrationRun
-from veilcam_client.events import (
-    CalibrationChanged,
-    CaptureTaken,
-    Classified,
-    Event,
-    Fault,
-    KeyringChanged,
-    MaskChanged,
-    RotationChanged,
-    StateChanged,
-)
+from veilcam_client.events import Event
 from veilcam_client.keyrings import Keyring
 from veilcam_client.models import (
     API_VERSION,
@@ -64,18 +51,16 @@ from veilcam_server.errors import (
     SceneInvalidError,
     WithheldError,
 )
-from veilcam_server.events import EventLog
 from veilcam_server.history import History
 from veilcam_server.identity import Identity
 from veilcam_server.inference import Verdict
 from veilcam_server.keyring_opening import Keys
 from veilcam_server.keyrings import Keyrings
+from veilcam_server.news import News
 from veilcam_server.problems import code_of
 from veilcam_server.showing import Captured
-from veilcam_server.systemd import notify
 from veilcam_server.upkeep import Upkeep
 
-log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
 
 
@@ -107,8 +92,7 @@ class Service:
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
         self.keyrings, self._scenes = keyrings, scenes
-        self._queue, self._heartbeat = DeviceQueue(queue_limit), heartbeat
-        self._events, self.history = EventLog(), History()
+        self._queue, self._news = DeviceQueue(queue_limit), News(heartbeat)
         self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
         self.calibrator = Calibrator(
             camera,
@@ -116,36 +100,35 @@ class Service:
             workshop,
             identity.calibration,
             on_device=self._on_device,
-            tell=self._calibration_changed,
+            tell=self._news.calibration_changed,
         )
         self._on_lost: Callable[[], None] = _ignore
         self._lost: SensorLostError | None = None
         self._captures = 0
         self._since = time.monotonic()
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._inference_thread = ThreadPoolExecutor(1, "inference")
-        camera.listen(self._mask_changed, self._state_changed, self._next_ready)
+        camera.listen(self._news.mask_changed, self._state_changed, self._next_ready)
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
         """Keep the camera ready within; then show opaque and let go of the device."""
-        self._loop = asyncio.get_running_loop()
-        self._tell_state(*self._camera.state)
-        self.history.begin(*self._camera.state)
-        for detail in self.keyrings.faults:
-            self._tell_fault("keyring_invalid", detail)
-        try:
-            async with self._upkeep.running():
-                yield
-        finally:
-            self.end_streams()
+        with self._news.open(*self._camera.state):
+            for detail in self.keyrings.faults:
+                self._news.fault("keyring_invalid", detail)
             try:
-                await self.calibrator.close()
-                await self._queue.run(self._camera.stop)
+                async with self._upkeep.running():
+                    yield
             finally:
-                self._loop = None
-                self._queue.close()
-                self._inference_thread.shutdown()
+                await self._close()
+
+    async def _close(self) -> None:
+        self.end_streams()
+        try:
+            await self.calibrator.close()
+            await self._queue.run(self._camera.stop)
+        finally:
+            self._queue.close()
+            self._inference_thread.shutdown()
 
     @property
     def lost(self) -> SensorLostError | None:
@@ -162,7 +145,12 @@ class Service:
 
     def end_streams(self) -> None:
         """End all event streams, so that the server need not wait for who listens to them."""
-        self._events.close()
+        self._news.end_streams()
+
+    @property
+    def history(self) -> History:
+        """What happened since the start."""
+        return self._news.history
 
     def status(self) -> Status:
         """State, device, bundle, rotation and queue."""
@@ -194,7 +182,7 @@ class Service:
     def set_policy(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change; raises :class:`RotationImpossibleError`."""
         self._camera.policy = policy
-        self._publish(lambda id_, at: RotationChanged(id=id_, at=at, policy=policy))
+        self._news.policy_changed(policy)
         self._upkeep.wake()
         return self.rotation()
 
@@ -242,17 +230,7 @@ class Service:
             captured, queued, inferred = await self._take(begun, infer)
             name = self._taken(captured)
             verdict, embedding, inference = await asyncio.wrap_future(inferred)
-        self._publish(
-            lambda id_, at: Classified(
-                id=id_,
-                at=at,
-                capture=name,
-                epoch=captured.epoch,
-                label=verdict.label,
-                confidence=verdict.confidence,
-                replay=captured.replay is not None,
-            )
-        )
+        self._news.classified(name, captured, verdict)
         return classification_answer(
             name, captured, verdict, embedding, timing(captured, queued, begun, inference)
         )
@@ -284,29 +262,16 @@ class Service:
             first = await asyncio.to_thread(prepare, keys.source)
             await self._on_device(lambda: self._camera.change_source(keys.source, first))
         self._identity = replace(self._identity, bundle=keys.info)
-        self._publish(
-            lambda id_, at: KeyringChanged(
-                id=id_, at=at, digest=keys.info.digest, task=keys.info.task
-            )
-        )
+        self._news.keyring_changed(keys.info)
         self._upkeep.wake()
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
-        return self._events.follow(last_event_id, self._heartbeat)
-
-    def _mask_changed(self, epoch: str) -> None:
-        self._publish_from_thread(lambda id_, at: MaskChanged(id=id_, at=at, epoch=epoch))
+        return self._news.follow(last_event_id)
 
     def _state_changed(self, state: State, detail: str | None) -> None:
-        self._tell_state(state, detail)
-        self._publish_from_thread(
-            lambda id_, at: StateChanged(id=id_, at=at, state=state, detail=detail)
-        )
-        self._from_thread(self._upkeep.wake)
-
-    def _calibration_changed(self, run: CalibrationRun) -> None:
-        self._publish_from_thread(lambda id_, at: CalibrationChanged(id=id_, at=at, run=run))
+        self._news.state_changed(state, detail)
+        self._news.on_loop(self._upkeep.wake)
 
     @contextmanager
     def _admitted(self) -> Iterator[None]:
@@ -315,12 +280,8 @@ class Service:
         with self._queue.admitted():
             yield
 
-    def _tell_state(self, state: State, detail: str | None) -> None:
-        log.info("state", state=state, detail=detail)
-        notify(f"STATUS={state}" if detail is None else f"STATUS={state}: {detail}")
-
     def _next_ready(self) -> None:
-        self._from_thread(self._upkeep.wake)
+        self._news.on_loop(self._upkeep.wake)
 
     async def _take(
         self, begun: float, aside: Callable[[Captured], ResultT]
@@ -349,15 +310,7 @@ class Service:
     def _taken(self, captured: Captured) -> str:
         name = secrets.token_hex(8)
         self._captures += 1
-        self._publish(
-            lambda id_, at: CaptureTaken(
-                id=id_,
-                at=at,
-                capture=name,
-                epoch=captured.epoch,
-                replay=captured.replay is not None,
-            )
-        )
+        self._news.captured(name, captured)
         return name
 
     async def _on_device(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
@@ -368,12 +321,8 @@ class Service:
         except Exception as error:
             code = code_of(error)
             if code is not None:
-                self._tell_fault(code, str(error))
+                self._news.fault(code, str(error))
             raise
-
-    def _tell_fault(self, code: str, detail: str) -> None:
-        log.warning("fault", code=code, detail=detail)
-        self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
 
     async def _watched(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
         try:
@@ -382,17 +331,6 @@ class Service:
             self._lost = error
             self._on_lost()
             raise
-
-    def _publish(self, make: Callable[[str, datetime], Event]) -> None:
-        self.history.add(self._events.publish(make))
-
-    def _publish_from_thread(self, make: Callable[[str, datetime], Event]) -> None:
-        self._from_thread(lambda: self._publish(make))
-
-    def _from_thread(self, act: Callable[[], None]) -> None:
-        loop = self._loop
-        if loop is not None:
-            loop.call_soon_threadsafe(act)
 
 
 def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
