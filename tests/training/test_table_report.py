@@ -18,6 +18,7 @@ from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
 from veilcam_training.figures import Origin
 from veilcam_training.job import Settings, make_model
+from veilcam_training.recipe import Recipe
 from veilcam_training.tables.catalogue import find_table
 from veilcam_training.tables.cell import Cell
 from veilcam_training.tables.charts import draw_charts
@@ -233,3 +234,31 @@ def test_a_change_is_recorded_with_the_classifier_that_validates_best(tmp_path: 
         "robust_shift_FC800_learned": 99.9,
         "robust_shift_FC800_lens": 99.0,
     }
+
+
+def test_seeds_that_several_commands_ran(tmp_path: Path) -> None:
+    path = tmp_path / "figures.json"
+    first, second = (finish(tmp_path, 0.8, encoder="lens", seed=seed) for seed in (0, 1))
+    origin = Origin("veilcam-train table again", "def456", "2026-01-30", "another machine")
+    record_cells(path, [first, second.model_copy(update={"origin": origin})])
+    assert json.loads(path.read_text())["mnist_LR_lens_24x32"] == {
+        "value": 80.0,
+        "command": "veilcam-train table again; veilcam-train table mnist <here>",
+        "commit": "def456, abc123",
+        "date": "2026-01-31",
+        "machine": "a machine",
+    }
+
+
+def test_cells_with_other_settings_are_no_seeds_of_each_other(tmp_path: Path) -> None:
+    recipe = Recipe(epochs=7)
+    results = [
+        finish(tmp_path, 0.8, encoder="lens"),
+        finish(tmp_path, 0.9, encoder="lens", seed=1, recipe=recipe),
+    ]
+    said = "mnist_LR_lens_24x32 and mnist_LR_lens_24x32_seed1 differ in more than their seed"
+    with pytest.raises(TrainingError, match=said):
+        record_cells(tmp_path / "figures.json", results)
+    with pytest.raises(TrainingError, match=said):
+        Summary(find_table("mnist"), results)
+    assert not (tmp_path / "figures.json").exists()

@@ -104,6 +104,7 @@ def settings(place: Place, **changes: Any) -> Settings:
     ("table", "part", "count"),
     [
         ("mnist", Part(encoders=["lens", "learned"]), 2 * 4 * 3),
+        ("mnist", Part(encoders=["lens", "lens"], classifiers=["LR", "LR"]), 4),
         ("mnist", Part(classifiers=["CNN16"]), 4 * 7),
         ("mnist", Part(embeddings=["3x4"]), 2 * 7),
         ("mnist", Part(readings=["area"]), 2 * 4 * 6),
@@ -205,7 +206,11 @@ def test_a_report_needs_cells_and_a_place(
 
 
 def test_options_reach_the_cells(
-    call: Call, monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
+    call: Call,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    digit_folder: Path,
+    tmp_path: Path,
 ) -> None:
     seen: dict[str, Any] = {}
 
@@ -241,6 +246,9 @@ def test_options_reach_the_cells(
     assert cells[0].recipe != default
     # Every cell has the recipe of its own situation.
     assert {cell.recipe.batch for cell in cells} == {32, 64, 100}
+
+    assert call("mnist", *options, "--psf", psf, "--encoders", "lens") == 1
+    assert "--psf is of fixed_measured" in capsys.readouterr().err
 
     assert call("mnist", *options, "--epochs", 3, "--ray", "host:1") == 0
     assert seen["cells"][0].settings.recipe == default.model_copy(update={"epochs": 3})
@@ -464,3 +472,27 @@ def test_stopwatch_counts_the_epochs_of_an_earlier_process(monkeypatch: pytest.M
             for epoch in epochs[3:]:
                 watch.epoch(epoch)
         assert watch.read(epochs) == (5 * 2, kind)
+
+
+def test_stopwatch_counts_what_was_prepared_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten seconds before the first step, then four steps to an epoch and one second to a step."""
+    for earlier in (0, 3):
+        now = iter([100.0, 111.0, *range(114, 131, 4)])
+        with monkeypatch.context() as patch:
+            patch.setattr(time, "process_time", lambda now=now: next(now))
+            watch = Stopwatch(torch.device("cpu"))
+            epochs = [Epoch(number, 1.0, 0.5, 0.5, 1.0, seconds=9.0) for number in range(5)]
+            for epoch in epochs[earlier:]:
+                for step in range(4):
+                    watch.step(epoch.number, step + 1, 4)
+                watch.epoch(epoch)
+        assert watch.read(epochs) == (10 + 5 * 4, "processor")
+
+
+def test_stopwatch_of_one_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = iter([100.0, 111.0, 112.0])
+    monkeypatch.setattr(time, "process_time", lambda: next(now))
+    watch = Stopwatch(torch.device("cpu"))
+    watch.step(0, 1, 1)
+    watch.epoch(epoch := Epoch(0, 1.0, 0.5, 0.5, 1.0, seconds=9.0))
+    assert watch.read([epoch]) == (12, "processor")

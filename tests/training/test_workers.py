@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from tests.training.tasks import closure, gpus, kill, kill_once, place, refuse
 from veilcam_training import cli
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.errors import TrainingError
+from veilcam_training.tables.result import load_results
 from veilcam_training.workers import ATTEMPTS, HERE, LocalWorkers, RayWorkers, Workers, make_workers
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -183,6 +185,27 @@ def test_a_keyring_is_the_same_wherever_it_is_made(
         for ours, theirs in zip(alone.pairs, other.pairs, strict=True):
             assert np.array_equal(ours.levels, theirs.levels)
             assert all(torch.equal(ours.weights[n], theirs.weights[n]) for n in ours.weights)
+
+
+def test_a_table_is_the_same_wherever_it_is_made(
+    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
+) -> None:
+    part = ("--encoders", "lens,digital", "--embeddings", "3x4", "--classifiers", "LR")
+    made = []
+    for index, options in enumerate([(), ("--workers", 2), ("--ray", cluster)]):
+        work = tmp_path / str(index)
+        places = ("--data", digit_folder, "--work", work, "--epochs", 2)
+        command = ["veilcam-train", "table", "mnist", *map(str, [*places, *part, *options])]
+        monkeypatch.setattr(sys, "argv", command)
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        assert not caught.value.code
+        results = list(load_results(work))
+        assert len(results) == 2
+        for result in results:  # also where a program of Ray's ran it
+            assert result.origin.command == result.provenance["command"] == shlex.join(command)
+        made.append([result.numbers() for result in results])
+    assert made[0] == made[1] == made[2]
 
 
 def test_a_cluster_is_started_for_local_alone(

@@ -13,6 +13,7 @@ import os
 import pickle
 import signal
 import socket
+import sys
 import threading
 import traceback
 from collections import deque
@@ -142,13 +143,13 @@ class RayWorkers:
         if not connected:
             self._connect(ray)
         attempt = ray.remote(num_cpus=self._threads, num_gpus=self._gpus, max_retries=ATTEMPTS - 1)(
-            _attempt
+            _attempt_on_cluster
         )
         running: dict[object, int] = {}
         try:
             shared = ray.put(function)
             for index, task in enumerate(tasks):
-                running[attempt.remote(shared, task, self._threads)] = index
+                running[attempt.remote(shared, task, self._threads, sys.argv)] = index
             while running:
                 (ready,), _ = ray.wait(list(running))
                 index = running.pop(ready)
@@ -237,6 +238,17 @@ def _attempt(function: Callable[[TaskT], ResultT], task: TaskT, threads: int) ->
     except Exception as error:
         error.add_note("".join(traceback.format_exception(error)))  # of the worker
         return _Answer(None, error)
+
+
+def _attempt_on_cluster(
+    function: Callable[[TaskT], ResultT], task: TaskT, threads: int, arguments: Sequence[str]
+) -> _Answer[ResultT]:
+    """Run one task in a worker of Ray, under the command line that asked for it.
+
+    What is made there says which command made it. Processes of multiprocessing have it already.
+    """
+    sys.argv[:] = arguments
+    return _attempt(function, task, threads)
 
 
 class _Process(Generic[TaskT, ResultT]):

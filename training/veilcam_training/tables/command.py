@@ -92,6 +92,8 @@ def table_command(
         changes=_names(changes),
     )
     places = table.places(part, psf=psf is not None)
+    if psf is not None and all(each.row.encoder != "fixed_measured" for each in places):
+        raise TrainingError("--psf is of fixed_measured, which --encoders leaves out: drop either")
     cells = [
         Cell(_settings(each, seed + repeat, psf, recipe, epochs))
         for repeat in range(seeds)

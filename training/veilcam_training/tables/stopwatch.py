@@ -23,11 +23,15 @@ class Stopwatch:
 
     def __init__(self, device: torch.device) -> None:
         self._clock: Clock = "processor" if device.type == "cpu" else "elapsed"
-        self._started = self._ended = self._now()
+        self._started = self._first = self._ended = self._now()
+        self._first_share = 0.0
         self._epochs = 0
 
     def step(self, epoch: int, done: int, steps: int) -> None:
-        """Epochs are counted, not steps."""
+        """Take the time after the first step: what was prepared before it is done once only."""
+        del epoch
+        if self._first_share == 0:
+            self._first, self._first_share = self._now(), done / steps
 
     def epoch(self, epoch: Epoch) -> None:
         """Take the time at the end of an epoch."""
@@ -36,14 +40,17 @@ class Stopwatch:
         self._epochs += 1
 
     def read(self, history: Sequence[Epoch]) -> tuple[float, Clock]:
-        """Seconds of all epochs in ``history``, and by which clock.
+        """Seconds of all epochs in ``history`` and of what was prepared, and by which clock.
 
-        An earlier process may have done the first ones; if it did them all, only the time that went
-        by in them is known.
+        An earlier process may have done the first epochs: they are taken to be as long as those
+        that were watched. If it did them all, only the time that went by in them is known.
         """
         if self._epochs == 0:
             return sum(epoch.seconds for epoch in history), "elapsed"
-        return (self._ended - self._started) / self._epochs * len(history), self._clock
+        whole, steady = self._ended - self._started, self._ended - self._first
+        share = self._epochs - self._first_share
+        each = steady / share if share > 0 else whole  # of one step alone
+        return whole + each * (len(history) - self._epochs), self._clock
 
     def _now(self) -> float:
         return time.process_time() if self._clock == "processor" else time.monotonic()

@@ -8,6 +8,7 @@ from statistics import mean, stdev
 
 from veilcam_training.tables.place import Column, Place, Row
 from veilcam_training.tables.result import CellResult
+from veilcam_training.tables.seeds import by_place
 from veilcam_training.tables.table import Table
 
 
@@ -55,18 +56,19 @@ class Summary:
     Args:
         table: says what its rows and columns are.
         results: cells that belong to it.
+
+    Raises:
+        TrainingError: see :func:`veilcam_training.tables.seeds.by_place`.
     """
 
     def __init__(self, table: Table, results: Sequence[CellResult]) -> None:
         self.table = table
-        by_place: dict[Place, list[CellResult]] = {}
-        for result in sorted(results, key=lambda result: result.settings.seed):
-            by_place.setdefault(result.cell.place, []).append(result)
+        places = by_place(results)
         self.columns = table.columns()
-        self.rows = tuple(table.rows([place.row for place in by_place]))
+        self.rows = tuple(table.rows([place.row for place in places]))
         self._entries = [
             [
-                Entry(Place(row, column), tuple(by_place.get(Place(row, column), ())))
+                Entry(Place(row, column), places.get(Place(row, column), ()))
                 for column in self.columns
             ]
             for row in self.rows

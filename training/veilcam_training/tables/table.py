@@ -7,25 +7,20 @@ from dataclasses import dataclass, fields, replace
 from itertools import product, starmap
 
 from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
 from veilcam_training.job import Settings
 from veilcam_training.tables.place import Column, Place, Row
 
 READINGS = ("area", "point")
-ENCODERS = (
-    "lens",
-    "coded_aperture",
-    "diffuser",
-    "fixed_measured",
-    "fixed_simulated",
-    "learned",
-    "digital",
-)
 
 
 @dataclass(frozen=True)
 class Part:
-    """Which cells of a table are wanted; None for those that it has of its own accord."""
+    """Which cells of a table are wanted; None for those that it has of its own accord.
+
+    What is named twice is run once.
+    """
 
     encoders: Sequence[str] | None = None
     classifiers: Sequence[str] | None = None
@@ -49,7 +44,7 @@ class Table:
     classifiers: tuple[str, ...]
     embeddings: tuple[str, ...]
     changes: tuple[str, ...] = ("none",)
-    encoders: tuple[str, ...] = ENCODERS
+    encoders: tuple[str, ...] = tuple(ENCODERS)
     readings: tuple[str, ...] = READINGS
 
     def places(self, part: Part = Part(), *, psf: bool = False) -> tuple[Place, ...]:
@@ -130,11 +125,11 @@ class Table:
                     f"table {self.name!r} has no {name!r} among its {kind}: "
                     f"use one or more of {','.join(known)}"
                 )
-        return wanted
+        return tuple(dict.fromkeys(wanted))
 
     def _classifiers(self, wanted: Sequence[str] | None) -> Sequence[str]:
         if wanted is None:
             return self.classifiers
         for name in wanted:  # an unknown one is refused before anything is run
             make_layers(name, Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel"))
-        return wanted
+        return tuple(dict.fromkeys(wanted))
