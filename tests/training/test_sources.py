@@ -48,8 +48,19 @@ def test_faces(faces_file: Writer, tmp_path: Path, task: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"female": None}, "damaged"),
-        ({"identity": np.arange(3)}, "lacks female or identity"),
+        ({"female": None}, "lacks images, female or identity"),
+        ({"images": np.uint8(3)}, r"images uint8 \(\): use uint8 \(count, 64, 52\)"),
+        ({"images": np.zeros((0, 64, 52), np.uint8)}, r"images uint8 \(0, 64, 52\): use"),
+        ({"identity": np.arange(3)}, r"identity int64 \(3,\): use a whole number for each"),
+        ({"identity": np.int64(3)}, r"identity int64 \(\): use a whole number for each of the 120"),
+        ({"identity": np.full(120, np.nan)}, "identity float64"),
+        ({"identity": np.arange(120) / 3}, "identity float64"),
+        ({"identity": np.full(120, "Ada")}, "identity <U3"),
+        ({"identity": np.full(120, None)}, "damaged"),
+        ({"female": np.int64(1)}, r"female int64 \(\)"),
+        ({"female": np.full(120, "1")}, "female <U1"),
+        ({"female": np.full(120, np.nan)}, "female float64"),
+        ({"female": np.full(120, -1)}, "other than 0 and 1"),
         ({"images": np.zeros((120, 64, 50), np.uint8)}, r"use uint8 \(count, 64, 52\)"),
         ({"images": np.zeros((120, 64, 52))}, "use uint8"),
         ({"female": np.full(120, 2)}, "other than 0 and 1"),
@@ -59,8 +70,17 @@ def test_bad_faces(
     faces_file: Writer, tmp_path: Path, changes: dict[str, Any], reason: str
 ) -> None:
     source = open_source("faces-gender", faces_file(tmp_path, **changes))
-    with pytest.raises(TrainingError, match=reason):
+    with pytest.raises(TrainingError, match=reason) as caught:
         source.training()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("people", [1, 3])
+def test_too_few_people(faces_file: Writer, tmp_path: Path, people: int) -> None:
+    source = open_source("faces-gender", faces_file(tmp_path, identity=np.arange(120) % people))
+    for read in (source.training, source.test):
+        with pytest.raises(TrainingError, match=rf"has {people} identities, .* use more of them"):
+            read()
 
 
 def test_missing_and_broken_faces(tmp_path: Path) -> None:
@@ -68,9 +88,29 @@ def test_missing_and_broken_faces(tmp_path: Path) -> None:
     for read in (source.training, source.digests):
         with pytest.raises(TrainingError, match="missing"):
             read()
-    (tmp_path / "faces.npz").write_bytes(b"PK\x03\x04")
-    with pytest.raises(TrainingError, match="damaged"):
-        source.training()
+    with (tmp_path / "array.npy").open("wb") as file:
+        np.save(file, np.zeros((120, 64, 52), np.uint8))
+    for data in (b"", b"PK\x03\x04", b"images", (tmp_path / "array.npy").read_bytes()):
+        (tmp_path / "faces.npz").write_bytes(data)
+        with pytest.raises(TrainingError, match="damaged"):
+            source.training()
+
+
+def test_faces_with_a_wrong_byte(faces_file: Writer, tmp_path: Path) -> None:
+    """numpy and zipfile raise all kinds of errors; here it is one, or the byte did not matter."""
+    path = faces_file(tmp_path, images=np.zeros((120, 64, 52), np.uint8)) / "faces.npz"
+    with np.load(path) as content:
+        np.savez_compressed(path, **content)
+    whole, source = path.read_bytes(), open_source("faces-gender", tmp_path)
+    refused: list[str] = []
+    for at in range(0, len(whole), 3):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x48]) + whole[at + 1 :])
+        try:
+            source.training()
+        except TrainingError as error:
+            refused.append(str(error))
+    assert len(refused) > len(whole) / 6
+    assert "\n" not in "".join(refused)
 
 
 @pytest.mark.parametrize("inside", ["", "cifar-10-batches-bin"])
@@ -140,6 +180,14 @@ def test_bad_celeba(celeba_files: Writer, tmp_path: Path) -> None:
         photograph.write_bytes(bad)
         with pytest.raises(TrainingError, match=r"000005.jpg is damaged"):
             [source.training(), source.test()]
+    for size in ((178, 100), (218, 178), (32, 32)):
+        Image.new("RGB", size).save(photograph)
+        with pytest.raises(TrainingError, match=r"000005.jpg has .* use the aligned .* 218 x 178"):
+            [source.training(), source.test()]
+    frame = data.index(b"\xff\xc0") + 5  # where a JPEG says how many rows and columns it has
+    photograph.write_bytes(data[:frame] + b"\xff\xff\xff\xff" + data[frame + 4 :])
+    with pytest.raises(TrainingError, match=r"000005.jpg is damaged"):
+        [source.training(), source.test()]
     photograph.unlink()
     with pytest.raises(TrainingError, match=r"unpack img_align_celeba.zip there"):
         [source.training(), source.test()]
@@ -150,6 +198,10 @@ def test_bad_celeba(celeba_files: Writer, tmp_path: Path) -> None:
         (text.replace("Male", "Mail"), "has no column Male"),
         (text.replace("000003.jpg -1 -1", "000003.jpg -1 0"), "line 5 is not valid"),
         (text.replace("000003.jpg", ""), "line 5 is not valid"),
+        (text.replace("000003.jpg", "000001.jpg"), "line 5 repeats 000001.jpg"),
+        ("\n".join(text.splitlines()[:22]), "has 20 photographs, not as many as its first line"),
+        (text.replace("40", "41", 1), "has 40 photographs, not as many as its first line"),
+        (text.replace("40", "forty", 1), "not as many as its first line"),
     ):
         table.write_text(bad_text)
         with pytest.raises(TrainingError, match=reason):

@@ -64,7 +64,9 @@ class Settings(BaseModel):
         files = sorted(source.digests().items())
         if self.psf is not None:
             files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
-        text = f"{self.model_dump_json()} {files} torch {torch.__version__}"
+        # What is in the file counts, not where it lies.
+        chosen = self.model_copy(update={"psf": None}).model_dump_json()
+        text = f"{chosen} {files} torch {torch.__version__}"
         return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -164,6 +166,10 @@ def run_job(
     # Another number of ranks draws other noise.
     fingerprint = settings.fingerprint(source) + (f" {ranks.size} ranks" if ranks.size > 1 else "")
     parts = split(source.training() if training is None else training)
+    # Read now, so that a bad file does not cost a fit; fitting has no part in it.
+    test = source.test()
+    if len(test) == 0:
+        raise TrainingError(f"{source.name} has no test images: use a data set that holds some")
     fitted = fit(
         model,
         Split(parts.training.to(device), parts.validation.to(device)),
@@ -174,7 +180,7 @@ def run_job(
         observers=observers,
         ranks=ranks,
     )
-    test = source.test().to(device)
+    test = test.to(device)
     result = ranks.from_first(lambda: evaluate(fitted.model, test, settings.seed, "test"))
     return Outcome(
         settings,

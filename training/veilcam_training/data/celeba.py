@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.geometry import Scene
@@ -29,6 +29,8 @@ ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
 FIRST = 100_000
 TEST_SHARE = 0.15
 SPLIT_SEED = 1
+SHAPE = (218, 178)
+"""Rows and columns of an aligned photograph."""
 ATTRIBUTE_FILE = "list_attr_celeba.txt"
 IMAGE_FOLDER = "img_align_celeba"
 
@@ -71,7 +73,7 @@ class CelebaSource:
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the attributes, and of all photographs one after the other."""
         photographs = hashlib.sha256()
-        for name, _ in self._attributes():
+        for name in self._attributes():
             photographs.update(self._photograph(name).read_bytes())
         return {
             ATTRIBUTE_FILE: hashlib.sha256(self._table().read_bytes()).hexdigest(),
@@ -94,38 +96,50 @@ class CelebaSource:
             f"{self.folder / IMAGE_FOLDER / name} is missing: unpack {IMAGE_FOLDER}.zip there"
         )
 
-    def _attributes(self) -> list[tuple[str, int]]:
-        """File name and class of the first photographs."""
+    def _attributes(self) -> dict[str, int]:
+        """Class of each of the first photographs, by its file name."""
         path, column = self._table(), ATTRIBUTES[self.name][0]
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
         # The first line counts the photographs, the second names the columns.
         if len(lines) < 3 or column not in lines[1].split():
             raise TrainingError(f"{path} has no column {column}: fetch it again")
+        if lines[0].split() != [str(len(lines) - 2)]:
+            raise TrainingError(
+                f"{path} has {len(lines) - 2} photographs, not as many as its first line says: "
+                "fetch it again"
+            )
         columns = lines[1].split()
         index = columns.index(column) + 1
-        result = []
+        result: dict[str, int] = {}
         for number, line in enumerate(lines[2 : 2 + self.first], start=3):
             words = line.split()
             if len(words) != len(columns) + 1 or words[index] not in ("1", "-1"):
                 raise TrainingError(f"{path} line {number} is not valid: fetch it again")
-            result.append((words[0], int(words[index] == "1")))
+            if words[0] in result:
+                raise TrainingError(f"{path} line {number} repeats {words[0]}: fetch it again")
+            result[words[0]] = int(words[index] == "1")
         return result
 
     def _read(self, *, test: bool) -> Images:
         attributes = self._attributes()
-        labels = torch.tensor([label for _, label in attributes])
+        labels = torch.tensor(list(attributes.values()))
         chosen = stratified(labels, TEST_SHARE) == test
-        names = [name for (name, _), take in zip(attributes, chosen.tolist(), strict=True) if take]
+        names = [name for name, take in zip(attributes, chosen.tolist(), strict=True) if take]
         pixels = np.stack([self._pixels(self._photograph(name)) for name in names])
         return Images(torch.from_numpy(pixels), labels[chosen])
 
     def _pixels(self, path: Path) -> npt.NDArray[np.uint8]:
         try:
             with Image.open(path) as photograph:
+                if photograph.size != SHAPE[::-1]:
+                    raise TrainingError(
+                        f"{path} has {photograph.height} x {photograph.width} pixels: "
+                        f"use the aligned photographs of {SHAPE[0]} x {SHAPE[1]}"
+                    )
                 rows, columns = self.scene.shape
                 gray = photograph.convert("L").resize((columns, rows), Image.Resampling.BOX)
                 return np.asarray(gray)
-        except (OSError, UnidentifiedImageError, SyntaxError) as error:
+        except (OSError, SyntaxError, Image.DecompressionBombError) as error:
             raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
 
 

@@ -6,7 +6,9 @@ They are easier than photographs: their numbers do not stand beside those of pho
 from __future__ import annotations
 
 import hashlib
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +29,18 @@ ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
 """Task: the array that holds it, and what its 0 and 1 are called."""
 TEST_SHARE = 0.15
 SPLIT_SEED = 1
+UNREADABLE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    RuntimeError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What numpy, or the zip file below it, raises where a file is damaged or of another kind."""
 
 
 @dataclass(frozen=True)
@@ -90,21 +104,31 @@ class FacesSource:
             raise TrainingError(
                 f"{self.path} is missing: give the folder that holds it as --data"
             ) from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise TrainingError(f"{self.path} is damaged ({error}): get it again") from None
-        count = len(pixels)
-        if pixels.dtype != np.uint8 or pixels.shape != (count, *self.scene.shape) or count == 0:
+        except UNREADABLE:
+            raise TrainingError(
+                f"{self.path} is damaged, or lacks images, {array} or identity: get it again"
+            ) from None
+        if pixels.dtype != np.uint8 or pixels.shape[1:] != self.scene.shape or pixels.size == 0:
             raise TrainingError(
                 f"{self.path} has images {pixels.dtype} {pixels.shape}: "
                 f"use uint8 (count, {self.scene.rows}, {self.scene.columns})"
             )
-        if labels.shape != (count,) or identities.shape != (count,):
-            raise TrainingError(f"{self.path} lacks {array} or identity of some images")
+        for name, values in ((array, labels), ("identity", identities)):
+            if values.dtype.kind not in "biu" or values.shape != pixels.shape[:1]:
+                raise TrainingError(
+                    f"{self.path} has {name} {values.dtype} {values.shape}: "
+                    f"use a whole number for each of the {len(pixels)} images"
+                )
         if not np.isin(labels, (0, 1)).all():
             raise TrainingError(f"{self.path} has {array} other than 0 and 1: get it again")
         groups = torch.from_numpy(identities.astype(np.int64))
         known = torch.unique(groups)
         order = torch.randperm(len(known), generator=torch.Generator().manual_seed(SPLIT_SEED))
         held = known[order[: round(TEST_SHARE * len(known))]]
+        if len(held) == 0:
+            raise TrainingError(
+                f"{self.path} has {len(known)} identities, too few for a training and a test set: "
+                "use more of them"
+            )
         images = Images(torch.from_numpy(pixels), torch.from_numpy(labels.astype(np.int64)), groups)
         return images, torch.isin(groups, held)

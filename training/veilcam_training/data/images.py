@@ -102,7 +102,7 @@ def split(images: Images, share: float = 0.1) -> Split:
         what = "images" if images.groups is None else "groups"
         raise TrainingError(
             f"validation share = {share} leaves {held} of {len(known)} {what} to validate with: "
-            "use a share that leaves some for both parts"
+            "use more of them, or a share that leaves some for both parts"
         )
     order = torch.randperm(len(known), generator=torch.Generator().manual_seed(SPLIT_SEED))
     place = torch.empty_like(known)

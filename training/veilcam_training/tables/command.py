@@ -94,8 +94,9 @@ def table_command(
     places = table.places(part, psf=psf is not None)
     if psf is not None and all(each.row.encoder != "fixed_measured" for each in places):
         raise TrainingError("--psf is of fixed_measured, which --encoders leaves out: drop either")
+    # Absolute paths, here and below: a worker may stand elsewhere.
     cells = [
-        Cell(_settings(each, seed + repeat, psf, recipe, epochs))
+        Cell(_settings(each, seed + repeat, psf and psf.resolve(), recipe, epochs))
         for repeat in range(seeds)
         for each in places
     ]
@@ -104,7 +105,6 @@ def table_command(
     run_by = make_workers(workers, ray, gpus=int(place.type == "cuda"))
     with make_progress(console) as progress:
         bar = TableProgress(progress, table.name, len(cells))
-        # Absolute paths: a worker may stand elsewhere.
         runner = CellRunner(data.resolve(), work.resolve(), place, until)
         if ray is None and workers in (None, 1):  # in this process, where it can be watched
             runner.observe = bar.observe

@@ -77,6 +77,7 @@ def point_image(model: LenslessClassifier, settings: Settings) -> Pixels | None:
         scene=Scene(1, 1, 1e-4, encoder.setup.scene.distance),
         embedding=PSF_SHAPE,
         point_reading=False,
+        finer=(),
     )
     camera = make_encoder(
         settings.encoder, setup, stream(settings.seed, "encoder"), psf=settings.psf

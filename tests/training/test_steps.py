@@ -1,0 +1,65 @@
+"""What a step takes: readings of a fixed camera are computed once, their noise never is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+
+from veilcam_optics.geometry import Camera
+from veilcam_training.data import Source, Split
+from veilcam_training.fitting import fit
+from veilcam_training.jitter import Jitter
+from veilcam_training.job import Settings, make_model
+from veilcam_training.model import LenslessClassifier
+from veilcam_training.randomness import stream
+from veilcam_training.recipe import Recipe
+from veilcam_training.steps import Inputs
+
+RECIPE = Recipe(epochs=2, batch=30)
+
+
+def model_of(source: Source, **changes: Any) -> LenslessClassifier:
+    return make_model(Settings(embedding="3x4", recipe=RECIPE, **changes), source, Camera())
+
+
+@pytest.mark.parametrize(
+    ("changes", "jitter", "steps_encode"),
+    [
+        ({"encoder": "fixed_simulated"}, Jitter(), False),
+        ({"encoder": "lens"}, Jitter(), False),
+        ({"encoder": "lens"}, Jitter(mirror=True), True),
+        ({"encoder": "lens", "change": "rotate"}, Jitter(), True),
+        ({"encoder": "learned"}, Jitter(), True),
+    ],
+)
+def test_readings_of_a_fixed_camera_are_computed_once(
+    source: Source, changes: dict[str, Any], jitter: Jitter, *, steps_encode: bool
+) -> None:
+    model = model_of(source, **changes)
+    encoded: list[None] = []
+    model.encoder.register_forward_hook(lambda *_: encoded.append(None))
+    inputs = Inputs(model, source.test(), jitter)
+    before, noise = len(encoded), stream(0, "noise")
+    assert before == int(not steps_encode)
+    for step in range(3):
+        inputs(torch.arange(30 * step, 30 * step + 30), noise)
+    assert len(encoded) - before == (3 if steps_encode else 0)
+
+
+@pytest.mark.parametrize("encoder", ["fixed_simulated", "lens", "learned"])
+def test_noise_is_fresh_each_time_an_image_is_seen(source: Source, encoder: str) -> None:
+    """One image, many times over: whatever differs between two readings of it is noise."""
+    model, first = model_of(source, encoder=encoder), source.test().take(torch.zeros(60).long())
+    recipe = RECIPE.model_copy(update={"mask_rate": 1e-12})  # the camera stays what it is
+    seen: list[torch.Tensor] = []
+
+    def look(_: object, readings: tuple[torch.Tensor]) -> None:
+        if model.training:
+            seen.append(readings[0].detach())
+
+    model.classifier.register_forward_pre_hook(look)
+    fit(model, Split(first, first), recipe, 0)
+    readings = {tuple(reading) for reading in torch.cat(seen).tolist()}
+    assert len(readings) == recipe.epochs * len(first)
