@@ -11,13 +11,18 @@ from tensorboard.backend.event_processing import (  # type: ignore[import-untype
     event_accumulator,
 )
 
+from veilcam_optics.geometry import Camera
 from veilcam_optics.masks import to_weights
 from veilcam_optics.noise import shot_noise
 from veilcam_optics.transfer import TransferOperator
-from veilcam_training import cli
+from veilcam_training import cli, fitting
 from veilcam_training.bundle import build_classifier, read_bundle
 from veilcam_training.data import Source
+from veilcam_training.errors import TrainingError
+from veilcam_training.job import Settings, run_job
+from veilcam_training.keyring import as_bundle
 from veilcam_training.randomness import stream
+from veilcam_training.recipe import Recipe
 
 FIT = ("--embedding", "6x8", "--classifier", "FC20", "--epochs", "6", "--batch", "30")
 
@@ -128,9 +133,8 @@ def test_download_says_what_it_can_fetch(
         (("--encoder", "fixed_measured"), "give --psf FILE"),
         (("--encoder", "fixed_measured", "--psf", "a.npz"), "a.npz is missing"),
         (("--config", "none.toml"), "none.toml is missing"),
-        (("--out", "a.zip"), "ends in .veilcam"),
-        (("--out", "none/a.veilcam"), "make the folder none first"),
         (("--encoder", "digital", "--out", "a.veilcam"), "no mask that a panel can show"),
+        (("--reading", "point", "--out", "a.veilcam"), "use reading 'area', or leave out --out"),
     ],
 )
 def test_bad_input_is_one_line_that_says_what_to_do(
@@ -149,6 +153,81 @@ def test_bad_input_is_one_line_that_says_what_to_do(
     assert reason in printed.err
     assert printed.err.count("\n") == 1
     assert not list(tmp_path.glob("*.veilcam"))
+
+
+def test_a_keyring_for_a_reading_that_no_device_makes(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    digit_folder: Path,
+    tmp_path: Path,
+) -> None:
+    config, out, work = tmp_path / "a.toml", tmp_path / "a.veilcam", tmp_path / "work"
+    config.write_text('reading = "point"')
+    command = ("keyring", "--data", digit_folder, *FIT, "--config", config, "--out", out)
+    assert call(monkeypatch, *command, "--seed", 1, "--work", work) == 1
+    assert "a device averages over its pixels: use reading 'area'" in capsys.readouterr().err
+    assert not work.exists()  # nothing was fitted
+    assert not out.exists()
+
+
+def test_no_bundle_of_a_reading_that_no_device_makes(source: Source) -> None:
+    recipe = Recipe(epochs=1, batch=300)
+    settings = Settings(embedding="3x4", reading="point", recipe=recipe)
+    outcome = run_job(settings, source, Camera())
+    with pytest.raises(TrainingError, match="use reading 'area'"):
+        as_bundle([outcome], source, Camera())
+
+
+@pytest.mark.parametrize("name", [("fit",), ("keyring", "--pairs", 1)])
+def test_work_has_checkpoints(
+    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, name: tuple[object, ...]
+) -> None:
+    work, out = tmp_path / "work", tmp_path / "a.veilcam"
+    options = ("--data", digit_folder, *FIT, "--epochs", 1, "--seed", 1, "--out", out)
+    assert call(monkeypatch, *name, *options) == 0
+    assert list(tmp_path.iterdir()) == [out]
+    assert call(monkeypatch, *name, *options, "--work", work) == 0
+    assert {path.suffix for path in work.iterdir()} == {".checkpoint"}
+
+    def begun(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(fitting, "_run_epoch", begun)  # what is in it is taken up
+    assert call(monkeypatch, *name, *options, "--work", work) == 0
+
+
+@pytest.mark.parametrize("name", ["fit", "keyring", "fit-fresh"])
+def test_threads(
+    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, name: str
+) -> None:
+    seen: list[int] = []
+    monkeypatch.setattr(torch, "set_num_threads", seen.append)
+    # Refused, but only after the threads are set.
+    command = (name, "--data", digit_folder, "--out", tmp_path / "a.zip")
+    assert call(monkeypatch, *command, "--threads", 3) == 1
+    assert seen == [3]
+    seen.clear()
+    assert call(monkeypatch, *command) == 1
+    assert seen == ([1] if name == "fit-fresh" else [])
+
+
+def test_threads_of_workers(
+    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
+) -> None:
+    class StopError(Exception):
+        pass
+
+    def make_workers(*_: object, threads: int | None, **__: object) -> None:
+        assert threads == 3
+        raise StopError
+
+    monkeypatch.setattr(torch, "set_num_threads", lambda _: None)
+    monkeypatch.setattr(cli, "make_workers", make_workers)
+    out = tmp_path / "a.veilcam"
+    command = ("keyring", "--data", digit_folder, "--out", out, "--workers", 2, "--threads", 3)
+    monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, command)])
+    with pytest.raises(StopError):
+        cli.main()
 
 
 def test_misspelt_option(

@@ -151,6 +151,15 @@ def test_a_recipe_by_its_name_alone(tmp_path: Path) -> None:
     assert settings.recipe == find_recipe("long", Situation())
 
 
+def test_none_in_a_file_where_a_setting_may_be_none(tmp_path: Path) -> None:
+    text = 'classifier = "FC800"\nrecipe = {base = "best", snr_db = "none", patience = "none"}'
+    recipe = load_settings(write(tmp_path, text), {}).recipe
+    assert recipe.snr_db is None
+    assert recipe.patience is None
+    best = find_recipe("best", Situation(classifier="FC800"))
+    assert recipe == best.model_copy(update={"snr_db": None, "patience": None})
+
+
 def test_without_a_file() -> None:
     assert load_settings(None, {}) == Settings(recipe=find_recipe("default", Situation()))
 
@@ -164,6 +173,13 @@ def test_without_a_file() -> None:
         ("[recipe]\nepochs = '3'", "epochs is not valid"),
         ("[recipe]\nepochs = true", "epochs is not valid"),
         ("[recipe]\nrate = -1.0", "rate is not valid"),
+        ("[recipe]\nrate = 'none'", "rate is not valid"),
+        ("[recipe]\nepochs = 'none'", "epochs is not valid"),
+        ("[recipe]\nsnr_db = 'None'", "snr_db is not valid"),
+        (
+            "[recipe]\nnormalisation = 'white'\nprecision = 'mixed'",
+            r"settings\.toml: normalisation 'white' tells apart .*: use precision 'full'",
+        ),
         ("[recipe]\nbase = 'none'", "recipe 'none' is unknown"),
         ("recipe = 3", "use a name or a table"),
         ("change = 'twist'", "change is not valid"),

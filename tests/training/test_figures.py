@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from veilcam_training.errors import TrainingError
-from veilcam_training.figures import own_command, record_figures
+from veilcam_training.figures import check_record, own_command, record_figures
 
 
 def test_figures_are_merged(tmp_path: Path) -> None:
@@ -48,5 +48,18 @@ def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="finite"):
         record_figures(path, {"a": float("nan")})
     path.write_text("[]")
-    with pytest.raises(TrainingError, match="not a record"):
-        record_figures(path, {"a": 1.0})
+    for place, reason in (
+        (path, "not a record"),
+        (tmp_path, "not a record"),
+        (path / "b.json", "cannot be written to"),
+        (Path("/proc/a.json"), "cannot be written to"),
+    ):
+        with pytest.raises(TrainingError, match=reason):
+            record_figures(place, {"a": 1.0})
+        with pytest.raises(TrainingError, match=reason):
+            check_record(place)
+
+
+def test_a_record_is_tried_without_being_made(tmp_path: Path) -> None:
+    check_record(tmp_path / "results" / "a.json")
+    assert not list(tmp_path.iterdir())

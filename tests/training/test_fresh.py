@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pydantic import ValidationError
 from torch.nn.functional import avg_pool2d
 from typer.testing import CliRunner
 
@@ -29,7 +28,7 @@ from veilcam_training.bundle import (
     write_bundle,
 )
 from veilcam_training.cli import app
-from veilcam_training.data import Source, split
+from veilcam_training.data import Source, open_source, split
 from veilcam_training.errors import TrainingError
 from veilcam_training.fresh import (
     FreshFit,
@@ -38,6 +37,7 @@ from veilcam_training.fresh import (
     evaluate_fresh,
     find_settings,
     fit_fresh,
+    job,
     run_fresh,
 )
 from veilcam_training.fresh.augment import augment
@@ -126,8 +126,6 @@ def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
     # Nothing is left to do, and the same comes of it.
     again = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
     assert again.test.accuracy == outcome.test.accuracy
-    with pytest.raises(TrainingError, match="rank"):
-        run_fresh(settings(rank=20), source, CAMERA, work=tmp_path / "work")
 
 
 def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
@@ -148,9 +146,42 @@ def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None
     assert result.exit_code == 0, result.output
     assert "'hall'" in result.output
     assert read_frame(frame).embedding == bundle.embedding
-    refused = CliRunner().invoke(app, [*command[:4], str(tmp_path / "fresh.zip")])
-    assert isinstance(refused.exception, TrainingError)
-    assert "ends in .veilcam" in str(refused.exception)
+    for refused, reason in (
+        ([*command[:4], str(tmp_path / "fresh.zip")], "use a name that ends in .veilcam"),
+        ([*command, "--epochs", "0"], "epochs is not valid: Input should be greater"),
+        ([*command, "--seed", "-1"], "seed is not valid: Input should be greater"),
+        (["frame", str(out), str(tmp_path / "a.zip")], "a name that ends in .safetensors"),
+        (["frame", str(out), str(out / "a.safetensors")], f"make the folder {out} first"),
+    ):
+        error = CliRunner().invoke(app, refused).exception
+        assert isinstance(error, TrainingError)
+        assert reason in str(error)
+
+
+def test_statistics_of_another_fit_are_refused(
+    monkeypatch: pytest.MonkeyPatch, source: Source, plain_folder: Path, tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+
+    class StopError(Exception):
+        pass
+
+    def stop(*_: object, **__: object) -> None:
+        raise StopError
+
+    monkeypatch.setattr(job, "fit_fresh", stop)  # before there is a checkpoint of the fit
+    with pytest.raises(StopError):
+        run_fresh(settings(), source, CAMERA, work=work)
+    (left,) = work.iterdir()
+    assert left.name == "statistics.checkpoint"
+    other = open_source("mnist", plain_folder)
+    for chosen, data in ((settings(), other), (settings(seed=1), source)):
+        with pytest.raises(TrainingError, match=f"{left} is of another fit"):
+            run_fresh(chosen, data, CAMERA, work=work)
+    # Those of the same fit are not made again.
+    monkeypatch.setattr(job, "scene_statistics", None)
+    with pytest.raises(StopError):
+        run_fresh(settings(), source, CAMERA, work=work)
 
 
 def test_the_same_settings_give_the_same_weights(source: Source, reference: FreshFit) -> None:
@@ -414,7 +445,7 @@ def test_tasks_are_valid_and_unknown_ones_refused() -> None:
     assert find_settings("mnist_6x8", seed=3).seed == 3
     with pytest.raises(TrainingError, match="task 'mnist' is unknown"):
         find_settings("mnist")
-    with pytest.raises(ValidationError):
+    with pytest.raises(TrainingError, match="task mnist_6x8: sede is not valid"):
         find_settings("mnist_6x8", sede=3)
 
 

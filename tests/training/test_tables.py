@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from veilcam_training.bundle import read_bundle
 from veilcam_training.evaluation import confusion
 from veilcam_training.fitting import Epoch
 from veilcam_training.job import Settings
+from veilcam_training.private_file import read_private
 from veilcam_training.tables import command
 from veilcam_training.tables import run as run_module
 from veilcam_training.tables.catalogue import TABLES, find_table
@@ -205,6 +208,44 @@ def test_a_report_needs_cells_and_a_place(
     assert "give --out FOLDER or --figures FILE" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "place", "reason"),
+    [
+        ("--work", "file", "--work .*file cannot be written to"),
+        ("--out", "file", "--out .*file cannot be written to"),
+        ("--figures", "folder", "folder is not a record of figures"),
+        ("--figures", "file", "file is not a record of figures"),
+    ],
+)
+def test_places_are_tried_first(
+    *,
+    call: Call,
+    report: Call,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    digit_folder: Path,
+    tmp_path: Path,
+    option: str,
+    place: str,
+    reason: str,
+) -> None:
+    def refuse(*arguments: Any, **more: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(command, "run_cells", refuse)
+    monkeypatch.setattr(command, "load_results", refuse)
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    places = {"--work": tmp_path / "work", option: tmp_path / place}
+    options = [value for pair in places.items() for value in pair]
+    assert call("mnist", "--data", digit_folder, *options) == 1
+    assert re.search(reason, capsys.readouterr().err)
+    if option != "--work":
+        (tmp_path / "work").mkdir()
+        assert report("mnist", *options) == 1
+        assert re.search(reason, capsys.readouterr().err)
+
+
 def test_options_reach_the_cells(
     call: Call,
     capsys: pytest.CaptureFixture[str],
@@ -344,7 +385,9 @@ def test_a_killed_table_ends_with_the_same_numbers(
     assert process.wait() == -signal.SIGKILL
     # It was in the middle of the cell.
     assert not (checkpoint.parent / "result.json").exists()
-    done = torch.load(checkpoint, weights_only=True)["state"]["history"]
+    content = read_private(checkpoint)
+    assert content is not None
+    done = torch.load(io.BytesIO(content), weights_only=True)["state"]["history"]
     assert 0 < len(done) < 60
 
     assert call("mnist", *chosen, "--work", broken) == 0

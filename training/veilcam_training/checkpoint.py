@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import pickle
 from pathlib import Path
 from typing import Any
@@ -10,17 +10,17 @@ from typing import Any
 import torch
 
 from veilcam_training.errors import TrainingError
+from veilcam_training.private_file import read_private, unreadable, write_private
 
 
 def save_checkpoint(path: Path, fingerprint: str, state: dict[str, Any]) -> None:
-    """Write ``state`` so that ``path`` always holds a whole checkpoint, the old or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("wb") as stream:
-        torch.save({"fingerprint": fingerprint, "state": state}, stream)
-        stream.flush()
-        os.fsync(stream.fileno())
-    temporary.replace(path)
+    """Write ``state`` so that ``path`` always holds a whole checkpoint, the old or the new one.
+
+    It is for its owner alone: it may hold masks, which are the camera's secret.
+    """
+    buffer = io.BytesIO()
+    torch.save({"fingerprint": fingerprint, "state": state}, buffer)
+    write_private(path, buffer.getvalue())
 
 
 def load_checkpoint(path: Path, fingerprint: str) -> dict[str, Any] | None:
@@ -31,16 +31,14 @@ def load_checkpoint(path: Path, fingerprint: str) -> dict[str, Any] | None:
     Raises:
         TrainingError: it cannot be read, or belongs to another fit than ``fingerprint``.
     """
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
+    data = read_private(path)
+    if data is None:
         return None
-    except (RuntimeError, EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise TrainingError(
-            f"checkpoint {path} cannot be read ({reason}): remove it to start again"
-        ) from None
-    if not isinstance(content, dict) or content.get("fingerprint") != fingerprint:
+    try:
+        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError):  # whole, so another torch wrote it
+        raise unreadable(path, "not by this version of torch") from None
+    if content["fingerprint"] != fingerprint:
         raise TrainingError(
             f"checkpoint {path} is of another fit (other data, settings or seed): "
             "remove it to start again, or use the settings that it was made with"

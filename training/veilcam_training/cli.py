@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,11 +24,13 @@ from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
 from veilcam_training.fitting import Observer
 from veilcam_training.fresh.command import fit_fresh_command, frame_command
-from veilcam_training.job import Outcome, Settings, as_pair, make_model, run_job
-from veilcam_training.keyring import as_bundle, fit_keyring
+from veilcam_training.job import Outcome, Settings, run_job
+from veilcam_training.keyring import as_bundle, check_pairs, fit_keyring
+from veilcam_training.outputs import check_file, check_folder
 from veilcam_training.progress import FitProgress, make_progress
 from veilcam_training.ranks import join_ranks
 from veilcam_training.recipes import RECIPES
+from veilcam_training.seed import settle_seed
 from veilcam_training.tables.command import report_command, table_command
 from veilcam_training.workers import make_workers
 
@@ -65,7 +66,14 @@ ChangeName = Annotated[
 RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
 Epochs = Annotated[int | None, typer.Option("--epochs", help="Instead of the recipe's.")]
 Batch = Annotated[int | None, typer.Option("--batch", help="Instead of the recipe's.")]
-Seed = Annotated[int | None, typer.Option("--seed", help="Of every random number; 0 by default.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        help="Of every random number, to get the same masks again, as whoever knows it can: "
+        "leave it out for masks that go on a camera, then a secret one is drawn.",
+    ),
+]
 Work = Annotated[
     Path | None, typer.Option("--work", help="Folder for checkpoints: resumes what is in it.")
 ]
@@ -117,11 +125,12 @@ def fit_command(
         recipe=_given(base=recipe, epochs=epochs, batch=batch),
     )
     place = _prepare(device, threads)
+    _check_places(out, work, tensorboard)
     source, camera = open_source(settings.data, data), Camera()
     if out is not None:
-        _check_out(out)
-        as_pair(make_model(settings, source, camera))  # an encoder without a mask fails here
+        check_pairs(settings, source, camera)
     with join_ranks(place) as (ranks, place):
+        settings = settle_seed(settings, work, ranks)
         terminal = console if ranks.is_first else Console(quiet=True)
         with make_progress(terminal) as progress:
             name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
@@ -175,13 +184,13 @@ def keyring_command(
         recipe=_given(base=recipe, epochs=epochs, batch=batch),
     )
     place = _prepare(device, threads)
-    _check_out(out)
+    _check_places(out, work)
     workers = make_workers(processes, address, threads=threads, gpus=int(place.type == "cuda"))
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
         done = progress.add_task("pairs", total=pairs, note="")
         bundle = fit_keyring(
-            settings,
+            settle_seed(settings, work),
             pairs,
             open_source(settings.data, data.resolve()),
             Camera(),
@@ -216,6 +225,7 @@ def download_command(
     data: Annotated[Path, typer.Option("--data", help="Folder to put the files into.")],
 ) -> None:
     """Fetch a public data set and check it against its published digests."""
+    check_folder("--data", data)
     download(name, data, console)
     console.print(f"{name} is in {data}")
 
@@ -242,14 +252,13 @@ def _settings(config: Path | None, **options: object) -> Settings:
     return load_settings(config, _given(**options))
 
 
-def _check_out(out: Path) -> None:
-    """Refuse a place that cannot be written before the work, not after it."""
-    if out.suffix != ".veilcam":
-        raise TrainingError(f"--out {out} is not valid: use a name that ends in .veilcam")
-    if not out.parent.is_dir():
-        raise TrainingError(f"--out {out} is not valid: make the folder {out.parent} first")
-    if not os.access(out.parent, os.W_OK):
-        raise TrainingError(f"--out {out} is not valid: {out.parent} cannot be written to")
+def _check_places(out: Path | None, work: Path | None, logs: Path | None = None) -> None:
+    if out is not None:
+        check_file("--out", out, ".veilcam")
+    if work is not None:
+        check_folder("--work", work)
+    if logs is not None:
+        check_folder("--tensorboard", logs)
 
 
 def _prepare(device: str, threads: int | None) -> torch.device:

@@ -6,6 +6,7 @@ classifier = "FC800"
 [recipe]
 base = "default"        # by name; what follows takes the place of its values
 epochs = 30
+snr_db = "none"         # TOML has no null
 
 [recipe.panel_errors]
 shift = 5e-5
@@ -16,7 +17,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -57,9 +58,17 @@ def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
         merged = _merge(base.model_dump(), recipe)
         return settings.model_copy(update={"recipe": Recipe.model_validate(merged)})
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        name = ".".join(str(step) for step in first["loc"])
-        raise TrainingError(f"{where}: {name} is not valid: {first['msg']}") from None
+        raise refusal(where, error) from None
+
+
+def refusal(where: str, error: ValidationError) -> TrainingError:
+    """What is said of settings from ``where`` that are not valid."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    reason = first["msg"].removeprefix("Value error, ")
+    if not first["loc"]:  # several settings do not fit together, and the reason names them
+        return TrainingError(f"{where}: {reason}")
+    name = ".".join(str(step) for step in first["loc"])
+    return TrainingError(f"{where}: {name} is not valid: {reason}")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -76,7 +85,15 @@ def _recipe_table(recipe: object) -> dict[str, Any]:
         return {"base": recipe}
     if not isinstance(recipe, dict):
         raise TrainingError("recipe is not valid: use a name or a table")
-    return dict(recipe)
+    optional = {
+        name
+        for name, field in Recipe.model_fields.items()
+        if type(None) in get_args(field.annotation)
+    }
+    return {
+        name: None if name in optional and value == "none" else value
+        for name, value in recipe.items()
+    }
 
 
 def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

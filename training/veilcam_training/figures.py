@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from veilcam_training.errors import TrainingError
+from veilcam_training.outputs import check_folder
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,9 @@ def record_figures(
         origin: of figures that were measured before, in the place of a command.
 
     Raises:
-        TrainingError: a figure that is no finite number, or a file that is no such record.
+        TrainingError: a figure that is no finite number, or a place as :func:`check_record` says.
     """
+    check_record(path)
     for name, value in values.items():
         if not math.isfinite(value):
             raise TrainingError(f"figure {name} = {value} is not valid: use a finite number")
@@ -74,6 +76,16 @@ def record_figures(
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         temporary.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
         temporary.replace(path)
+
+
+def check_record(path: Path) -> None:
+    """Refuse, also before the work that measures, a place that can hold no record.
+
+    Raises:
+        TrainingError: a place that cannot be written to, or a file that is no such record.
+    """
+    check_folder("--figures", path.parent)
+    _read(path)
 
 
 def commit() -> str:
@@ -124,11 +136,11 @@ def own_command() -> list[str]:
 
 
 def _read(path: Path) -> dict[str, object]:
-    if not path.exists():
-        return {}
     try:
         record = json.loads(path.read_text())
-    except ValueError:
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError):
         record = None
     if not isinstance(record, dict):
         raise TrainingError(f"{path} is not a record of figures: move it away or mend it")

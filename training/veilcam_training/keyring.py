@@ -53,7 +53,7 @@ def fit_keyring(
     """
     if pairs < 1:
         raise TrainingError(f"pairs = {pairs} is not valid: use at least 1")
-    as_pair(make_model(settings, source, camera))  # fails here rather than after hours
+    check_pairs(settings, source, camera)
     seeds = [settings.seed, *(derive(settings.seed, "pair", i) for i in range(1, pairs))]
     tasks = [
         _Task(
@@ -68,6 +68,24 @@ def fit_keyring(
         outcomes[index] = outcome
         fitted(index, outcome)
     return as_bundle([outcomes[index] for index in range(pairs)], source, camera)
+
+
+def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
+    """Refuse before the fit, rather than after hours, what no bundle can hold.
+
+    Raises:
+        TrainingError: settings that cannot be used, or that no device can.
+    """
+    _check_reading(settings)
+    as_pair(make_model(settings, source, camera))
+
+
+def _check_reading(settings: Settings) -> None:
+    if settings.reading == "point":
+        raise TrainingError(
+            "reading 'point' is for comparison alone, a device averages over its pixels: "
+            "use reading 'area', or leave out --out"
+        )
 
 
 @dataclass(frozen=True)
@@ -106,8 +124,13 @@ class _Fitter:
 
 
 def as_bundle(outcomes: Sequence[Outcome], source: Source, camera: Camera) -> Bundle:
-    """Bundle of fitted pairs that differ in their seeds alone; the accuracy is their mean."""
+    """Bundle of fitted pairs that differ in their seeds alone; the accuracy is their mean.
+
+    Raises:
+        TrainingError: pairs that no device can use.
+    """
     settings, first = outcomes[0].settings, outcomes[0].accuracy
+    _check_reading(settings)
     setup = outcomes[0].fit.model.encoder.setup
     common: JsonValue = settings.model_dump(mode="json", exclude={"seed"})
     record = provenance(common, source.digests())

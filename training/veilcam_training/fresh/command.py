@@ -16,6 +16,7 @@ from veilcam_training.data import open_source
 from veilcam_training.errors import TrainingError
 from veilcam_training.fresh.job import as_fresh_bundle, run_fresh
 from veilcam_training.fresh.settings import TASKS, find_settings
+from veilcam_training.outputs import check_file, check_folder
 from veilcam_training.progress import FitProgress, make_progress
 
 
@@ -37,10 +38,9 @@ def fit_fresh_command(
 ) -> None:
     """Fit one classifier to a stream of fresh masks; test it on unseen ones; write a bundle."""
     torch.set_num_threads(threads)
-    if out.suffix != ".veilcam" or not out.parent.is_dir():
-        raise TrainingError(
-            f"--out {out} is not valid: use a name that ends in .veilcam, in a folder that is there"
-        )
+    check_file("--out", out, ".veilcam")
+    if work is not None:
+        check_folder("--work", work)
     changes = {"seed": seed} if epochs is None else {"seed": seed, "epochs": epochs}
     settings, camera, console = find_settings(task, **changes), Camera(), Console()
     source = open_source(settings.data, data)
@@ -63,9 +63,6 @@ def frame_command(
     contents = read_bundle(bundle)
     if contents.fresh is None:
         raise TrainingError(f"{bundle} holds pairs: use a bundle of mode fresh")
-    if out.suffix != ".safetensors" or not out.parent.is_dir():
-        raise TrainingError(
-            f"{out} is not valid: use a name that ends in .safetensors, in a folder that is there"
-        )
+    check_file("OUT", out, ".safetensors")
     write_frame(out, contents.fresh.frame(contents.camera, contents.scene, contents.embedding))
     Console().print(f"wrote {out}; the camera's label is {contents.fresh.device!r}")

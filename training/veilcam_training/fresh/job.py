@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from pydantic import JsonValue
 
-from veilcam_optics.decoding import SceneStatistics, read_frame, write_frame
+from veilcam_optics.decoding import SceneStatistics
 from veilcam_optics.geometry import Camera
 from veilcam_training.bundle import Accuracy, Bundle, Fresh
-from veilcam_training.data import Images, Source, split
-from veilcam_training.errors import TrainingError
+from veilcam_training.checkpoint import load_checkpoint, save_checkpoint
+from veilcam_training.data import Source, split
 from veilcam_training.fitting import Observer
 from veilcam_training.fresh.camera import CHANNELS, FreshCamera, scene_statistics
 from veilcam_training.fresh.classifier import make_fresh_layers
@@ -61,8 +61,13 @@ def run_fresh(
         TrainingError: settings or data that cannot be used.
     """
     images = split(source.training())
+    test = source.test()  # now, so that a bad file does not cost a fit
     fingerprint = settings.fingerprint(source)
-    statistics = _statistics(settings, source, camera, images.training, work)
+    statistics = _statistics(
+        None if work is None else work / "statistics.checkpoint",
+        fingerprint,
+        lambda: scene_statistics(settings, camera, source.scene, images.training),
+    )
     fresh = FreshCamera(settings, camera, source.scene, statistics)
     layers = make_fresh_layers(
         settings.classifier,
@@ -79,7 +84,6 @@ def run_fresh(
         fingerprint=fingerprint,
         observers=observers,
     )
-    test = source.test()
     right = evaluate_fresh(fit.classifier, fresh, test, masks=masks, purpose="test")
     some = test.take(torch.arange(min(len(test), WRONG_KEY_IMAGES)))
     wrong = evaluate_fresh(
@@ -94,23 +98,14 @@ def run_fresh(
 
 
 def _statistics(
-    settings: FreshSettings, source: Source, camera: Camera, training: Images, work: Path | None
+    checkpoint: Path | None, fingerprint: str, make: Callable[[], SceneStatistics]
 ) -> SceneStatistics:
-    """Statistics from the working folder if they are there; they take minutes for large scenes."""
-    if work is None:
-        return scene_statistics(settings, camera, source.scene, training)
-    work.mkdir(parents=True, exist_ok=True)
-    path = work / "frame.safetensors"
-    if path.exists():
-        statistics = read_frame(path).statistics
-        if statistics.rank > settings.rank:
-            raise TrainingError(
-                f"{path} has rank {statistics.rank}, not {settings.rank}: remove it, "
-                "or use the settings that it was made with"
-            )
-        return statistics
-    statistics = scene_statistics(settings, camera, source.scene, training)
-    write_frame(path, FreshCamera(settings, camera, source.scene, statistics).frame)
+    """Statistics as they were left, if they were; they take minutes for large scenes."""
+    if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
+        return SceneStatistics(**saved)
+    statistics = make()
+    if checkpoint is not None:
+        save_checkpoint(checkpoint, fingerprint, vars(statistics))
     return statistics
 
 

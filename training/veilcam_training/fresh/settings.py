@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from veilcam_training.configuration import refusal
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
 
@@ -105,12 +106,14 @@ def find_settings(name: str, **changes: Any) -> FreshSettings:
     """The settings of task ``name``, with single ones changed.
 
     Raises:
-        TrainingError: an unknown name.
-        pydantic.ValidationError: a change that no setting has or allows.
+        TrainingError: an unknown name, or a change that no setting has or allows.
     """
     if name not in TASKS:
         raise TrainingError(f"task {name!r} is unknown: use one of {', '.join(TASKS)}")
-    return FreshSettings(**{**TASKS[name], **changes})
+    try:
+        return FreshSettings(**{**TASKS[name], **changes})
+    except ValidationError as error:
+        raise refusal(f"task {name}", error) from None
 
 
 TASKS: Mapping[str, Mapping[str, Any]] = {

@@ -16,8 +16,10 @@ from rich.progress import Progress
 from veilcam_training.configuration import load_settings
 from veilcam_training.device import choose_device
 from veilcam_training.errors import TrainingError
+from veilcam_training.figures import check_record
 from veilcam_training.fitting import Epoch, Observer
 from veilcam_training.job import Settings
+from veilcam_training.outputs import check_folder
 from veilcam_training.progress import make_progress
 from veilcam_training.tables.catalogue import TABLES, find_table
 from veilcam_training.tables.cell import Cell
@@ -80,6 +82,8 @@ def table_command(
     are of every finished cell of the table in --work, whenever it was run.
     """
     table = find_table(name)
+    check_folder("--work", work)
+    _check_places(out, figures)
     until = None if budget is None else time.time() + parse_duration(budget)
     if psf is not None and not psf.is_file():
         raise TrainingError(f"{psf} is missing: give the file of a PSF as --psf")
@@ -129,7 +133,15 @@ def report_command(
         raise TrainingError(f"{work} is not a folder: give that of the cells as --work")
     if out is None and figures is None:
         raise TrainingError("there is nowhere to report to: give --out FOLDER or --figures FILE")
+    _check_places(out, figures)
     _report(find_table(name), work, out, figures)
+
+
+def _check_places(out: Path | None, figures: Path | None) -> None:
+    if out is not None:
+        check_folder("--out", out)
+    if figures is not None:
+        check_record(figures)
 
 
 def _report(table: Table, work: Path, out: Path | None, figures: Path | None) -> None:

@@ -1,0 +1,155 @@
+"""Without a seed nobody else knows the masks; with one, or with --work, they come again."""
+
+from __future__ import annotations
+
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import distributed
+
+from veilcam_training import cli
+from veilcam_training.bundle import Bundle, read_bundle
+from veilcam_training.configuration import load_settings
+from veilcam_training.errors import TrainingError
+from veilcam_training.job import Settings
+from veilcam_training.progress import FitProgress
+from veilcam_training.ranks import Ranks
+from veilcam_training.seed import settle_seed
+
+SMALL = ("--embedding", "3x4", "--epochs", "2", "--batch", "90")
+COMMANDS = {"fit": ("fit", *SMALL), "keyring": ("keyring", *SMALL, "--pairs", "2")}
+
+
+class InterruptionError(Exception):
+    pass
+
+
+class Broken(FitProgress):
+    """Breaks a fit off after its first epoch."""
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        if epoch == 1:
+            raise InterruptionError
+
+
+Make = Callable[..., Bundle]
+
+
+@pytest.fixture
+def make(monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path) -> Make:
+    """The bundle that ``veilcam-train`` writes."""
+
+    def run(*arguments: object) -> Bundle:
+        out = tmp_path / "a.veilcam"
+        command = ("veilcam-train", *arguments, "--data", digit_folder, "--out", out)
+        monkeypatch.setattr(sys, "argv", [str(word) for word in command])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        assert not caught.value.code
+        return read_bundle(out)
+
+    return run
+
+
+def seeds(bundle: Bundle) -> list[int]:
+    pairs: Any = bundle.provenance["pairs"]
+    return [pair["seed"] for pair in pairs]
+
+
+def same(one: Bundle, other: Bundle) -> bool:
+    return all(
+        (a.levels == b.levels).all()
+        and all(torch.equal(a.weights[name], b.weights[name]) for name in a.weights)
+        for a, b in zip(one.pairs, other.pairs, strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_two_runs_without_a_seed_have_different_masks(
+    capsys: pytest.CaptureFixture[str], make: Make, name: str
+) -> None:
+    one, other = make(*COMMANDS[name]), make(*COMMANDS[name])
+    for ours, theirs in zip(one.pairs, other.pairs, strict=True):
+        assert (ours.levels != theirs.levels).mean() > 0.5
+    printed = "".join(capsys.readouterr())
+    assert printed
+    assert not any(str(seed) in printed for seed in (*seeds(one), *seeds(other)))
+    # With the seed, whoever knows it has the same masks.
+    assert same(one, make(*COMMANDS[name], "--seed", seeds(one)[0]))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_run_without_a_seed_is_taken_up_with_its_own(
+    monkeypatch: pytest.MonkeyPatch, make: Make, tmp_path: Path, name: str
+) -> None:
+    work = tmp_path / "work"
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "FitProgress", Broken)
+        with pytest.raises(InterruptionError):
+            make(*COMMANDS[name], "--work", work)
+    (checkpoint,) = work.glob("*.checkpoint")
+    assert stat.S_IMODE((work / "seed").stat().st_mode) == 0o600
+    kept = (work / "seed").read_bytes()
+    resumed = make(*COMMANDS[name], "--work", work)  # a checkpoint of another seed is refused
+    assert (work / "seed").read_bytes() == kept
+    assert checkpoint.exists()
+    assert same(resumed, make(*COMMANDS[name], "--seed", seeds(resumed)[0]))
+
+
+def test_a_seed_that_was_given_is_kept(tmp_path: Path) -> None:
+    config, work = tmp_path / "a.toml", tmp_path / "work"
+    config.write_text("seed = 0")
+    for settings in (load_settings(config, {}), load_settings(None, {"seed": 0}), Settings(seed=0)):
+        assert settle_seed(settings, work) is settings
+    assert not work.exists()
+    drawn = [settle_seed(load_settings(None, {}), None) for _ in range(3)]
+    assert len({settings.seed for settings in drawn}) == 3
+    assert all(0 <= settings.seed < 2**63 for settings in drawn)
+
+
+def test_another_folder_has_another_seed(tmp_path: Path) -> None:
+    one, again, other = (settle_seed(Settings(), tmp_path / name).seed for name in "aab")
+    assert one == again
+    assert one != other
+
+
+def test_a_damaged_seed_is_refused(tmp_path: Path) -> None:
+    settle_seed(Settings(), tmp_path)
+    path = tmp_path / "seed"
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:-1], whole[:-1] + b"x", b"7"):
+        path.write_bytes(damaged)
+        with pytest.raises(TrainingError, match=r"seed cannot be read .* remove it to start again"):
+            settle_seed(Settings(), tmp_path)
+
+
+def test_all_ranks_have_the_seed_of_the_first(
+    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
+) -> None:
+    seen: list[int] = []
+
+    @contextmanager
+    def join_ranks(device: torch.device) -> Iterator[tuple[Ranks, torch.device]]:
+        yield Ranks(1, 2), device
+
+    def broadcast(values: list[Any]) -> None:
+        assert values == [None]  # the second rank draws none
+        values[0] = 5
+
+    monkeypatch.setattr(cli, "join_ranks", join_ranks)
+    monkeypatch.setattr(distributed, "broadcast_object_list", broadcast)
+    monkeypatch.setattr(cli, "run_job", lambda settings, *_, **__: seen.append(settings.seed))
+    work = tmp_path / "work"
+    arguments = ("fit", *SMALL, "--data", str(digit_folder), "--work", str(work))
+    monkeypatch.setattr(sys, "argv", ["veilcam-train", *arguments])
+    with pytest.raises(SystemExit) as caught:
+        cli.main()
+    assert not caught.value.code
+    assert seen == [5]
+    assert not work.exists()

@@ -1,0 +1,75 @@
+"""A file for its owner alone: whole at every moment, and refused where it is damaged."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from pathlib import Path
+
+from veilcam_training.errors import TrainingError
+
+DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write ``content`` behind its SHA-256; ``path`` holds what it held before, or all of it.
+
+    A folder that is missing is made for its owner alone.
+    """
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _remove_stale(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as stream:
+        stream.write(hashlib.sha256(content).digest())
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def read_private(path: Path) -> bytes | None:
+    """What :func:`write_private` wrote to ``path``, or None where there is no file.
+
+    Raises:
+        TrainingError: it cannot be read, is damaged or truncated, or is no such file.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise unreadable(path, str(error.strerror)) from None
+    digest, content = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
+        raise unreadable(path, "damaged, truncated, or of an earlier version")
+    return content
+
+
+def unreadable(path: Path, reason: str) -> TrainingError:
+    """What is said of a file that a run cannot be taken up from."""
+    return TrainingError(f"{path} cannot be read ({reason}): remove it to start again")
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove what writers left who were killed; one that had our number is dead, too."""
+    for file in path.parent.iterdir():
+        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d{{1,9}})", file.name)
+        if match is not None and not _is_other_process(int(match[1])):
+            file.unlink(missing_ok=True)
+
+
+def _is_other_process(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # it lives, and is another user's
+        return True
+    return number != os.getpid()
