@@ -94,6 +94,10 @@ def test_the_best_recipe_depends_on_the_situation() -> None:
         assert all(a != b for a, b in pairwise(recipes))
         large = find_recipe("best", Situation("mnist", "learned", "30x40", classifier))
         assert large == recipes[0]
+        # Behind a camera that does not learn there is one for all sizes, another one.
+        fixed = [find_recipe("best", Situation("mnist", "lens", s, classifier)) for s in SIZES]
+        assert fixed == fixed[:1] * len(SIZES)
+        assert fixed[0] not in recipes
     shift = Situation("mnist", "learned", "24x32", "CNN16", "shift")
     assert find_recipe("best", shift).mask_start == "pinhole"
     assert find_recipe("best", replace(shift, encoder="lens")).mask_start == "random"

@@ -60,7 +60,10 @@ BEST_LINEAR: Mapping[str, Recipe] = {
     "6x8": Recipe(epochs=120, batch=256, rate=5e-2, mask_rate=0.1),
     "3x4": Recipe(epochs=100, batch=256, rate=0.3, mask_rate=3e-2),
 }
-"""``LR`` by embedding."""
+"""``LR`` by embedding, behind an encoder that learns."""
+
+BEST_LINEAR_FIXED = Recipe(epochs=60, batch=256, rate=4e-2)
+"""``LR`` behind an encoder that does not."""
 
 STEADY = Jitter(rotation=5.0, shift=1 / 28)
 """Less of it, for classifiers that hardly learn their images by heart."""
@@ -91,8 +94,8 @@ BEST_HIDDEN_FIXED = Recipe(epochs=30, batch=256, normalisation="white", dropout=
 def _best(situation: Situation) -> Recipe:
     """Settings for each kind of fit on MNIST; for everything else as ``long``.
 
-    Chosen on the validation part, in runs of 30 epochs or more: LR at 12x16, 6x8 and 3x4, FC at
-    every size; in runs of 20 or fewer: FC behind a fixed mask, FC and CNN where objects are
+    Chosen on the validation part, in runs of 30 epochs or more: LR at 12x16, 6x8 and 3x4 and
+    behind fixed cameras, FC at every size; in runs of 20 or fewer: FC behind a fixed mask, FC and CNN where objects are
     changed. The others carry over, not tried at length.
 
     Few pixels need many steps, which cost little there. Behind many, a classifier learns its images
@@ -103,6 +106,8 @@ def _best(situation: Situation) -> Recipe:
     if situation.change != "none":
         return _best_of_changed(situation)
     if situation.classifier == "LR":
+        if not situation.learned:
+            return BEST_LINEAR_FIXED
         return BEST_LINEAR.get(situation.embedding, BEST_LINEAR["24x32"])
     if situation.classifier.startswith("FC"):
         if not situation.learned:
