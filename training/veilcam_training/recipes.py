@@ -94,9 +94,9 @@ BEST_HIDDEN_FIXED = Recipe(epochs=30, batch=256, normalisation="white", dropout=
 def _best(situation: Situation) -> Recipe:
     """Settings for each kind of fit on MNIST; for everything else as ``long``.
 
-    Chosen on the validation part, in runs of 30 epochs or more: LR at 12x16, 6x8 and 3x4 and
-    behind fixed cameras, FC at every size; in runs of 20 or fewer: FC behind a fixed mask, FC and CNN where objects are
-    changed. The others carry over, not tried at length.
+    Chosen on the validation part, in runs of 30 epochs or more: LR at 12x16, 6x8 and 3x4 and behind
+    fixed cameras, FC at every size; in runs of 20 or fewer: FC behind a fixed mask, FC and CNN
+    where objects are changed. The others carry over, not tried at length.
 
     Few pixels need many steps, which cost little there. Behind many, a classifier learns its images
     by heart unless they are jittered.
@@ -105,15 +105,13 @@ def _best(situation: Situation) -> Recipe:
         return _long(situation)
     if situation.change != "none":
         return _best_of_changed(situation)
-    if situation.classifier == "LR":
-        if not situation.learned:
-            return BEST_LINEAR_FIXED
-        return BEST_LINEAR.get(situation.embedding, BEST_LINEAR["24x32"])
-    if situation.classifier.startswith("FC"):
-        if not situation.learned:
-            return BEST_HIDDEN_FIXED
-        return BEST_HIDDEN.get(situation.embedding, BEST_HIDDEN["24x32"])
-    return _long(situation)
+    linear = situation.classifier == "LR"
+    if not linear and not situation.classifier.startswith("FC"):
+        return _long(situation)
+    if not situation.learned:
+        return BEST_LINEAR_FIXED if linear else BEST_HIDDEN_FIXED
+    recipes = BEST_LINEAR if linear else BEST_HIDDEN
+    return recipes.get(situation.embedding, recipes["24x32"])
 
 
 def _best_of_changed(situation: Situation) -> Recipe:
