@@ -89,6 +89,16 @@ README: Figures = {
             "perspective": "digits tilted",
         }.items()
     },
+    "panel_trained_erring_shown_erring": (
+        "training",
+        "20 panels that err show one mask trained for that, FC-800, 12x16: mean (validation)",
+        "{:.2f} %",
+    ),
+    "panel_trained_ideal_shown_erring": (
+        "training",
+        "the same of a mask trained for an ideal panel",
+        "{:.2f} %",
+    ),
     "fit50_minutes": ("training", "50 epochs of FC-800 behind a learned mask", "{:.1f} min"),
     "fresh_mnist_24x32": (
         "fresh-masks",
