@@ -37,7 +37,7 @@ import torch
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from veilcam_client.models import EveryCaptures, Form
+from veilcam_client.wire.captures import EveryCaptures, Form
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.effects.operator import Response
 from veilcam_optics.epoch_names import EpochNames

@@ -45,7 +45,7 @@ from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from rich.progress import track
 from schemathesis.core.result import Ok
 
-from veilcam_client.tokens import SCOPES
+from veilcam_client.wire.tokens import SCOPES
 from veilcam_optics.keys import Secret, epoch_levels
 from veilcam_server.audit import DONE, REFUSED
 from veilcam_server.demo.daemon import running

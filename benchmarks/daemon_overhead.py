@@ -33,7 +33,7 @@ import numpy as np
 import typer
 
 from veilcam_client import AsyncCamera
-from veilcam_client.models import Classification, Timing
+from veilcam_client.wire.captures import Classification, Timing
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import KEYRING, load_digits
 from veilcam_server.devices.scene import write_scene

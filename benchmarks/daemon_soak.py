@@ -35,7 +35,7 @@ import torch
 import typer
 from rich.progress import track
 
-from veilcam_client.models import EveryCaptures, Form
+from veilcam_client.wire.captures import EveryCaptures, Form
 from veilcam_optics.effects.operator import Response
 from veilcam_optics.geometry import Camera, Embedding
 from veilcam_server.camera import MaskedCamera

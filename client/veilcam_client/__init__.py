@@ -9,15 +9,8 @@ with Camera("http://127.0.0.1:8787") as camera:
 from importlib.metadata import version
 
 from veilcam_client.async_camera import AsyncCamera
-from veilcam_client.calibration_models import (
-    CalibrationRecord,
-    CalibrationRun,
-    CalibrationStatus,
-    SignedCalibration,
-)
 from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.decoding import SceneDecoder
-from veilcam_client.diagnostics import Diagnostics
 from veilcam_client.errors import (
     ApiError,
     BusyError,
@@ -33,7 +26,27 @@ from veilcam_client.errors import (
     UnauthorizedError,
     VeilcamError,
 )
-from veilcam_client.events import (
+from veilcam_client.recording import Recording, read_recording, record
+from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.calibration import (
+    CalibrationRecord,
+    CalibrationRun,
+    CalibrationStatus,
+    SignedCalibration,
+)
+from veilcam_client.wire.captures import (
+    Capture,
+    Classification,
+    Embedding,
+    EveryCaptures,
+    EverySeconds,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
+    Status,
+)
+from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_client.wire.events import (
     CalibrationChanged,
     CaptureTaken,
     Classified,
@@ -45,22 +58,9 @@ from veilcam_client.events import (
     RotationChanged,
     StateChanged,
 )
-from veilcam_client.keyrings import Keyring
-from veilcam_client.leases import Lease, NewLease
-from veilcam_client.models import (
-    Capture,
-    Classification,
-    Embedding,
-    EveryCaptures,
-    EverySeconds,
-    Rotation,
-    RotationOff,
-    RotationPolicy,
-    Status,
-)
-from veilcam_client.recording import Recording, read_recording, record
-from veilcam_client.simulation import HeldScene
-from veilcam_client.tokens import NewToken, Scope, Token
+from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.tokens import NewToken, Scope, Token
 
 __version__ = version("veilcam")
 

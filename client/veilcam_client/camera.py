@@ -10,22 +10,17 @@ from typing import Self
 
 import numpy.typing as npt
 
-from veilcam_client import calls
-from veilcam_client.calibration_models import CalibrationRun, CalibrationStatus, SceneName
-from veilcam_client.credentials import Credentials
-from veilcam_client.diagnostics import Diagnostics
-from veilcam_client.events import Event
-from veilcam_client.keyrings import Keyring
-from veilcam_client.leases import Lease, NewLease
-from veilcam_client.models import Capture, Classification, Rotation, RotationPolicy, Status
-from veilcam_client.retry import RetryPolicy
-from veilcam_client.simulation import HeldScene, picture_bytes
-from veilcam_client.tokens import NewToken, Scope, Token
-from veilcam_client.transport import (
-    HttpClient,
-    Options,
-    Transport,
-)
+from veilcam_client.http import calls
+from veilcam_client.http.credentials import Credentials
+from veilcam_client.http.transport import HttpClient, Options, RetryPolicy, Transport
+from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
+from veilcam_client.wire.captures import Capture, Classification, Rotation, RotationPolicy, Status
+from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_client.wire.events import Event
+from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.simulation import HeldScene, picture_bytes
+from veilcam_client.wire.tokens import NewToken, Scope, Token
 
 DEFAULT_URL = "http://127.0.0.1:8787"
 

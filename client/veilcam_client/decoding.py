@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.errors import VeilcamError
-from veilcam_client.models import Capture, Classification
+from veilcam_client.wire.captures import Capture, Classification
 
 
 class SceneDecoder:

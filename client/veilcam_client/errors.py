@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from veilcam_client.models import FieldError, Problem
+from veilcam_client.wire.captures import FieldError, Problem
 
 
 class VeilcamError(Exception):

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from veilcam_client.camera import Camera
 from veilcam_client.errors import RecordingError
-from veilcam_client.models import Answer, Capture, Classification, Exposure, Status
+from veilcam_client.wire.captures import Answer, Capture, Classification, Exposure, Status
 
 MAX_BYTES = 2**28
 """Of a recording: some 16,000 captures of 24 x 32 [bytes]."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
 
-from veilcam_client.tokens import SCOPES, Scope
+from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.errors import ForbiddenError
 
 

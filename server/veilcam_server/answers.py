@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from veilcam_client.models import (
+from veilcam_client.wire.captures import (
     Capture,
     Classification,
     Embedding,

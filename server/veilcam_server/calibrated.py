@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from veilcam_client.calibration_models import CalibrationRecord, SignedCalibration
+from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.calibration import (
     CalibratedSensor,

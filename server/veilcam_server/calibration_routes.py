@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from veilcam_client.calibration_models import (
+from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
     CalibrationStatus,

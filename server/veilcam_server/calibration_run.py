@@ -6,7 +6,7 @@ import queue
 import threading
 from collections.abc import Callable
 
-from veilcam_client.calibration_models import CalibrationRun, SceneName, Stage
+from veilcam_client.wire.calibration import CalibrationRun, SceneName, Stage
 from veilcam_server.calibration import CalibrationError, CalibrationScene
 from veilcam_server.devices.scenes import Scenes
 from veilcam_server.errors import SceneNotWantedError

@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from veilcam_client.calibration_wording import record_in_words
+from veilcam_client.cli.format import record_in_words
 from veilcam_optics.decoding import write_frame
 from veilcam_optics.transfer import Reach
 from veilcam_server.calibrated import panel_tab

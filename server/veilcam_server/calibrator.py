@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 import structlog
 
-from veilcam_client.calibration_models import (
+from veilcam_client.wire.calibration import (
     CalibrationRecord,
     CalibrationRun,
     CalibrationStatus,

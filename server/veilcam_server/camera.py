@@ -15,8 +15,8 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import TypeVar
 
-from veilcam_client.calibration_models import SignedCalibration
-from veilcam_client.models import RotationOff, RotationPolicy, State
+from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import RotationOff, RotationPolicy, State
 from veilcam_server.calibrated import calibrated
 from veilcam_server.devices.protocols import Device
 from veilcam_server.errors import (

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Header, Request
 from fastapi.openapi.constants import REF_PREFIX
 
-from veilcam_client.models import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
 from veilcam_server.access import CallerDep
 from veilcam_server.gateway import Gateway
 from veilcam_server.idempotency import IdempotencyKeys

@@ -10,7 +10,7 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from veilcam_client.diagnostics import Diagnostics
+from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_server.access import requires
 from veilcam_server.dependencies import GatewayDep, ServiceDep, problems
 from veilcam_server.metrics import Metrics

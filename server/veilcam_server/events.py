@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
 
-from veilcam_client.events import Event, Gap
+from veilcam_client.wire.events import Event, Gap
 
 CAPACITY = 1024
 

@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 from pydantic import BaseModel
 
 from veilcam_client import __version__
-from veilcam_client.calibration_models import (
+from veilcam_client.wire.bundles import Keyring, Keyrings
+from veilcam_client.wire.calibration import (
     CalibrationRecord,
     CalibrationRequest,
     CalibrationRun,
@@ -17,10 +18,7 @@ from veilcam_client.calibration_models import (
     ScenePresented,
     SignedCalibration,
 )
-from veilcam_client.diagnostics import Diagnostics, PastFault, PastState
-from veilcam_client.keyrings import Keyring, Keyrings
-from veilcam_client.leases import Lease, LeaseRequest, NewLease
-from veilcam_client.models import (
+from veilcam_client.wire.captures import (
     API_VERSION,
     BundleInfo,
     Capture,
@@ -38,8 +36,10 @@ from veilcam_client.models import (
     Status,
     Timing,
 )
-from veilcam_client.simulation import HeldScene
-from veilcam_client.tokens import NewToken, Token, TokenRequest, Tokens
+from veilcam_client.wire.diagnostics import Diagnostics, PastFault, PastState
+from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
+from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.tokens import NewToken, Token, TokenRequest, Tokens
 
 _AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 _EPOCH = "9f86d081884c7d659a2feaa0c55ad015"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from veilcam_client.models import Form, Release
+from veilcam_client.wire.captures import Form, Release
 from veilcam_optics.decoding import AS_DRAWN, Calibration, Decoder
 from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter, deque
 from datetime import UTC, datetime
 
-from veilcam_client.diagnostics import PastFault, PastState
-from veilcam_client.events import Event, Fault, StateChanged
-from veilcam_client.models import State
+from veilcam_client.wire.captures import State
+from veilcam_client.wire.diagnostics import PastFault, PastState
+from veilcam_client.wire.events import Event, Fault, StateChanged
 
 LENGTH = 32
 """States and faults that are remembered."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from veilcam_client.calibration_models import SignedCalibration
-from veilcam_client.models import BundleInfo, Device
+from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import BundleInfo, Device
 from veilcam_training.bundle import Bundle
 
 

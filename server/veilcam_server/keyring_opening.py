@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from veilcam_client.models import BundleInfo
+from veilcam_client.wire.captures import BundleInfo
 from veilcam_server.errors import (
     KeyringInvalidError,
     KeyringUnfitError,

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 
-from veilcam_client.keyrings import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
 from veilcam_server.access import requires
 from veilcam_server.dependencies import OnceDep, ServiceDep, problems
 from veilcam_server.lease_routes import unleased

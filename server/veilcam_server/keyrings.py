@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 
-from veilcam_client.keyrings import Keyring
-from veilcam_client.keyrings import Keyrings as KeyringsAnswer
-from veilcam_client.models import BundleInfo
+from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import Keyrings as KeyringsAnswer
+from veilcam_client.wire.captures import BundleInfo
 from veilcam_server.errors import (
     KeyringInvalidError,
     KeyringsBusyError,

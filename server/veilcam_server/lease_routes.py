@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Query, Request
 
-from veilcam_client.leases import Lease as LeaseAnswer
-from veilcam_client.leases import LeaseRequest, NewLease
+from veilcam_client.wire.lease import Lease as LeaseAnswer
+from veilcam_client.wire.lease import LeaseRequest, NewLease
 from veilcam_server.access import CallerDep, requires
 from veilcam_server.dependencies import BODY, GatewayDep, OnceDep, problems
 from veilcam_server.gateway import Gateway

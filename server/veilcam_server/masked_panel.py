@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from veilcam_client.models import State
+from veilcam_client.wire.captures import State
 from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.devices.protocols import Display
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, UndecidedError

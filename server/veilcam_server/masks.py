@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from veilcam_client.models import Form
+from veilcam_client.wire.captures import Form
 from veilcam_server.devices.protocols import Levels, Reading
 from veilcam_server.inference import Verdict
 

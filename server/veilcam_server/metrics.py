@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from veilcam_client.models import State
+from veilcam_client.wire.captures import State
 from veilcam_server.audit import AuditLog
 from veilcam_server.service import Service
 

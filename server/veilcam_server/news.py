@@ -9,8 +9,9 @@ from datetime import datetime
 
 import structlog
 
-from veilcam_client.calibration_models import CalibrationRun
-from veilcam_client.events import (
+from veilcam_client.wire.calibration import CalibrationRun
+from veilcam_client.wire.captures import BundleInfo, RotationPolicy, State
+from veilcam_client.wire.events import (
     CalibrationChanged,
     CaptureTaken,
     Classified,
@@ -21,7 +22,6 @@ from veilcam_client.events import (
     RotationChanged,
     StateChanged,
 )
-from veilcam_client.models import BundleInfo, RotationPolicy, State
 from veilcam_server.events import EventLog
 from veilcam_server.history import History
 from veilcam_server.inference import Verdict

@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.constants import REF_PREFIX
 
-from veilcam_client.models import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_server.examples import EVENTS, EXAMPLES, METRICS
 from veilcam_server.problems import example_of
 

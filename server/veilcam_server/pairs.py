@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import torch
 
-from veilcam_client.models import Form
+from veilcam_client.wire.captures import Form
 from veilcam_server.devices.protocols import Reading
 from veilcam_server.errors import StartError
 from veilcam_server.inference import Classifier, Verdict

@@ -12,7 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 
-from veilcam_client.models import PROBLEM_MEDIA_TYPE, FieldError, Problem
+from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, FieldError, Problem
 from veilcam_server.devices.errors import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.errors import (
     CalibratingError,

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from veilcam_client.errors import RecordingError
-from veilcam_client.keyrings import Keyring
-from veilcam_client.keyrings import Keyrings as KeyringsAnswer
-from veilcam_client.models import Device as DeviceInfo
-from veilcam_client.models import Form, Replay, RotationOff, RotationPolicy, State
 from veilcam_client.recording import Recorded, Recording, read_recording
+from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import Keyrings as KeyringsAnswer
+from veilcam_client.wire.captures import Device as DeviceInfo
+from veilcam_client.wire.captures import Form, Replay, RotationOff, RotationPolicy, State
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices import Device, DisplayError, Exposure, SensorError, Shown
 from veilcam_server.devices.protocols import Levels, Reading

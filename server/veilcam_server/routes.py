@@ -13,8 +13,7 @@ from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
-from veilcam_client.events import Classified
-from veilcam_client.models import (
+from veilcam_client.wire.captures import (
     NPY_MEDIA_TYPE,
     Capture,
     Classification,
@@ -23,14 +22,9 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
+from veilcam_client.wire.events import Classified
 from veilcam_server.access import Caller, CallerDep, requires
-from veilcam_server.dependencies import (
-    BODY,
-    GatewayDep,
-    OnceDep,
-    ServiceDep,
-    problems,
-)
+from veilcam_server.dependencies import BODY, GatewayDep, OnceDep, ServiceDep, problems
 from veilcam_server.lease_routes import unleased
 from veilcam_server.negotiation import preferred
 from veilcam_server.service import Service

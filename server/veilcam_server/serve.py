@@ -11,18 +11,14 @@ import structlog
 import torch
 import uvicorn
 
-from veilcam_client.calibration_models import SignedCalibration
-from veilcam_client.models import BundleInfo
-from veilcam_client.models import Device as DeviceInfo
+from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import BundleInfo
+from veilcam_client.wire.captures import Device as DeviceInfo
 from veilcam_server.app import create_app
 from veilcam_server.calibrated import open_calibration
 from veilcam_server.calibration_workshop import Workshop
 from veilcam_server.camera import MaskedCamera
-from veilcam_server.devices.errors import (
-    DeviceError,
-    SensorError,
-    SensorLostError,
-)
+from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
 from veilcam_server.devices.protocols import Device
 from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import (

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server import logs
 from veilcam_server import wiring_options as options
 from veilcam_server.demo_data import Digits, load_digits

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client import __version__
-from veilcam_client.events import Event
-from veilcam_client.keyrings import Keyring
-from veilcam_client.models import (
+from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.captures import (
     API_VERSION,
     Capture,
     Classification,
@@ -30,13 +29,9 @@ from veilcam_client.models import (
     State,
     Status,
 )
-from veilcam_client.simulation import HeldScene
-from veilcam_server.answers import (
-    capture_answer,
-    classification_answer,
-    rotation_answer,
-    timing,
-)
+from veilcam_client.wire.events import Event
+from veilcam_client.wire.simulation import HeldScene
+from veilcam_server.answers import capture_answer, classification_answer, rotation_answer, timing
 from veilcam_server.calibration_workshop import Workshop
 from veilcam_server.calibrator import Calibrator
 from veilcam_server.camera import MaskedCamera

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
 from pydantic_settings import NoDecode
 
-from veilcam_client.models import Release, RotationPolicy
+from veilcam_client.wire.captures import Release, RotationPolicy
 from veilcam_server.demo_data import KEYRING
 from veilcam_server.wiring import Wiring
 

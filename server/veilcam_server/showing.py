@@ -6,7 +6,7 @@ import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from veilcam_client.models import Replay
+from veilcam_client.wire.captures import Replay
 from veilcam_server.devices.protocols import Reading
 from veilcam_server.masks import Mask, Reader
 

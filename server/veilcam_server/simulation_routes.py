@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request
 
-from veilcam_client.simulation import PICTURE_MEDIA_TYPE, HeldScene
+from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPE, HeldScene
 from veilcam_server.access import requires
 from veilcam_server.dependencies import ServiceDep, problems
 from veilcam_server.lease_routes import unleased

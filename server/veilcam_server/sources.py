@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from veilcam_client.models import EveryCaptures, Release, RotationOff, RotationPolicy
+from veilcam_client.wire.captures import EveryCaptures, Release, RotationOff, RotationPolicy
 from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.errors import StartError
 from veilcam_server.fresh import FreshSource

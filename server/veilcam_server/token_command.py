@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.tokens import Token, TokenRequest, Tokens
-from veilcam_client.wording import token_in_words
+from veilcam_client.cli.format import token_in_words
+from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
 from veilcam_server.audit import DONE, AuditLog
 from veilcam_server.errors import StartError, TokenStoreError, UnknownTokenError
 from veilcam_server.settings import default_state_dir

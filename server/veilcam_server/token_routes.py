@@ -7,14 +7,9 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path
 from fastapi.concurrency import run_in_threadpool
 
-from veilcam_client.tokens import NewToken, Token, TokenRequest, Tokens
+from veilcam_client.wire.tokens import NewToken, Token, TokenRequest, Tokens
 from veilcam_server.access import Caller, CallerDep, requires
-from veilcam_server.dependencies import (
-    BODY,
-    GatewayDep,
-    OnceDep,
-    problems,
-)
+from veilcam_server.dependencies import BODY, GatewayDep, OnceDep, problems
 from veilcam_server.errors import ForbiddenError, TokensOffError
 from veilcam_server.tokens import TokenStore
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from veilcam_client.tokens import NewToken, Scope, Token
+from veilcam_client.wire.tokens import NewToken, Scope, Token
 from veilcam_server.access import Caller
 from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
 

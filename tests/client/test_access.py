@@ -19,7 +19,7 @@ from veilcam_client import (
     LeasedError,
     UnauthorizedError,
 )
-from veilcam_client.cli import app
+from veilcam_client.cli.main import app
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem

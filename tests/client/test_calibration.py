@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from veilcam_client import AsyncCamera, CalibrationChanged, Camera
-from veilcam_client import calibration_command as command
-from veilcam_client.cli import app
-from veilcam_client.events import EVENT
-from veilcam_client.wording import event_in_words
+from veilcam_client.cli import calibrate as command
+from veilcam_client.cli.format import event_in_words
+from veilcam_client.cli.main import app
+from veilcam_client.wire.events import EVENT
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem

@@ -26,8 +26,8 @@ from veilcam_client import (
     ServerError,
     VeilcamError,
 )
-from veilcam_client.retry import RetryPolicy
-from veilcam_client.sse import Decoder, Message
+from veilcam_client.http.sse import Decoder, Message
+from veilcam_client.http.transport import RetryPolicy
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem
@@ -60,10 +60,10 @@ def both(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Both:
     async def rest(seconds: float) -> None:
         made.waits.append(seconds)
 
-    monkeypatch.setattr("veilcam_client.transport.asyncio.sleep", rest)
+    monkeypatch.setattr("veilcam_client.http.transport.asyncio.sleep", rest)
     # Bound as a default argument when the module was loaded.
     monkeypatch.setattr(
-        "veilcam_client.transport.Transport.__init__.__defaults__", (None, made.waits.append)
+        "veilcam_client.http.transport.Transport.__init__.__defaults__", (None, made.waits.append)
     )
     return made
 

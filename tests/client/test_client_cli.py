@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_client.cli import app
+from veilcam_client.cli.main import app
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem

@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from veilcam_client import AsyncCamera, Camera, KeyringChanged
-from veilcam_client import cli as commands
-from veilcam_client.events import EVENT
-from veilcam_client.wording import event_in_words
+from veilcam_client.cli import main as commands
+from veilcam_client.cli.format import event_in_words
+from veilcam_client.wire.events import EVENT
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon

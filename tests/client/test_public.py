@@ -10,7 +10,7 @@ from pathlib import Path
 
 import veilcam_client
 from veilcam_client import AsyncCamera, Camera, VeilcamError
-from veilcam_client.terminal import EXIT_CODES
+from veilcam_client.cli.terminal import EXIT_CODES
 
 PACKAGE = Path(veilcam_client.__file__).parent
 
@@ -135,7 +135,7 @@ def test_httpx_is_known_to_one_module() -> None:
 
 def test_the_sdk_needs_no_torch() -> None:
     script = (
-        "import sys, veilcam_client, veilcam_client.cli\n"
+        "import sys, veilcam_client, veilcam_client.cli.main\n"
         "loaded = {name.split('.')[0] for name in sys.modules}\n"
         "assert not loaded & {'torch', 'fastapi', 'scipy', 'matplotlib', 'veilcam_server',"
         " 'veilcam_optics', 'veilcam_training'}, loaded\n"

@@ -13,7 +13,7 @@ from tests.client.recordings import EXPOSURE, VERDICT, Daemon, answer
 from typer.testing import CliRunner
 
 from veilcam_client import DeviceError, RecordingError, read_recording, record
-from veilcam_client.cli import app
+from veilcam_client.cli.main import app
 from veilcam_client.recording import MAX_BYTES
 
 Line = dict[str, Any]
@@ -134,7 +134,7 @@ def test_a_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path)
 
 def test_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = Daemon(captures=2)
-    monkeypatch.setattr("veilcam_client.record_command.Camera", lambda *_, **__: daemon.camera())
+    monkeypatch.setattr("veilcam_client.cli.main.Camera", lambda *_, **__: daemon.camera())
     options = ["record", "--count", "2", "--labels", "--out", str(path)]
     result = CliRunner().invoke(app, options)
     assert result.exit_code == 0, result.output

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from veilcam_client.events import EVENT, EVENT_KINDS, Gap
-from veilcam_client.models import (
+from veilcam_client.wire.captures import (
     POLICY,
     Capture,
     ClassificationRequest,
@@ -20,6 +19,7 @@ from veilcam_client.models import (
     RotationOff,
     Status,
 )
+from veilcam_client.wire.events import EVENT, EVENT_KINDS, Gap
 
 
 def test_an_embedding_is_an_array(answers: dict[str, Any]) -> None:

@@ -12,13 +12,7 @@ from torch import Tensor
 from typer.testing import CliRunner
 
 from veilcam_optics.cli import app
-from veilcam_optics.decoding import (
-    Decoder,
-    SceneDecoding,
-    SceneFrame,
-    fit_statistics,
-    write_frame,
-)
+from veilcam_optics.decoding import Decoder, SceneDecoding, SceneFrame, fit_statistics, write_frame
 from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.geometry import Camera, Embedding, Scene

@@ -16,9 +16,9 @@ import pytest
 import structlog
 import torch
 
-from veilcam_client.calibration_models import SignedCalibration
-from veilcam_client.models import Device as DeviceInfo
-from veilcam_client.models import Release, RotationOff, RotationPolicy
+from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import Device as DeviceInfo
+from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.keys import MaskDistribution, Secret

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from veilcam_client.models import PROBLEM_MEDIA_TYPE
-from veilcam_client.tokens import SCOPES, NewToken, Scope
+from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.tokens import SCOPES, NewToken, Scope
 from veilcam_server import routes
 from veilcam_server.app import create_app
 from veilcam_server.audit import DONE, REFUSED, AuditLog

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from veilcam_client.models import (
+from veilcam_client.wire.captures import (
     NPY_MEDIA_TYPE,
     PROBLEM_MEDIA_TYPE,
     Capture,

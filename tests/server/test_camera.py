@@ -10,14 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from veilcam_client.models import EveryCaptures, EverySeconds, RotationOff
+from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.devices import DisplayError, SensorError
-from veilcam_server.errors import (
-    EpochError,
-    FenceError,
-    NotReadyError,
-    RotationImpossibleError,
-)
+from veilcam_server.errors import EpochError, FenceError, NotReadyError, RotationImpossibleError
 from veilcam_server.pairs import PairReader
 from veilcam_server.rotation import due_in
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from tests.server.scripts import load_script
 
-from veilcam_client.models import Timing
+from veilcam_client.wire.captures import Timing
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "daemon_overhead.py"
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.server.scripts import load_script
 
-from veilcam_client.events import EVENT, Event, Gap, MaskChanged
-from veilcam_client.sse import Decoder
+from veilcam_client.http.sse import Decoder
+from veilcam_client.wire.events import EVENT, Event, Gap, MaskChanged
 from veilcam_server.app import create_app
 from veilcam_server.events import CAPACITY
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from veilcam_client.diagnostics import Diagnostics
-from veilcam_client.models import EveryCaptures
+from veilcam_client.wire.captures import EveryCaptures
+from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_server.audit import AuditLog
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.gateway import Gateway, open_gateway

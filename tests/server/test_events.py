@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from veilcam_client.events import Event, Gap, MaskChanged
+from veilcam_client.wire.events import Event, Gap, MaskChanged
 from veilcam_server.events import EventLog
 
 if TYPE_CHECKING:

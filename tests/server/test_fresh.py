@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from veilcam_client import SceneDecoder, VeilcamError
-from veilcam_client.models import Capture, Classification, EveryCaptures, Status
+from veilcam_client.wire.captures import Capture, Classification, EveryCaptures, Status
 from veilcam_optics.decoding import Decoder, fit_statistics, write_frame
 from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.errors import OpticsError

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_client.events import Event, Fault, KeyringChanged
-from veilcam_client.keyrings import Keyring, Keyrings
-from veilcam_client.models import Classification, EveryCaptures, Problem, Status
+from veilcam_client.wire.bundles import Keyring, Keyrings
+from veilcam_client.wire.captures import Classification, EveryCaptures, Problem, Status
+from veilcam_client.wire.events import Event, Fault, KeyringChanged
 from veilcam_optics.geometry import Embedding
 from veilcam_server import keyring_store
 from veilcam_server.devices import DisplayError

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from veilcam_client.leases import Lease as LeaseAnswer
-from veilcam_client.leases import NewLease
-from veilcam_client.tokens import Scope
+from veilcam_client.wire.lease import Lease as LeaseAnswer
+from veilcam_client.wire.lease import NewLease
+from veilcam_client.wire.tokens import Scope
 from veilcam_server.audit import DONE, AuditLog, read_audit
 from veilcam_server.errors import LeasedError
 from veilcam_server.gateway import Gateway

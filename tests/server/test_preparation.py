@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from veilcam_client.models import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server import preparation as preparation_module
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices import DisplayError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.server.devices.clock import Clock
 
-from veilcam_client.models import EveryCaptures
+from veilcam_client.wire.captures import EveryCaptures
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.epochs import EpochStore

@@ -15,10 +15,10 @@ from pydantic import ValidationError
 from tests.client.recordings import AT, EXPOSURE, STATUS, VERDICT, Daemon, answer
 
 from veilcam_client import AsyncCamera, Capture, Classification, EveryCaptures, RotationOff
+from veilcam_client.cli.format import event_in_words
 from veilcam_client.errors import ApiError
-from veilcam_client.events import CaptureTaken, Classified, Event
 from veilcam_client.recording import record
-from veilcam_client.wording import event_in_words
+from veilcam_client.wire.events import CaptureTaken, Classified, Event
 from veilcam_server.app import create_app
 from veilcam_server.errors import StartError
 from veilcam_server.gateway import Gateway

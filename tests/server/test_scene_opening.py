@@ -19,7 +19,7 @@ from veilcam_server.settings import Settings
 from veilcam_training.data.idx import idx_bytes
 
 if TYPE_CHECKING:
-    from veilcam_client.models import Capture
+    from veilcam_client.wire.captures import Capture
 
 SHAPE = (28, 28)
 

@@ -29,8 +29,8 @@ from veilcam_client import (
     RotationOff,
     VeilcamError,
 )
-from veilcam_client.cli import app as client_cli
-from veilcam_client.events import Classified, MaskChanged
+from veilcam_client.cli.main import app as client_cli
+from veilcam_client.wire.events import Classified, MaskChanged
 from veilcam_optics.epoch_names import EpochNames
 from veilcam_optics.keys import Secret
 from veilcam_server.cli import app

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from veilcam_client.models import EveryCaptures
+from veilcam_client.wire.captures import EveryCaptures
 from veilcam_server.cli import app
 from veilcam_server.demo_data import KEYRING
 from veilcam_server.settings import Settings, default_state_dir

@@ -12,15 +12,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_client.tokens import SCOPES, NewToken, Scope, Tokens
+from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
 from veilcam_server.access import Caller
 from veilcam_server.cli import app
-from veilcam_server.errors import (
-    StartError,
-    TokenStoreError,
-    UnauthorizedError,
-    UnknownTokenError,
-)
+from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
 from veilcam_server.gateway import Gateway
 from veilcam_server.tokens import TokenStore
 

@@ -12,7 +12,7 @@ import pytest
 from structlog.testing import capture_logs
 from tests.server.devices.clock import Clock
 
-from veilcam_client.models import EveryCaptures
+from veilcam_client.wire.captures import EveryCaptures
 from veilcam_server.devices import Device, SensorLostError
 from veilcam_server.errors import NotReadyError, UndecidedError
 from veilcam_server.health import Health, stamped

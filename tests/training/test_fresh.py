@@ -21,12 +21,7 @@ from veilcam_optics.masks import to_weights
 from veilcam_optics.noise import shot_noise
 from veilcam_optics.release import ReleaseForm
 from veilcam_optics.transfer import TransferOperator
-from veilcam_training.bundle import (
-    build_classifier,
-    classifier_inputs,
-    read_bundle,
-    write_bundle,
-)
+from veilcam_training.bundle import build_classifier, classifier_inputs, read_bundle, write_bundle
 from veilcam_training.cli import app
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.errors import TrainingError

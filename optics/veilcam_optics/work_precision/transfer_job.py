@@ -10,11 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_optics.grid import GridLight
-from veilcam_optics.reference import (
-    SENSOR_PIXELS_PER_SAMPLE,
-    TransferBinning,
-    reference_transfer,
-)
+from veilcam_optics.reference import SENSOR_PIXELS_PER_SAMPLE, TransferBinning, reference_transfer
 from veilcam_optics.sampling import Grid, covering_grid
 from veilcam_optics.transfer import Reach, TransferOperator
 from veilcam_optics.work_precision.measure import Job, Prepared, Setting

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from veilcam_client.calibration_models import CalibrationRecord, Quantity
+from veilcam_client.wire.calibration import CalibrationRecord, Quantity
 from veilcam_server.calibration.alignment import NAMES, Alignment
 from veilcam_server.calibration.bench import Values
 from veilcam_server.calibration.lines import Lines

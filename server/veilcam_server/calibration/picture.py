@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from veilcam_client.calibration_models import CalibrationRecord
-from veilcam_client.calibration_wording import table
+from veilcam_client.cli.format import table
+from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_server.calibration.bench import Values
 from veilcam_server.calibration.run import Calibrated
 from veilcam_server.calibration.settling import SETTLED, Settling

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from veilcam_client.calibration_models import CalibrationRecord, SignedCalibration
+from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.decoding import Calibration
 from veilcam_server.calibration.errors import CalibrationError
 from veilcam_server.calibration.signing import SigningKey, is_signed

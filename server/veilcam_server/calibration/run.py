@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.transfer import Reach
 from veilcam_server.calibration.bench import Bench
 from veilcam_server.calibration.effort import Effort

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_client.calibration_models import SceneName
+from veilcam_client.wire.calibration import SceneName
 from veilcam_optics.geometry import Scene
 
 _LAMP = 7

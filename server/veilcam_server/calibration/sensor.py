@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_server.devices.protocols import Exposure, Reading, Sensor
 
 

@@ -9,13 +9,7 @@ from tests.server.devices.clock import Clock
 from veilcam_optics import conditions as optical
 from veilcam_optics.effects import Dials, LightOperator, Model
 from veilcam_optics.geometry import Camera, Embedding, Scene, Window
-from veilcam_server.calibration import (
-    Calibrated,
-    CalibrationScene,
-    Effort,
-    Geometry,
-    calibrate,
-)
+from veilcam_server.calibration import Calibrated, CalibrationScene, Effort, Geometry, calibrate
 from veilcam_server.calibration.patterns import Patterns
 from veilcam_server.devices.protocols import Device
 from veilcam_server.devices.simulated import Conditions, raw_shape, simulated_device

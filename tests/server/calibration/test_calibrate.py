@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_client.calibration_models import CalibrationRecord
+from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics import conditions as optical
 from veilcam_server.calibration import (
     CalibratedSensor,

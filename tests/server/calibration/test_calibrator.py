@@ -12,15 +12,15 @@ import httpx
 import numpy as np
 import pytest
 
-from veilcam_client.calibration_models import (
+from veilcam_client.wire.calibration import (
     CalibrationRecord,
     CalibrationRun,
     CalibrationStatus,
     SceneName,
     SignedCalibration,
 )
-from veilcam_client.models import Capture, Status
-from veilcam_client.tokens import Scope
+from veilcam_client.wire.captures import Capture, Status
+from veilcam_client.wire.tokens import Scope
 from veilcam_server.calibration import CalibrationError, CalibrationScene, SigningKey, sign_record
 from veilcam_server.calibration.scenes import dark, lamp, white
 from veilcam_server.calibration_run import CancelledError, Run

@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 from typer.testing import CliRunner
 
-from veilcam_client.calibration_models import CalibrationStatus, SignedCalibration
+from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
 from veilcam_optics.decoding import AS_DRAWN, read_frame
 from veilcam_optics.geometry import Scene
 from veilcam_optics.keys import Secret

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from veilcam_client.calibration_models import CalibrationRecord, Quantity, SignedCalibration
+from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
 from veilcam_optics.geometry import Camera, Embedding, Scene
 from veilcam_server.calibrated import calibrated, open_calibration, settle_time
 from veilcam_server.calibration import (

@@ -12,7 +12,7 @@ import torch
 from typer.testing import CliRunner
 
 from veilcam_client import Camera
-from veilcam_client.cli import app as client
+from veilcam_client.cli.main import app as client
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys import MaskDistribution
 from veilcam_server.cli import app as server

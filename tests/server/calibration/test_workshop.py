@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from veilcam_client.calibration_models import CalibrationRun
+from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_server import calibration_workshop
 from veilcam_server.calibration import Calibrated, CalibrationError, SigningKey, read_record
 from veilcam_server.calibration.scenes import dark, white

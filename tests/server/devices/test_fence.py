@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from veilcam_client.models import EveryCaptures, RotationOff, RotationPolicy
+from veilcam_client.wire.captures import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_optics.effects.operator import Response
 from veilcam_optics.geometry import Camera, Embedding, Scene, Window
 from veilcam_server.camera import MaskedCamera

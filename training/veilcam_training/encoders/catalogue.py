@@ -7,11 +7,7 @@ from pathlib import Path
 
 import torch
 
-from veilcam_training.encoders.baselines import (
-    coded_aperture_spread,
-    diffuser_spread,
-    lens_spread,
-)
+from veilcam_training.encoders.baselines import coded_aperture_spread, diffuser_spread, lens_spread
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.encoder import Encoder
 from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask

@@ -11,22 +11,22 @@ import numpy as np
 import typer
 from pydantic import ValidationError
 
-from veilcam_client import (
-    calibration_command,
-    keyring_command,
-    lease_command,
-    record_command,
-    token_command,
-)
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.models import (
-    EveryCaptures,
-    EverySeconds,
-    Rotation,
-    RotationOff,
-    RotationPolicy,
+from veilcam_client.cli import bundles as keyring_command
+from veilcam_client.cli import calibrate as calibration_command
+from veilcam_client.cli import main as lease_command
+from veilcam_client.cli import main as record_command
+from veilcam_client.cli import tokens as token_command
+from veilcam_client.cli.format import (
+    epoch_in_words,
+    event_in_words,
+    masks_in_words,
+    next_in_words,
+    policy_in_words,
+    refusal,
+    replay_in_words,
 )
-from veilcam_client.terminal import (
+from veilcam_client.cli.terminal import (
     USAGE,
     JsonOption,
     TimeoutOption,
@@ -36,15 +36,63 @@ from veilcam_client.terminal import (
     fail,
     print_json,
 )
-from veilcam_client.wording import (
-    epoch_in_words,
-    event_in_words,
-    masks_in_words,
-    next_in_words,
-    policy_in_words,
-    refusal,
-    replay_in_words,
+from veilcam_client.recording import record as write_recording
+from veilcam_client.wire.captures import (
+    EveryCaptures,
+    EverySeconds,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
 )
+from veilcam_client.wire.lease import Lease
+
+
+def lease(
+    *,
+    end: Annotated[
+        bool,
+        typer.Option(
+            "--break",
+            help="End it, whoever holds the camera: wants the scopes mask:rotate and admin:tokens.",
+        ),
+    ] = False,
+    url: UrlOption = DEFAULT_URL,
+    timeout: TimeoutOption = 30.0,
+    json: JsonOption = False,
+) -> None:
+    """Show who holds the camera for a while, or end that."""
+    answer = ask(url, timeout, Camera.break_lease if end else Camera.lease_state)
+    if json:
+        print_json(answer)
+    else:
+        typer.echo(_in_words(answer))
+
+
+def _in_words(lease: Lease) -> str:
+    if not lease.held or lease.expires_in_s is None:
+        return "nobody holds the camera"
+    return f"held by {lease.owner!r} for another {lease.expires_in_s:.0f} s"
+
+
+def record(
+    *,
+    count: Annotated[int, typer.Option(min=1, help="How many captures.")],
+    out: Annotated[Path, typer.Option(help="New file, which its owner alone may read.")],
+    labels: Annotated[
+        bool, typer.Option("--labels", help="Classify each capture, and keep its label.")
+    ] = False,
+    url: UrlOption = DEFAULT_URL,
+    timeout: TimeoutOption = 30.0,
+) -> None:
+    """Take captures and write them to a file, for 'veilcamd serve --replay'.
+
+    A token needs read:status and read:embedding, read:embedding:raw where embeddings leave raw, and
+    classify for labels.
+    """
+    with errors(), Camera(url, read_timeout=timeout) as camera:
+        size = write_recording(camera, out, count=count, labels=labels)
+    typer.echo(f"wrote {count} captures to {out}, {size / 1e6:.1f} MB")
+
 
 app = typer.Typer(
     no_args_is_help=True,

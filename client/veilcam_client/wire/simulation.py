@@ -7,7 +7,7 @@ import io
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_client.models import Answer
+from veilcam_client.wire.captures import Answer
 
 PICTURE_MEDIA_TYPE = "application/octet-stream"
 

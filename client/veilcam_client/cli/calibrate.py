@@ -8,11 +8,9 @@ from typing import Annotated
 
 import typer
 
-from veilcam_client.calibration_models import CalibrationRun, CalibrationStatus
-from veilcam_client.calibration_wording import record_in_words, run_in_words
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.errors import VeilcamError
-from veilcam_client.terminal import (
+from veilcam_client.cli.format import record_in_words, run_in_words
+from veilcam_client.cli.terminal import (
     DEVICE,
     JsonOption,
     TimeoutOption,
@@ -21,6 +19,8 @@ from veilcam_client.terminal import (
     fail,
     print_json,
 )
+from veilcam_client.errors import VeilcamError
+from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus
 
 _EVERY = 0.5
 """Between two looks at how it goes on [s]."""

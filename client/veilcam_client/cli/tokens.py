@@ -8,7 +8,8 @@ import typer
 from pydantic import ValidationError
 
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.terminal import (
+from veilcam_client.cli.format import token_in_words
+from veilcam_client.cli.terminal import (
     USAGE,
     JsonOption,
     TimeoutOption,
@@ -18,8 +19,7 @@ from veilcam_client.terminal import (
     fail,
     print_json,
 )
-from veilcam_client.tokens import SCOPES, NewToken, TokenRequest
-from veilcam_client.wording import token_in_words
+from veilcam_client.wire.tokens import SCOPES, NewToken, TokenRequest
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from veilcam_client.models import Answer, Question
+from veilcam_client.wire.captures import Answer, Question
 
 
 class LeaseRequest(Question):

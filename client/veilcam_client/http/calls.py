@@ -13,17 +13,15 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
-from veilcam_client.calibration_models import (
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
+from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
     CalibrationStatus,
     SceneName,
     ScenePresented,
 )
-from veilcam_client.diagnostics import Diagnostics
-from veilcam_client.keyrings import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
-from veilcam_client.leases import Lease, LeaseRequest, NewLease
-from veilcam_client.models import (
+from veilcam_client.wire.captures import (
     Capture,
     Classification,
     ClassificationRequest,
@@ -31,8 +29,10 @@ from veilcam_client.models import (
     RotationPolicy,
     Status,
 )
-from veilcam_client.simulation import PICTURE_MEDIA_TYPE, HeldScene
-from veilcam_client.tokens import NewToken, Scope, Token, TokenRequest, Tokens
+from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
+from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPE, HeldScene
+from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from veilcam_client.calibration_models import CalibrationRun
-from veilcam_client.models import Answer, RotationPolicy, State
+from veilcam_client.wire.calibration import CalibrationRun
+from veilcam_client.wire.captures import Answer, RotationPolicy, State
 
 
 class _Event(Answer):

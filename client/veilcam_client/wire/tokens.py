@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from pydantic import Field
 
-from veilcam_client.models import Answer, Question
+from veilcam_client.wire.captures import Answer, Question
 
 Scope = Literal[
     "read:status",

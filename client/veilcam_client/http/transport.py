@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,8 +14,6 @@ from urllib.parse import urlsplit
 import httpx
 from pydantic import BaseModel, ValidationError
 
-from veilcam_client.calls import Call
-from veilcam_client.credentials import Credentials
 from veilcam_client.errors import (
     ConnectError,
     ProtocolError,
@@ -22,10 +21,38 @@ from veilcam_client.errors import (
     VeilcamError,
     error_from_problem,
 )
-from veilcam_client.events import EVENT, EVENT_KINDS, Event
-from veilcam_client.models import PROBLEM_MEDIA_TYPE, Problem
-from veilcam_client.retry import RetryPolicy
-from veilcam_client.sse import Decoder, Message
+from veilcam_client.http.calls import Call
+from veilcam_client.http.credentials import Credentials
+from veilcam_client.http.sse import Decoder, Message
+from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.events import EVENT, EVENT_KINDS, Event
+
+
+@dataclass(frozen=True, slots=True)
+class RetryPolicy:
+    """Wait ``uniform(0, min(cap, base 2^attempt))`` [s], plus the server's Retry-After.
+
+    Full jitter spreads clients that failed together (Brooker, "Exponential backoff and jitter",
+    2015). A Retry-After longer than ``patience`` [s] is not waited for: the error is raised.
+    """
+
+    retries: int = 2
+    base: float = 0.25
+    cap: float = 4.0
+    patience: float = 30.0
+    uniform: Callable[[float, float], float] = field(
+        default=random.SystemRandom().uniform, repr=False
+    )
+
+    def delay(self, attempt: int, error: VeilcamError) -> float | None:
+        """Seconds to wait after failure number ``attempt`` (from 0), or None to give up."""
+        if not error.retryable or attempt >= self.retries:
+            return None
+        asked = error.retry_after or 0.0
+        if asked > self.patience:
+            return None
+        return asked + self.uniform(0.0, min(self.cap, self.base * 2.0**attempt))
+
 
 HttpClient = httpx.Client
 AsyncHttpClient = httpx.AsyncClient

@@ -7,7 +7,7 @@ from datetime import datetime
 
 from pydantic import JsonValue
 
-from veilcam_client.models import Answer, State
+from veilcam_client.wire.captures import Answer, State
 
 
 class PastState(Answer):

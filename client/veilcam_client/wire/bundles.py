@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from veilcam_client.models import Answer, BundleInfo
+from veilcam_client.wire.captures import Answer, BundleInfo
 
 BUNDLE_MEDIA_TYPE = "application/octet-stream"
 

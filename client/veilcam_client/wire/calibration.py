@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from veilcam_client.models import Answer, Question
+from veilcam_client.wire.captures import Answer, Question
 
 SceneName = Literal["dark", "white card", "lamp"]
 """What is held in front of a camera that is being measured."""

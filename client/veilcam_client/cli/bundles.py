@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.keyrings import Keyring
-from veilcam_client.terminal import (
+from veilcam_client.cli.format import keyring_in_words
+from veilcam_client.cli.terminal import (
     USAGE,
     JsonOption,
     TimeoutOption,
@@ -19,7 +19,7 @@ from veilcam_client.terminal import (
     fail,
     print_json,
 )
-from veilcam_client.wording import keyring_in_words
+from veilcam_client.wire.bundles import Keyring
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -1,0 +1,1 @@
+"""Wire contract of the REST API: one model per answer and request."""
