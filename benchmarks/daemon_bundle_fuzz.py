@@ -41,9 +41,9 @@ import structlog
 import torch
 import typer
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
-from veilcam_optics.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.keys import MaskDistribution, Secret
+from veilcam_optics.keys.masks import MaskDistribution, Secret
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.scene import write_scene
 from veilcam_server.errors import InferenceError, KeyringInvalidError, KeyringUnfitError

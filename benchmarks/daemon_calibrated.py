@@ -24,7 +24,7 @@ import numpy as np
 import typer
 
 from veilcam_client import Camera
-from veilcam_optics.keys import Secret
+from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, Digits, load_digits
 from veilcam_server.devices.scene import write_scene

@@ -33,8 +33,8 @@ import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from veilcam_optics import conditions as optical
-from veilcam_optics.keys import Secret
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration import (
     Calibrated,
     CalibratedSensor,

@@ -20,12 +20,13 @@ import numpy as np
 import torch
 import typer
 
-from veilcam_optics import conditions as optical
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.decoding import AS_DRAWN
-from veilcam_optics.effects import Dials, LightOperator, Model
-from veilcam_optics.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.effects import Dials, Model
 from veilcam_optics.plan import plan
-from veilcam_optics.transfer import Reach
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration import Geometry
 from veilcam_server.calibration.alignment import Sight, align
 from veilcam_server.calibration.scenes import lamp, white

@@ -38,11 +38,11 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from veilcam_client.wire.captures import EveryCaptures, Form
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
-from veilcam_optics.effects.operator import Response
-from veilcam_optics.epoch_names import EpochNames
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.epoch_names import EpochNames
+from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.simulation.operator import Response
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, Display, Shown

@@ -46,7 +46,7 @@ from rich.progress import track
 from schemathesis.core.result import Ok
 
 from veilcam_client.wire.tokens import SCOPES
-from veilcam_optics.keys import Secret, epoch_levels
+from veilcam_optics.keys.masks import Secret, epoch_levels
 from veilcam_server.audit import DONE, REFUSED
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, KEYRING, load_digits

@@ -36,8 +36,8 @@ import typer
 from rich.progress import track
 
 from veilcam_client.wire.captures import EveryCaptures, Form
-from veilcam_optics.effects.operator import Response
-from veilcam_optics.geometry import Camera, Embedding
+from veilcam_optics.camera.geometry import Camera, Embedding
+from veilcam_optics.simulation.operator import Response
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices import Device, DeviceError
 from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2

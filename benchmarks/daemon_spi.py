@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS
 from veilcam_server.devices.st7735r_emulator import PanelEmulator
 from veilcam_training.figures import record_figures

@@ -21,12 +21,12 @@ import typer
 from rich.console import Console
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.camera.masks import quantise, random_mask, to_weights
 from veilcam_optics.decoding import Precision, SceneDecoding
-from veilcam_optics.geometry import Camera, Scene
-from veilcam_optics.masks import quantise, random_mask, to_weights
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.release import ReleaseForm, Whitening, release
-from veilcam_optics.transfer import Reach, TransferOperator
+from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_training.bundle import (
     build_classifier,
     build_untrained,

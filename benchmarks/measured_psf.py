@@ -26,11 +26,12 @@ from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.apertures import measured_psf
-from veilcam_optics.conditions import Conditions
-from veilcam_optics.effects import Dials, LightOperator, Model
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.masks import quantise, random_mask
-from veilcam_optics.noise import shot_noise
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.masks import quantise, random_mask
+from veilcam_optics.effects import Dials, Model
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.simulation.operator import LightOperator
 
 PANEL = Conditions(
     shift_y=3e-5, shift_x=-2e-5, rotation=2e-3, distance_error=3e-5, gamma=1.1, contrast_floor=0.03

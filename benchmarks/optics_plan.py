@@ -37,14 +37,15 @@ from rich.progress import track
 from rich.table import Table
 from torch import Tensor
 
-from veilcam_optics.conditions import IDEAL, Conditions, half_field
-from veilcam_optics.effects import Dials, LightOperator, Model
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
+from veilcam_optics.effects import Dials, Model
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
 from veilcam_optics.plan.search import MAX_NUMBERS
-from veilcam_optics.reference import reference_transfer
-from veilcam_optics.transfer import Reach
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_training.figures import record_figures
 
 BATCH = 64

@@ -37,15 +37,15 @@ import typer
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.masks import quantise, random_mask
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.reference import reference_transfer
-from veilcam_optics.transfer import TransferOperator
-from veilcam_optics.work_precision import relative_error
-from veilcam_optics.work_precision.peers import PEERS
-from veilcam_optics.work_precision.psf_methods import example_mask
-from veilcam_optics.work_precision.waveprop_peer import WavepropCamera
+from veilcam_optics.accuracy import relative_error
+from veilcam_optics.accuracy.peers import PEERS
+from veilcam_optics.accuracy.psf_methods import example_mask
+from veilcam_optics.accuracy.waveprop_peer import WavepropCamera
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.masks import quantise, random_mask
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_training.data import open_source
 from veilcam_training.figures import record_figures
 

@@ -15,11 +15,11 @@ from typing import Annotated
 import torch
 import typer
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.reference import reference_transfer
-from veilcam_optics.transfer import TransferOperator
-from veilcam_optics.work_precision import relative_error
-from veilcam_optics.work_precision.psf_methods import example_mask
+from veilcam_optics.accuracy import relative_error
+from veilcam_optics.accuracy.psf_methods import example_mask
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_training.figures import record_figures
 
 

@@ -18,7 +18,7 @@ import torch
 import typer
 from rich.console import Console
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import open_source
 from veilcam_training.figures import record_figures
 from veilcam_training.job import Settings, run_job

@@ -23,8 +23,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from veilcam_optics.geometry import Camera
-from veilcam_optics.masks import to_weights
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.masks import to_weights
 from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.decorrelation import plain
 from veilcam_training.encoders import FixedEncoder, Mask, PanelErrors

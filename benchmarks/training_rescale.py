@@ -16,7 +16,7 @@ from typing import Annotated
 import torch
 import typer
 
-from veilcam_optics.masks import to_weights
+from veilcam_optics.camera.masks import to_weights
 from veilcam_training.bundle import read_bundle
 from veilcam_training.changes import Rescale
 from veilcam_training.data import open_source, split

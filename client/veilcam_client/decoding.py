@@ -31,7 +31,7 @@ class SceneDecoder:
         try:
             from veilcam_optics.decoding import read_frame  # noqa: PLC0415 - an extra
             from veilcam_optics.errors import OpticsError  # noqa: PLC0415
-            from veilcam_optics.keys import Secret  # noqa: PLC0415
+            from veilcam_optics.keys.masks import Secret  # noqa: PLC0415
         except ImportError:
             raise VeilcamError(
                 "decoding needs the optics: pip install 'veilcam[optics]'", code="optics_missing"
@@ -53,8 +53,8 @@ class SceneDecoder:
         """
         import torch  # noqa: PLC0415 - an extra
 
+        from veilcam_optics.decoding.release import ReleaseForm, decode_released  # noqa: PLC0415
         from veilcam_optics.errors import OpticsError  # noqa: PLC0415
-        from veilcam_optics.release import ReleaseForm, decode_released  # noqa: PLC0415
 
         embedding = answer.embedding
         if embedding is None:

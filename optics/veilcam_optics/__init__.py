@@ -6,14 +6,14 @@ chosen = plan(Camera(), Scene(), Embedding(24, 32), tolerance=1e-2)
 print(chosen.explain())
 """
 
-from veilcam_optics.conditions import Conditions
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
-from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
-from veilcam_optics.noise import shot_noise
 from veilcam_optics.plan import Plan, plan
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 
 __all__ = [
     "Camera",

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from veilcam_optics import conditions as optical
+from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.errors import OpticsError
 from veilcam_server.errors import StartError
 
@@ -16,7 +16,7 @@ Line = Annotated[int, Field(ge=0)]
 
 
 class AsBuilt(BaseModel):
-    """Departures; those of the optics as :class:`veilcam_optics.conditions.Conditions` has them."""
+    """Departures; those of the optics as :class:`veilcam_optics.camera.imperfections.Conditions` has them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from veilcam_client.cli.format import record_in_words
 from veilcam_optics.decoding import write_frame
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibrated import panel_tab
 from veilcam_server.calibration import (
     CalibrationScene,

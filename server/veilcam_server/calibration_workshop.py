@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibrated import (
     check_record,
     decoder_calibration,

@@ -8,10 +8,10 @@ import torch
 
 from veilcam_client.wire.captures import Form, Release
 from veilcam_optics.decoding import AS_DRAWN, Calibration, Decoder
-from veilcam_optics.epoch_names import EpochNames
+from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys import Secret, epoch_levels
-from veilcam_optics.release import ReleaseForm, Whitening, release
+from veilcam_optics.keys.epoch_names import EpochNames
+from veilcam_optics.keys.masks import Secret, epoch_levels
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.devices.protocols import Levels, Reading
 from veilcam_server.errors import StartError

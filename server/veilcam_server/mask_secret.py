@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys import Secret
+from veilcam_optics.keys.masks import Secret
 from veilcam_server.errors import StartError
 
 CREDENTIAL = "mask-key"

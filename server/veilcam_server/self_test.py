@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_optics.geometry import CHANNELS, Camera, Embedding, Scene
+from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_server.devices.protocols import Device, Levels
 from veilcam_server.errors import SelfTestError, UndecidedError
 from veilcam_server.fence import Fence, check_exposure

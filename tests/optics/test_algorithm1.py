@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.algorithm1 import Algorithm1, Resampling
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
+from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
+from veilcam_optics.transfer.grid import GridLight
 
 SCENE = Scene(14, 14, 0.12, 0.4)
 EMBEDDING = Embedding(12, 16)

@@ -30,8 +30,8 @@ from veilcam_optics.apertures import (
 )
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum
-from veilcam_optics.psf import PointSpread, mix
-from veilcam_optics.sampling import Grid
+from veilcam_optics.propagation.psf import PointSpread, mix
+from veilcam_optics.propagation.sampling import Grid
 
 WAVELENGTH = 550e-9
 

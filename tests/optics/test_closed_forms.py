@@ -12,7 +12,6 @@ from scipy.special import fresnel, j1
 from torch import Tensor
 
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.illumination import plane_wave, spherical_wave
 from veilcam_optics.propagation import (
     AngularSpectrum,
     Fraunhofer,
@@ -21,7 +20,8 @@ from veilcam_optics.propagation import (
     Propagator,
     RayleighSommerfeld,
 )
-from veilcam_optics.sampling import Grid, coverage
+from veilcam_optics.propagation.illumination import plane_wave, spherical_wave
+from veilcam_optics.propagation.sampling import Grid, coverage
 
 Field = npt.NDArray[np.complex128]
 WAVELENGTH = 550e-9

@@ -7,7 +7,8 @@ import dataclasses
 import pytest
 import torch
 
-from veilcam_optics.colour import (
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.sensor.colour import (
     FilterSet,
     decode_srgb,
     encode_srgb,
@@ -15,7 +16,6 @@ from veilcam_optics.colour import (
     matching_functions,
     xyz,
 )
-from veilcam_optics.errors import OpticsError
 
 VISIBLE = torch.linspace(380e-9, 780e-9, 401, dtype=torch.float64)
 

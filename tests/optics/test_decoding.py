@@ -13,7 +13,9 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from veilcam_optics.conditions import Conditions
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.decoding import (
     AS_DRAWN,
     DEFAULT_NOISE,
@@ -29,14 +31,13 @@ from veilcam_optics.decoding import (
     with_dead_rows,
     write_frame,
 )
-from veilcam_optics.decoding.file import dump_frame
-from veilcam_optics.effects import Dials, LightOperator, Model
+from veilcam_optics.decoding.frame import dump_frame
+from veilcam_optics.effects import Dials, Model
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.keys import MaskDistribution
-from veilcam_optics.masks import quantise, random_mask
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.keys.masks import MaskDistribution
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import TransferOperator
 
 CAMERA, SCENE = Camera(), Scene(9, 8)
 PIXELS = SCENE.rows * SCENE.columns

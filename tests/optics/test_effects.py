@@ -9,19 +9,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.conditions import IDEAL, Conditions, half_field
-from veilcam_optics.effects import EFFECTS, Dials, Effect, LightOperator, Model
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
+from veilcam_optics.effects import EFFECTS, Dials, Effect, Model
 from veilcam_optics.effects.model import Zone
-from veilcam_optics.effects.reading import bayer_shares, read
-from veilcam_optics.effects.turned import TurnedMask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.kernels import shadow_kernel
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.cost import pairs
-from veilcam_optics.plan.judge import Judge
-from veilcam_optics.readout import mosaic
-from veilcam_optics.transfer import Reach, TransferOperator
+from veilcam_optics.plan.errors import Judge
+from veilcam_optics.sensor.photons import mosaic
+from veilcam_optics.sensor.readout import bayer_shares, read
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.simulation.rotated_mask import TurnedMask
+from veilcam_optics.transfer.kernels import shadow_kernel
+from veilcam_optics.transfer.operator import Reach, TransferOperator
 
 BARE = Panel(filter_cycle=())
 CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=801, columns=960))

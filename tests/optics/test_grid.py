@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
+from veilcam_optics.transfer.grid import GridLight
 
 CAMERA = Camera(
     panel=Panel(

@@ -10,14 +10,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
-from veilcam_optics.noise import shot_noise
 from veilcam_optics.propagation import PROPAGATORS, AngularSpectrum, Propagator
+from veilcam_optics.propagation.psf import PointSpread
+from veilcam_optics.propagation.sampling import Grid, area_average
 from veilcam_optics.propagation.spectral import Spectrum
-from veilcam_optics.psf import PointSpread
-from veilcam_optics.sampling import Grid, area_average
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.grid import GridLight
 
 CAMERA = Camera(
     window=Window(12, 5, 180, 74), sensor=Sensor(760, 1016, pixel=1.55e-6), distance=4e-3

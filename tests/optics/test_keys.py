@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Panel, Window
-from veilcam_optics.keys import KeyStream, MaskDistribution, Secret, epoch_key, epoch_levels
+from veilcam_optics.keys.masks import KeyStream, MaskDistribution, Secret, epoch_key, epoch_levels
 
 CAMERA = Camera()
 SECRET = Secret(bytes(range(32)))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from veilcam_optics.camera.geometry import Camera, Panel
+from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Panel
-from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
-from veilcam_optics.noise import shot_noise
+from veilcam_optics.sensor.noise import shot_noise
 
 
 def test_random_mask_follows_its_seed() -> None:

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.parts import Part, embed_lit
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.parts import Part, embed_lit
 
 
 def _digits(rows: int = 9, columns: int = 11) -> Tensor:

@@ -13,17 +13,18 @@ from hypothesis import strategies as st
 from torch import Tensor
 from typer.testing import CliRunner
 
-from veilcam_optics.cli import app
-from veilcam_optics.conditions import IDEAL, Conditions
-from veilcam_optics.effects import EFFECTS, Dials, LightOperator, Model
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import IDEAL, Conditions
+from veilcam_optics.cli.main import app
+from veilcam_optics.effects import EFFECTS, Dials, Model
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
 from veilcam_optics.plan.search import MAX_NUMBERS
-from veilcam_optics.reference import reference_transfer
-from veilcam_optics.transfer import Reach, TransferOperator
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.reference import reference_transfer
 
 BARE = Panel(filter_cycle=())
 CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=500, columns=600))

@@ -22,7 +22,7 @@ from veilcam_optics.propagation import (
     propagator,
 )
 from veilcam_optics.propagation.base import unit_phasor
-from veilcam_optics.sampling import Grid
+from veilcam_optics.propagation.sampling import Grid
 
 VARIANTS: tuple[Propagator, ...] = (
     *PROPAGATORS,

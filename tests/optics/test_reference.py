@@ -8,12 +8,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.masks import random_mask
-from veilcam_optics.reference import TransferBinning, reference_psf, reference_transfer
-from veilcam_optics.sampling import Grid
-from veilcam_optics.transfer import Reach, TransferOperator
+from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.reference import TransferBinning, reference_psf, reference_transfer
 
 SMALL = Camera(window=Window(rows=7, columns=3), sensor=Sensor(rows=488, columns=648))
 SCENE = Scene(rows=4, columns=3, height=0.03)

@@ -11,16 +11,16 @@ import torch
 from torch import Tensor
 from typer.testing import CliRunner
 
-from veilcam_optics.cli import app
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.masks import random_mask, to_levels, to_weights
+from veilcam_optics.cli.main import app
 from veilcam_optics.decoding import Decoder, SceneDecoding, SceneFrame, fit_statistics, write_frame
-from veilcam_optics.epoch_names import EpochNames
+from veilcam_optics.decoding.release import ReleaseForm, Whitening, recover, release
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
-from veilcam_optics.masks import random_mask, to_levels, to_weights
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.release import ReleaseForm, Whitening, recover, release
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.keys.epoch_names import EpochNames
+from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(10, 10), Embedding(6, 8)
 

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.depth import LayeredLight, scene_at, split_depth
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
-from veilcam_optics.scenes import SceneTransform
+from veilcam_optics.simulation.depth import LayeredLight, scene_at, split_depth
+from veilcam_optics.simulation.scenes import SceneTransform
+from veilcam_optics.transfer.grid import GridLight
 
 CANVAS = Scene(40, 50, height=0.4, distance=0.4)
 BASE = SceneTransform(CANVAS, object_height=(0.2, 0.2))

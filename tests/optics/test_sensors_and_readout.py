@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 import torch
 
+from veilcam_optics.camera.geometry import Sensor
+from veilcam_optics.camera.sensors import SENSORS, generic_sensor, sensor_model
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Sensor
-from veilcam_optics.readout import Readout, mosaic, split_mosaic
-from veilcam_optics.sampling import area_average
-from veilcam_optics.sensors import SENSORS, generic_sensor, sensor_model
+from veilcam_optics.propagation.sampling import area_average
+from veilcam_optics.sensor.photons import Readout, mosaic, split_mosaic
 
 
 def seeded(seed: int = 0) -> torch.Generator:

@@ -9,13 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.factored import aperture_fields, fresnel_integral
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.kernels import box_kernel
-from veilcam_optics.masks import random_mask
-from veilcam_optics.parts import Part
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
+from veilcam_optics.transfer.kernels import box_kernel
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.parts import Part
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
 SCENE = Scene(rows=4, columns=3, height=0.03)

@@ -11,26 +11,18 @@ import torch
 from torch import Tensor
 from typer.testing import CliRunner
 
-from veilcam_optics.cli import app
+from veilcam_optics.accuracy import Point, Prepared, Setting, measure, pareto_front, relative_error
+from veilcam_optics.accuracy.chart import draw
+from veilcam_optics.accuracy.field_job import FieldJob
+from veilcam_optics.accuracy.peers import PEERS
+from veilcam_optics.accuracy.psf_job import PsfJob
+from veilcam_optics.accuracy.report import Result, duration, table, write_json
+from veilcam_optics.accuracy.transfer_job import TOLERANCES, TransferJob, plan_settings
+from veilcam_optics.accuracy.waveprop_peer import WavepropCamera
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.cli import accuracy as command
+from veilcam_optics.cli.main import app
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.work_precision import (
-    Point,
-    Prepared,
-    Setting,
-    command,
-    measure,
-    pareto_front,
-    relative_error,
-)
-from veilcam_optics.work_precision.chart import draw
-from veilcam_optics.work_precision.field_job import FieldJob
-from veilcam_optics.work_precision.peers import PEERS
-from veilcam_optics.work_precision.planned import TOLERANCES, plan_settings
-from veilcam_optics.work_precision.psf_job import PsfJob
-from veilcam_optics.work_precision.report import Result, duration, table, write_json
-from veilcam_optics.work_precision.transfer_job import TransferJob
-from veilcam_optics.work_precision.waveprop_peer import WavepropCamera
 
 
 def point(seconds: float, error: float, method: str = "a") -> Point:

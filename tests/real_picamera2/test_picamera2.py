@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.sampling import area_average
+from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices import DeviceMissingError, SensorError, SensorTimeoutError
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2

@@ -19,9 +19,9 @@ import torch
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Device as DeviceInfo
 from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
-from veilcam_optics.keys import MaskDistribution, Secret
+from veilcam_optics.keys.masks import MaskDistribution, Secret
 from veilcam_server.app import create_app
 from veilcam_server.calibration_workshop import Workshop
 from veilcam_server.camera import MaskedCamera

@@ -12,9 +12,9 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from veilcam_optics.grid import GridLight
-from veilcam_optics.masks import to_weights
-from veilcam_optics.noise import shot_noise
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.grid import GridLight
 from veilcam_server.cli import app
 from veilcam_server.demo.observer import KeyObserver, PairObserver
 from veilcam_server.demo.report import draw_mask
@@ -24,7 +24,7 @@ from veilcam_server.errors import StartError
 from veilcam_server.fresh import FreshSource
 
 if TYPE_CHECKING:
-    from veilcam_optics.keys import Secret
+    from veilcam_optics.keys.masks import Secret
     from veilcam_training.bundle import Bundle
 
 runner = CliRunner()

@@ -13,15 +13,15 @@ import torch
 
 from veilcam_client import SceneDecoder, VeilcamError
 from veilcam_client.wire.captures import Capture, Classification, EveryCaptures, Status
+from veilcam_optics.camera.geometry import Camera, Embedding
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Decoder, fit_statistics, write_frame
-from veilcam_optics.epoch_names import EpochNames
+from veilcam_optics.decoding.release import ReleaseForm, Whitening, recover
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding
-from veilcam_optics.grid import GridLight
-from veilcam_optics.keys import MaskDistribution, Secret, epoch_levels
-from veilcam_optics.masks import to_weights
-from veilcam_optics.release import ReleaseForm, Whitening, recover
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.keys.epoch_names import EpochNames
+from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import SensorError
 from veilcam_server.errors import StartError

@@ -14,7 +14,7 @@ import torch
 from veilcam_client.wire.bundles import Keyring, Keyrings
 from veilcam_client.wire.captures import Classification, EveryCaptures, Problem, Status
 from veilcam_client.wire.events import Event, Fault, KeyringChanged
-from veilcam_optics.geometry import Embedding
+from veilcam_optics.camera.geometry import Embedding
 from veilcam_server import keyring_store
 from veilcam_server.devices import DisplayError
 from veilcam_server.epochs import EpochStore

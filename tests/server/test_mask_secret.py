@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_optics.keys import Secret
+from veilcam_optics.keys.masks import Secret
 from veilcam_server.cli import app
 from veilcam_server.errors import StartError
 from veilcam_server.mask_secret import find_secret, write_secret

@@ -19,7 +19,7 @@ import torch
 from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
-from veilcam_optics.sampling import area_average
+from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.cli import app
 from veilcam_server.devices import DeviceError, DeviceMissingError
 from veilcam_server.devices.binning import Raw
@@ -264,7 +264,7 @@ def test_a_bundle_for_another_panel_is_refused(board: Board, settings: Settings)
 
     from tests.server.conftest import make_bundle
 
-    from veilcam_optics.geometry import Camera, Panel, Window
+    from veilcam_optics.camera.geometry import Camera, Panel, Window
 
     camera = Camera(panel=Panel(rows=240, columns=320), window=Window(9, 5, 10, 10))
     with pytest.raises(DeviceError, match="for another panel"):

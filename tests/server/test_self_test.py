@@ -14,9 +14,9 @@ import pytest
 import torch
 from tests.server.devices.clock import Clock
 
-from veilcam_optics.effects.operator import Response
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.simulation.operator import Response
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2

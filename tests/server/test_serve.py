@@ -31,8 +31,8 @@ from veilcam_client import (
 )
 from veilcam_client.cli.main import app as client_cli
 from veilcam_client.wire.events import Classified, MaskChanged
-from veilcam_optics.epoch_names import EpochNames
-from veilcam_optics.keys import Secret
+from veilcam_optics.keys.epoch_names import EpochNames
+from veilcam_optics.keys.masks import Secret
 from veilcam_server.cli import app
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.devices.scene import write_scene

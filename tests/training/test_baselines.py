@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from veilcam_optics.apertures import mls_cells
-from veilcam_optics.geometry import Camera, Embedding, Scene, Sensor
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor
 from veilcam_training.encoders import Setup, SpreadEncoder
 from veilcam_training.encoders import baselines as b
 from veilcam_training.encoders.spread import Spread, point_transfer

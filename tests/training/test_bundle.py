@@ -16,7 +16,7 @@ import safetensors.numpy
 import safetensors.torch
 import torch
 
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene
 from veilcam_training.bundle import (
     Accuracy,
     Bundle,

@@ -16,11 +16,11 @@ import safetensors.numpy
 import safetensors.torch
 import torch
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import ReadingNoise, SceneStatistics
-from veilcam_optics.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.keys import CONTEXT, MaskDistribution, Secret, epoch_levels
-from veilcam_optics.masks import to_weights
-from veilcam_optics.transfer import Reach
+from veilcam_optics.keys.masks import CONTEXT, MaskDistribution, Secret, epoch_levels
+from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle import (
     Bundle,
     BundleError,

@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.parts import Part
-from veilcam_optics.scenes import SceneTransform
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.simulation.scenes import SceneTransform
+from veilcam_optics.transfer.parts import Part
 from veilcam_training.bundle.layers import Linear
 from veilcam_training.changes import (
     CHANGES,

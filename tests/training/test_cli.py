@@ -11,10 +11,10 @@ from tensorboard.backend.event_processing import (  # type: ignore[import-untype
     event_accumulator,
 )
 
-from veilcam_optics.geometry import Camera
-from veilcam_optics.masks import to_weights
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training import cli, fitting
 from veilcam_training.bundle import build_classifier, read_bundle
 from veilcam_training.data import Source

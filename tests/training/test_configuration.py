@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.configuration import load_settings
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError

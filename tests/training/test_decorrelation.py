@@ -7,7 +7,7 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor, nn
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import build_classifier
 from veilcam_training.classifiers import Task, make_layers
 from veilcam_training.data import Source, split

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor
-from veilcam_optics.grid import GridLight
-from veilcam_optics.masks import to_weights
-from veilcam_optics.parts import Part
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.parts import Part
 from veilcam_training.encoders import (
     ENCODERS,
     Encoder,

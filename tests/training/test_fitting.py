@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training import checkpoint as checkpoints
 from veilcam_training.bundle.layers import Affine
 from veilcam_training.data import Source, split
@@ -254,7 +254,7 @@ KILLED = """
 import os, signal, sys, torch
 torch.set_num_threads(1)
 from pathlib import Path
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import open_source
 from veilcam_training.job import Settings, run_job
 

@@ -14,13 +14,13 @@ import torch
 from torch.nn.functional import avg_pool2d
 from typer.testing import CliRunner
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import read_frame
-from veilcam_optics.geometry import Camera, Embedding, Scene, Sensor, Window
-from veilcam_optics.keys import Secret, epoch_levels
-from veilcam_optics.masks import to_weights
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.release import ReleaseForm
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.decoding.release import ReleaseForm
+from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.bundle import build_classifier, classifier_inputs, read_bundle, write_bundle
 from veilcam_training.cli import app
 from veilcam_training.data import Source, open_source, split

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_training.encoders import (
     ENCODERS,
     FixedMask,

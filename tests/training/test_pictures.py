@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source
 from veilcam_training.encoders import Encoder, Setup, make_encoder
 from veilcam_training.job import Settings, make_model

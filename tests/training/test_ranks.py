@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import distributed
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import read_bundle
 from veilcam_training.data import Source, open_source
 from veilcam_training.errors import TrainingError

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import build_classifier, read_bundle, write_bundle
 from veilcam_training.data import SOURCES, open_source, split
 from veilcam_training.data.celeba import CelebaSource, stratified

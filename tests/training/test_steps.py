@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source, Split
 from veilcam_training.fitting import fit
 from veilcam_training.jitter import Jitter

@@ -13,7 +13,7 @@ import torch
 from matplotlib.collections import PathCollection
 from PIL import Image
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
 from veilcam_training.figures import Origin

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Scene
-from veilcam_optics.parts import Part
+from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.transfer.parts import Part
 from veilcam_training.errors import TrainingError
 from veilcam_training.warping import homographies, warp
 

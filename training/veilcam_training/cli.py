@@ -12,8 +12,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera
 from veilcam_training.bundle import BundleError, write_bundle
 from veilcam_training.changes import CHANGES
 from veilcam_training.configuration import load_settings

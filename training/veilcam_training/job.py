@@ -13,7 +13,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Embedding
+from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_training.bundle import Accuracy, Pair
 from veilcam_training.changes import make_change
 from veilcam_training.classifiers import Task, make_layers

@@ -11,7 +11,7 @@ from statistics import mean
 import torch
 from pydantic import JsonValue
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import Accuracy, Bundle
 from veilcam_training.data import Images, Source
 from veilcam_training.errors import TrainingError

@@ -10,7 +10,7 @@ from scipy.signal import max_len_seq
 from torch import Tensor
 
 from veilcam_optics.errors import invalid, require_count, require_positive
-from veilcam_optics.sampling import Grid, as_float, coverage
+from veilcam_optics.propagation.sampling import Grid, as_float, coverage
 
 
 def mls_cells(order: int = 6, repeats: int = 2) -> Tensor:

@@ -11,7 +11,7 @@ from veilcam_optics.apertures.coded import pinhole
 from veilcam_optics.errors import invalid, require_count, require_positive
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import TURN, unit_phasor
-from veilcam_optics.sampling import Grid, as_float
+from veilcam_optics.propagation.sampling import Grid, as_float
 
 
 def phase_plate(height: Tensor, wavelength: float, *, index: float = 1.5) -> Tensor:

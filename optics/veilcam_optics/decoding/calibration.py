@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from veilcam_optics.conditions import Conditions
-from veilcam_optics.decoding.panel import with_dead_rows
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.masks import respond
 from veilcam_optics.errors import invalid
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.masks import respond
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+
+
+def with_dead_rows(weights: Tensor, rows: Iterable[int], transmittance: float = 0.0) -> Tensor:
+    """Weights as a panel shows them whose ``rows`` are stuck.
+
+    Args:
+        weights: amplitude transmittances, (rows, columns).
+        rows: mask rows that do not obey, from 0.
+        transmittance: amplitude that a stuck row passes, in [0, 1]; 0 is dark.
+
+    Returns:
+        A copy with those rows replaced.
+
+    Raises:
+        OpticsError: a row that the mask does not have, or no transmittance.
+    """
+    dead = sorted(set(rows))
+    if dead and not 0 <= dead[0] <= dead[-1] < weights.shape[0]:
+        raise invalid("rows", dead, "", f"mask rows 0 to {weights.shape[0] - 1}")
+    if not 0 <= transmittance <= 1:
+        raise invalid("transmittance", transmittance, "", "0 to 1")
+    shown = weights.clone()
+    shown[dead] = transmittance
+    return shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,11 +26,11 @@ from enum import Enum
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Embedding, Scene
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError, invalid
-from veilcam_optics.geometry import Embedding, Scene
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 
 
 class Precision(Enum):

@@ -25,7 +25,6 @@ from veilcam_optics.effects.mask import (
     Quantisation,
 )
 from veilcam_optics.effects.model import Dials, Model
-from veilcam_optics.effects.operator import LightOperator
 from veilcam_optics.effects.sensor import (
     Bayer,
     BlackLevel,
@@ -35,7 +34,7 @@ from veilcam_optics.effects.sensor import (
     ShotNoise,
 )
 
-__all__ = ["EFFECTS", "Assessment", "Comparison", "Dials", "Effect", "LightOperator", "Model"]
+__all__ = ["EFFECTS", "Assessment", "Comparison", "Dials", "Effect", "Model"]
 
 EFFECTS: tuple[Effect, ...] = (
     Diffraction(),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from veilcam_optics.effects.base import Comparison
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 
 
 class Probed:

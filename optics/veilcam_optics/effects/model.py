@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.conditions import IDEAL, Conditions
+from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import IDEAL, Conditions
+from veilcam_optics.camera.masks import quantise, respond
 from veilcam_optics.errors import invalid, require_count, require_positive
-from veilcam_optics.geometry import CHANNELS, Camera, Embedding, Scene
-from veilcam_optics.kernels import Approximation
-from veilcam_optics.masks import quantise, respond
-from veilcam_optics.transfer import Beam, Reach
+from veilcam_optics.transfer.kernels import Approximation
+from veilcam_optics.transfer.operator import Beam, Reach
 
 Method = Literal["transfer", "factors", "grid"]
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.effects.base import Comparison
 from veilcam_optics.effects.model import Model
-from veilcam_optics.effects.reading import bayer_shares, converter_range
+from veilcam_optics.sensor.readout import bayer_shares, converter_range
 
 
 def _gray(comparison: Comparison) -> Tensor:

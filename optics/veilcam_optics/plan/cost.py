@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import torch
 
+from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.effects.model import Model
-from veilcam_optics.geometry import CHANNELS
 
 _PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
 _NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.effects.model import Model
-from veilcam_optics.kernels import Axis
-from veilcam_optics.transfer import Beam, Variables, make_axes
+from veilcam_optics.transfer.kernels import Axis
+from veilcam_optics.transfer.operator import Beam, Variables, make_axes
 
 _OFFSETS = 80
 """Offsets kept of each axis."""

@@ -16,8 +16,8 @@ from veilcam_optics.effects.mask import MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
-from veilcam_optics.plan.judge import Interferences, Judge
-from veilcam_optics.transfer import Reach
+from veilcam_optics.plan.errors import Interferences, Judge
+from veilcam_optics.transfer.operator import Reach
 
 MAX_NUMBERS = 1.5e8
 """Numbers that a plan may hold at once: 600 MB in float32."""

@@ -23,13 +23,13 @@ from veilcam_optics.propagation.base import (
     real_type,
     unit_phasor,
 )
+from veilcam_optics.propagation.sampling import Grid, Real, as_float, fast_length
 from veilcam_optics.propagation.spectral import (
     Spectrum,
     full_lengths,
     target_samples,
     transform_cost,
 )
-from veilcam_optics.sampling import Grid, Real, as_float, fast_length
 
 Padding = Literal["full", "reach", "none"]
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.errors import invalid
-from veilcam_optics.sampling import Grid, Real, as_float, as_scalar
+from veilcam_optics.propagation.sampling import Grid, Real, as_float, as_scalar
 
 Propagation = Callable[[Tensor], Tensor]
 """A prepared propagation: complex field (..., rows, columns) of the source to the target grid."""

@@ -20,7 +20,7 @@ from veilcam_optics.propagation.base import (
     check_job,
     unit_phasor,
 )
-from veilcam_optics.sampling import Grid, Real, as_float
+from veilcam_optics.propagation.sampling import Grid, Real, as_float
 
 
 @dataclass(frozen=True, slots=True)

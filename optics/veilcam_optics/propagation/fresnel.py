@@ -23,8 +23,8 @@ from veilcam_optics.propagation.base import (
     real_type,
     unit_phasor,
 )
+from veilcam_optics.propagation.sampling import Grid, Real, as_float
 from veilcam_optics.propagation.spectral import Spectrum, full_lengths, same_pitch, transform_cost
-from veilcam_optics.sampling import Grid, Real, as_float
 
 PARAXIAL_PHASE = 0.3
 """Largest phase error [rad] of the steepest ray at which Fresnel is called accurate."""

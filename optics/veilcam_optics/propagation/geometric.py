@@ -10,7 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.errors import invalid, require_positive
 from veilcam_optics.propagation.base import Propagation, Support, check_field, check_job, real_type
-from veilcam_optics.sampling import Grid, Real, as_float
+from veilcam_optics.propagation.sampling import Grid, Real, as_float
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.propagation.base import TURN, Propagation, check_field, unit_phasor
-from veilcam_optics.sampling import Grid, as_float, fast_length
+from veilcam_optics.propagation.sampling import Grid, as_float, fast_length
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 from veilcam_optics.decoding import Calibration
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 from veilcam_server.calibration.bench import Values
 from veilcam_server.calibration.geometry import Geometry
 from veilcam_server.calibration.response import uncertainties

@@ -10,7 +10,7 @@ import torch
 from scipy.optimize import nnls
 
 from veilcam_optics.decoding import Calibration
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.alignment import NAMES, Optics, Sight, strayed
 from veilcam_server.calibration.geometry import Geometry
 from veilcam_server.calibration.response import uncertainties

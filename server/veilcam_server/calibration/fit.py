@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Calibration
-from veilcam_optics.masks import to_weights
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, Sight, align, strayed
 from veilcam_server.calibration.bench import Values
 from veilcam_server.calibration.darkness import split_darkness

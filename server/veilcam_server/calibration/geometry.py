@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 
 
 @dataclass(frozen=True, slots=True)

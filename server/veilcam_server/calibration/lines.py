@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.calibration.bench import Bench, Values
 from veilcam_server.calibration.errors import CalibrationError
 from veilcam_server.calibration.geometry import Geometry

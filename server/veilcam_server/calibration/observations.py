@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from veilcam_optics.transfer import Reach, TransferOperator
+from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_server.calibration import scenes
 from veilcam_server.calibration.alignment import Sight
 from veilcam_server.calibration.bench import Bench, Values

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from veilcam_client.wire.calibration import CalibrationRecord
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.bench import Bench
 from veilcam_server.calibration.effort import Effort
 from veilcam_server.calibration.findings import Findings, make_record

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.wire.calibration import SceneName
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 
 _LAMP = 7
 """A lamp takes one part in so many of each side of the scene."""

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from veilcam_optics.epoch_names import EpochNames
-from veilcam_optics.keys import Secret, epoch_levels
-from veilcam_optics.masks import to_weights
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.keys.epoch_names import EpochNames
+from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.devices.protocols import Levels, Reading
 from veilcam_training.bundle import Bundle
 

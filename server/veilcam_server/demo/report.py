@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 
 PAPER, INK, FAINT, RIGHT, WRONG = "#0f1216", "#e8e6e1", "#7d8790", "#7fd1ae", "#f2786b"
 FILTERS = np.array([[1.0, 0.42, 0.36], [0.45, 0.92, 0.5], [0.42, 0.62, 1.0]])

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from veilcam_optics.sampling import area_average
+from veilcam_optics.propagation.sampling import area_average
 
 Picture = npt.NDArray[np.generic]
 Reflectance = npt.NDArray[np.float32]

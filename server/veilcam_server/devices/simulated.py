@@ -20,13 +20,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from veilcam_optics import conditions as optical
-from veilcam_optics.effects import LightOperator
-from veilcam_optics.effects.operator import Response
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.masks import to_weights
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.plan import plan
-from veilcam_optics.sampling import area_average
+from veilcam_optics.propagation.sampling import area_average
+from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_server.devices.binning import Raw
 from veilcam_server.devices.fake_picamera2 import FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
@@ -172,7 +171,7 @@ class SimulatedLight:
         total = float(binned.sum())
         if total <= 0:
             return irradiance
-        # As in veilcam_optics.noise: variance per unit of light, here for `share` pixels a box.
+        # As in veilcam_optics.sensor.noise: variance per unit of light, here for `share` pixels a box.
         share = irradiance.numel() / binned.numel()
         unit = float(binned.square().sum()) / (total * 10 ** (self._conditions.snr_db / 10))
         noise = torch.randn(irradiance.shape, generator=self._generator, dtype=irradiance.dtype)

@@ -17,7 +17,7 @@ from typing import Final, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.protocols import Levels, Shown
 

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from veilcam_optics.conditions import Conditions
-from veilcam_optics.effects import Dials, LightOperator, Model
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.effects import Dials, Model
 from veilcam_optics.effects.model import Method
-from veilcam_optics.effects.reading import read
-from veilcam_optics.transfer import Reach
+from veilcam_optics.sensor.readout import read
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import Reach
 
 from .setting import Bound, Operator, Setting, symmetric_weights
 

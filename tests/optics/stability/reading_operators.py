@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.apertures import lay_cells, phase_plate, remove_background
-from veilcam_optics.colour import FilterSet, decode_srgb, encode_srgb, linear_srgb, xyz
-from veilcam_optics.depth import split_depth
-from veilcam_optics.geometry import Scene
-from veilcam_optics.masks import quantise
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.readout import mosaic
-from veilcam_optics.sampling import Grid, area_average
-from veilcam_optics.scenes import SceneTransform
+from veilcam_optics.camera.geometry import Scene
+from veilcam_optics.camera.masks import quantise
+from veilcam_optics.propagation.sampling import Grid, area_average
+from veilcam_optics.sensor.colour import FilterSet, decode_srgb, encode_srgb, linear_srgb, xyz
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.sensor.photons import mosaic
+from veilcam_optics.simulation.depth import split_depth
+from veilcam_optics.simulation.scenes import SceneTransform
 
 from .setting import Bound, Operator, Setting
 

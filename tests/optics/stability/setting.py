@@ -9,8 +9,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.sampling import Real
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.propagation.sampling import Real
 
 CPU = torch.device("cpu")
 LENGTHS = ("distance", "wavelength", "pitch")

@@ -14,14 +14,14 @@ import torch
 from torch import Tensor
 
 import veilcam_optics
-from veilcam_optics.algorithm1 import Algorithm1
 from veilcam_optics.apertures import remove_background
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.masks import quantise, to_levels
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
-from veilcam_optics.kernels import Approximation
-from veilcam_optics.masks import quantise, to_levels
-from veilcam_optics.transfer import Beam, Reach, TransferOperator
+from veilcam_optics.simulation.algorithm1 import Algorithm1
+from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.kernels import Approximation
+from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator
 
 from .contracts import relative
 

@@ -14,9 +14,9 @@ import torch
 from scipy.special import fresnel
 from torch import Tensor
 
-from veilcam_optics.factored import aperture_fields
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.transfer.factored import aperture_fields
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 
 from .contracts import relative
 

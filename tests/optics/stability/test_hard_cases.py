@@ -10,15 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.colour import xyz
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.grid import GridLight
-from veilcam_optics.masks import random_mask
-from veilcam_optics.noise import shot_noise
 from veilcam_optics.propagation import AngularSpectrum, FresnelImpulse
-from veilcam_optics.sampling import Grid
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.sensor.colour import xyz
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 
 from .contracts import apply_one, relative
 from .registry import OPERATORS

@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.conditions import Conditions
-from veilcam_optics.effects.reading import read
+from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.readout import Readout
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.sensor.photons import Readout
+from veilcam_optics.sensor.readout import read
 
 
 def seeded(seed: int = 0) -> torch.Generator:

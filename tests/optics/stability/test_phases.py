@@ -15,8 +15,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.factored import aperture_fields
-from veilcam_optics.illumination import spherical_wave
 from veilcam_optics.propagation import (
     AngularSpectrum,
     Fraunhofer,
@@ -25,7 +23,9 @@ from veilcam_optics.propagation import (
     RayleighSommerfeld,
 )
 from veilcam_optics.propagation.base import unit_phasor
-from veilcam_optics.sampling import Grid
+from veilcam_optics.propagation.illumination import spherical_wave
+from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.factored import aperture_fields
 
 from .contracts import relative
 

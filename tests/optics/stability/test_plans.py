@@ -9,14 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.conditions import IDEAL, Conditions
-from veilcam_optics.effects import LightOperator
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import IDEAL, Conditions
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.noise import shot_noise
 from veilcam_optics.plan import Plan, plan
-from veilcam_optics.reference import reference_transfer
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.reference import reference_transfer
 
 from .contracts import relative
 from .setting import Setting

@@ -9,9 +9,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from veilcam_optics.algorithm1 import Algorithm1, Resampling
-from veilcam_optics.grid import GridLight
-from veilcam_optics.illumination import plane_wave, spherical_wave
 from veilcam_optics.propagation import (
     PROPAGATORS,
     AngularSpectrum,
@@ -19,8 +16,11 @@ from veilcam_optics.propagation import (
     Propagator,
     RayleighSommerfeld,
 )
-from veilcam_optics.psf import PointSpread
-from veilcam_optics.sampling import Grid
+from veilcam_optics.propagation.illumination import plane_wave, spherical_wave
+from veilcam_optics.propagation.psf import PointSpread
+from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
+from veilcam_optics.transfer.grid import GridLight
 
 from .setting import LENGTHS, Bound, Operator, Setting, symmetric_weights
 

@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 from tests.server.devices.clock import Clock
 
-from veilcam_optics import conditions as optical
-from veilcam_optics.effects import Dials, LightOperator, Model
-from veilcam_optics.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.effects import Dials, Model
+from veilcam_optics.simulation.operator import LightOperator
 from veilcam_server.calibration import Calibrated, CalibrationScene, Effort, Geometry, calibrate
 from veilcam_server.calibration.patterns import Patterns
 from veilcam_server.devices.protocols import Device

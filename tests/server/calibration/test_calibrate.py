@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from veilcam_client.wire.calibration import CalibrationRecord
-from veilcam_optics import conditions as optical
+from veilcam_optics.camera import imperfections as optical
 from veilcam_server.calibration import (
     CalibratedSensor,
     CalibrationError,

@@ -15,9 +15,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
+from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.decoding import AS_DRAWN, read_frame
-from veilcam_optics.geometry import Scene
-from veilcam_optics.keys import Secret
+from veilcam_optics.keys.masks import Secret
 from veilcam_server import calibration_session
 from veilcam_server.calibrated import open_calibration
 from veilcam_server.calibration import (

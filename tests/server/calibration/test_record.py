@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
-from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_server.calibrated import calibrated, open_calibration, settle_time
 from veilcam_server.calibration import (
     CalibratedSensor,

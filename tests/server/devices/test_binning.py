@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.sampling import area_average
+from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices.binning import Binning
 
 RNG = np.random.default_rng(2)

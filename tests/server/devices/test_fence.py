@@ -18,8 +18,8 @@ import pytest
 import torch
 
 from veilcam_client.wire.captures import EveryCaptures, RotationOff, RotationPolicy
-from veilcam_optics.effects.operator import Response
-from veilcam_optics.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.simulation.operator import Response
 from veilcam_server.camera import MaskedCamera
 from veilcam_server.devices import Device, Exposure, SensorError
 from veilcam_server.devices.binning import Raw

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.sampling import area_average
+from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices import (
     DeviceMissingError,
     Exposure,

@@ -12,12 +12,12 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from veilcam_optics import conditions as optical
-from veilcam_optics.effects.operator import Response
-from veilcam_optics.geometry import Camera, Embedding, Panel, Scene, Window
-from veilcam_optics.masks import to_weights
-from veilcam_optics.sampling import area_average
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.propagation.sampling import area_average
+from veilcam_optics.simulation.operator import Response
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.devices.protocols import Reading
 from veilcam_server.devices.scene import FileScene, write_scene

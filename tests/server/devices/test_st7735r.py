@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from veilcam_optics.geometry import Camera, Panel, Window
+from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
 from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS, Tab
 from veilcam_server.devices.st7735r_emulator import Crystal, Faults, PanelEmulator

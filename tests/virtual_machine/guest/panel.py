@@ -13,7 +13,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices import simulated
 from veilcam_server.devices.linux_bus import LinuxLines, LinuxSpi
 from veilcam_server.devices.st7735r import ST7735R, TABS

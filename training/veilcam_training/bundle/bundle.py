@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from pydantic import JsonValue
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_training.bundle.classifier import (
     build_untrained,
     check_weights,

@@ -12,11 +12,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import Decoder, ReadingNoise, SceneFrame, SceneStatistics
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.keys import MaskDistribution, Secret, epoch_key
-from veilcam_optics.transfer import Reach
+from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_key
+from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.layers import LayerRecord
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.transfer import Reach
+from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle.bundle import Accuracy
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature
@@ -33,7 +33,7 @@ class FreshManifest(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
     scheme: Literal["veilcam mask levels, version 1"] = "veilcam mask levels, version 1"
-    """How a key becomes a mask: the context of :mod:`veilcam_optics.keys`."""
+    """How a key becomes a mask: the context of :mod:`veilcam_optics.keys.masks`."""
     device: str
     noise: ReadingNoise
     reach: Reach

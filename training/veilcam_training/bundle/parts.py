@@ -14,7 +14,7 @@ from torch import Tensor
 
 from veilcam_optics.decoding import SceneStatistics
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys import MaskDistribution
+from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_training.bundle.bundle import Bundle, Pair
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Fresh

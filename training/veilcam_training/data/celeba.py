@@ -17,7 +17,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.images import Images
 from veilcam_training.errors import TrainingError
 

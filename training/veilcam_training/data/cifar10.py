@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.images import Images
 from veilcam_training.errors import TrainingError
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.images import Images
 from veilcam_training.errors import TrainingError
 

@@ -9,7 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 from veilcam_training.errors import TrainingError
 
 SPLIT_SEED = 20220429

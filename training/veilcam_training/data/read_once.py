@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.images import Images, Source
 
 

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.apertures import diffuser_height, lay_cells, mls_cells, phase_plate
-from veilcam_optics.geometry import Camera, Scene
+from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.propagation import AngularSpectrum
-from veilcam_optics.psf import PointSpread
-from veilcam_optics.sampling import Grid, covering_grid
+from veilcam_optics.propagation.psf import PointSpread
+from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_training.encoders.spread import Spread
 
 LENS_DISTANCE = 7.53e-3

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.parts import Part
+from veilcam_optics.transfer.parts import Part
 from veilcam_training.encoders.encoder import Encoder
 from veilcam_training.encoders.setup import Setup
 

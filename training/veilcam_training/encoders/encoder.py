@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.parts import Part, embed_lit
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.parts import Part, embed_lit
 from veilcam_training.encoders.setup import Setup
 
 

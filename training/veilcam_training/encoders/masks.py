@@ -11,8 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.masks import quantise, random_mask, to_levels, to_weights
-from veilcam_optics.parts import Part
+from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
+from veilcam_optics.transfer.parts import Part
 from veilcam_training.encoders.encoder import Encoder
 from veilcam_training.encoders.panel import PanelErrors, make_places
 from veilcam_training.encoders.setup import Setup

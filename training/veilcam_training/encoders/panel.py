@@ -9,8 +9,8 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from veilcam_optics.kernels import Approximation
-from veilcam_optics.transfer import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.kernels import Approximation
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 from veilcam_training.encoders.setup import Setup
 
 

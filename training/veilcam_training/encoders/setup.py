@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from veilcam_optics.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 
 
 @dataclass(frozen=True)

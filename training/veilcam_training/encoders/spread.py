@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Embedding, Scene, Sensor
-from veilcam_optics.reference import TransferBinning
-from veilcam_optics.sampling import axis, coverage
+from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
+from veilcam_optics.propagation.sampling import axis, coverage
+from veilcam_optics.transfer.reference import TransferBinning
 from veilcam_training.encoders.encoder import FixedEncoder
 from veilcam_training.encoders.setup import Setup
 from veilcam_training.errors import TrainingError

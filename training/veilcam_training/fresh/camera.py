@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import (
     Decoder,
     ReadingNoise,
@@ -20,11 +22,9 @@ from veilcam_optics.decoding import (
     SceneStatistics,
     fit_statistics,
 )
-from veilcam_optics.geometry import Camera, Embedding, Scene
-from veilcam_optics.keys import SECRET_BYTES, Levels, MaskDistribution, Secret, epoch_levels
-from veilcam_optics.masks import to_weights
-from veilcam_optics.noise import shot_noise
-from veilcam_optics.transfer import TransferOperator, Variables
+from veilcam_optics.keys.masks import SECRET_BYTES, Levels, MaskDistribution, Secret, epoch_levels
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator, Variables
 from veilcam_training.bundle.fresh import FEATURES, classifier_inputs
 from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError

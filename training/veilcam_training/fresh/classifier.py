@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from veilcam_optics.geometry import Scene
+from veilcam_optics.camera.geometry import Scene
 from veilcam_training.bundle import LayerRecord
 from veilcam_training.bundle.layers import (
     AveragePool,

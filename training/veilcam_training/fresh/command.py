@@ -9,8 +9,8 @@ import torch
 import typer
 from rich.console import Console
 
+from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.decoding import write_frame
-from veilcam_optics.geometry import Camera
 from veilcam_training.bundle import read_bundle, write_bundle
 from veilcam_training.data import open_source
 from veilcam_training.errors import TrainingError

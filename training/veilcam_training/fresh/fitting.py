@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from veilcam_optics.keys import MaskDistribution
+from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_training.bundle import build_untrained
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.checkpoint import load_checkpoint, save_checkpoint

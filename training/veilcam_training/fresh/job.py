@@ -9,8 +9,8 @@ from pathlib import Path
 import torch
 from pydantic import JsonValue
 
+from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.decoding import SceneStatistics
-from veilcam_optics.geometry import Camera
 from veilcam_training.bundle import Accuracy, Bundle, Fresh
 from veilcam_training.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.data import Source, split

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.camera.masks import to_levels
 from veilcam_optics.decoding import SceneStatistics
-from veilcam_optics.geometry import Camera, Scene
-from veilcam_optics.masks import to_levels
-from veilcam_optics.release import ReleaseForm, Whitening, release
-from veilcam_optics.transfer import TransferOperator
+from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.errors import TrainingError
 from veilcam_training.fresh.camera import FreshCamera, PreparedMask
 from veilcam_training.fresh.settings import FreshSettings

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.geometry import Camera
-from veilcam_optics.keys import MaskDistribution
-from veilcam_optics.masks import quantise
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.masks import quantise
+from veilcam_optics.keys.masks import MaskDistribution
 
 
 class LearnedRange(nn.Module):

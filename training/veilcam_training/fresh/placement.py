@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Camera, Scene
+from veilcam_optics.camera.geometry import Camera, Scene
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from veilcam_optics.geometry import Embedding, Scene
+from veilcam_optics.camera.geometry import Embedding, Scene
 from veilcam_training.data import Images
 from veilcam_training.encoders import Digital, LearnedMask, make_encoder
 from veilcam_training.errors import TrainingError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from veilcam_optics.geometry import Camera
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.data.read_once import ReadOnce
 from veilcam_training.encoders import Mask

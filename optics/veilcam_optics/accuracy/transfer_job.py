@@ -1,0 +1,144 @@
+"""What the planner chooses for a tolerance, as settings in the transfer job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache, partial
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.accuracy.measure import Job, Prepared, Setting
+from veilcam_optics.accuracy.psf_methods import PRECISIONS, Psf, example_mask, factored_psf
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.plan import plan
+from veilcam_optics.propagation.sampling import Grid, covering_grid
+from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.reference import (
+    SENSOR_PIXELS_PER_SAMPLE,
+    TransferBinning,
+    reference_transfer,
+)
+
+
+class TransferJob:
+    """Camera, scene, mask and truth of the job, and how any PSF on a grid becomes a result.
+
+    Args:
+        quick: a coarser scene (8 x 8 pixels instead of 28 x 28) and fewer settings.
+    """
+
+    def __init__(self, *, quick: bool) -> None:
+        self.quick = quick
+        self.camera, self.embedding = Camera(), Embedding()
+        self.scene = Scene(rows=8, columns=8) if quick else Scene()
+        self.weights = example_mask(self.camera)
+        self.reference = cache(self._reference)
+
+    def job(self) -> Job:
+        """The job with every setting of ours."""
+        title = f"LCD mask to transfer, {self.scene.rows} x {self.scene.columns} scene to 24 x 32"
+        settings = [*self._operators(), *self._factored(), *self._grids()]
+        return Job("transfer", title, self.reference, settings)
+
+    def grid(self, oversampling: int) -> Grid:
+        """Cells that cover the sensor and the scene's image around it."""
+        image = self.scene.pixel_at_sensor(self.camera)
+        return covering_grid(
+            self.camera.sensor.height + self.scene.rows * image,
+            self.camera.sensor.width + self.scene.columns * image,
+            SENSOR_PIXELS_PER_SAMPLE * self.camera.sensor.pixel / oversampling,
+        )
+
+    def gray_transfer(self, psf: Psf, grid: Grid, dtype: torch.dtype) -> Prepared:
+        """Time from weights to transfer by way of a PSF on a grid: its boxes are computed once."""
+        binning = TransferBinning(
+            self.camera,
+            self.scene,
+            self.embedding,
+            shape=grid.shape,
+            pitch=float(grid.pitch_y),
+            dtype=dtype,
+        )
+        shares = torch.tensor(self.camera.sensor.channel_weights, dtype=dtype)
+        mask = self.weights.to(dtype)
+        return Prepared(lambda: binning(torch.einsum("c,cyx->yx", shares, psf(mask))))
+
+    def _reference(self) -> Tensor:
+        return reference_transfer(
+            self.camera,
+            self.scene,
+            self.embedding,
+            self.weights,
+            oversampling=32,
+        )
+
+    def _operators(self) -> Iterator[Setting]:
+        dials = [(Reach(0, 0), 1.55e-6), (Reach(3, 0), 1.55e-6), (Reach(3, 1), 1.55e-6)]
+        if not self.quick:
+            dials += [(Reach(0, 0), 1.24e-5), (Reach(3, 1), 6.2e-6), (Reach(9, 2), 0.775e-6)]
+        for precision, dtype in PRECISIONS.items():
+            for reach, step in dials:
+                yield Setting(
+                    "transfer operator",
+                    {
+                        "reach": f"{reach.rows},{reach.columns}",
+                        "step": f"{step * 1e6:g} um",
+                        "dtype": precision,
+                    },
+                    partial(self._prepare_operator, reach, step, dtype),
+                )
+
+    def _prepare_operator(self, reach: Reach, step: float, dtype: torch.dtype) -> Prepared:
+        operator = TransferOperator(
+            self.camera, self.scene, self.embedding, reach=reach, step=step, dtype=dtype
+        )
+        mask = self.weights.to(dtype)
+        return Prepared(lambda: operator(mask))
+
+    def _factored(self) -> Iterator[Setting]:
+        for precision, dtype in PRECISIONS.items():
+            for oversampling in (1, 2, 4) if self.quick else (1, 2, 4, 8):
+                dials = {"oversampling": oversampling, "dtype": precision}
+                yield Setting(
+                    "factored field", dials, partial(self._prepare_factored, oversampling, dtype)
+                )
+
+    def _prepare_factored(self, oversampling: int, dtype: torch.dtype) -> Prepared:
+        grid = self.grid(oversampling)
+        return self.gray_transfer(factored_psf(self.camera, self.scene, grid, dtype), grid, dtype)
+
+    def _grids(self) -> Iterator[Setting]:
+        for precision, dtype in PRECISIONS.items():
+            for oversampling in (1, 2) if self.quick else (1, 2, 4):
+                dials = {"oversampling": oversampling, "padding": "reach", "dtype": precision}
+                yield Setting(
+                    "angular spectrum", dials, partial(self._prepare_grid, oversampling, dtype)
+                )
+
+    def _prepare_grid(self, oversampling: int, dtype: torch.dtype) -> Prepared:
+        light = GridLight(self.camera, self.scene, oversampling=oversampling, dtype=dtype)
+        return self.gray_transfer(light.psf, light.grid, dtype)
+
+
+METHOD = "plan"
+TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+
+
+def plan_settings(job: TransferJob) -> Iterator[Setting]:
+    """One setting for each tolerance: planning and building are set-up, only the run is timed."""
+    for tolerance in TOLERANCES:
+        yield Setting(METHOD, {"tolerance": f"{tolerance:.0e}"}, partial(_prepare, job, tolerance))
+
+
+def _prepare(job: TransferJob, tolerance: float) -> Prepared:
+    chosen = plan(job.camera, job.scene, job.embedding, tolerance)
+    operator = chosen.operator
+    weights = job.weights.to(chosen.model.dials.dtype)
+    if operator.has_transfer:
+        return Prepared(lambda: operator(weights))
+    # A way that forms no matrix shows it one scene pixel at a time.
+    pixels = job.scene.rows * job.scene.columns
+    units = torch.eye(pixels, dtype=weights.dtype).reshape(pixels, *job.scene.shape)
+    return Prepared(lambda: operator.embed(units, weights).flatten(1))

@@ -1,0 +1,26 @@
+"""``veilcam-optics``: what the camera's optics do, and what computing them costs."""
+
+from __future__ import annotations
+
+import typer
+
+from veilcam_optics.cli.accuracy import accuracy
+from veilcam_optics.cli.decode import decode
+from veilcam_optics.cli.plan import print_plan
+
+app = typer.Typer(
+    help="Optics of a lensless camera.", no_args_is_help=True, pretty_exceptions_enable=False
+)
+app.command()(accuracy)
+app.command("plan")(print_plan)
+app.command()(decode)
+
+
+@app.callback()
+def _group() -> None:
+    """Optics of a lensless camera."""
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,1 @@
+"""Masks and epoch names from a key."""

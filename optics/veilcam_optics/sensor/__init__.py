@@ -1,0 +1,1 @@
+"""The sensor: noise, numbers and colours, after the optics."""

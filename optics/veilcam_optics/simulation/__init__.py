@@ -1,0 +1,1 @@
+"""Simulated light: a model of a camera made to run."""

@@ -1,0 +1,272 @@
+"""A model made to run: from scenes and a mask to embeddings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.camera.geometry import CHANNELS
+from veilcam_optics.camera.masks import check_weights
+from veilcam_optics.effects.model import Model, Zone
+from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.sensor.readout import bayer_shares, read
+from veilcam_optics.simulation.rotated_mask import TurnedLight
+from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+
+Response = tuple[Tensor, ...]
+"""What a mask makes of the light; see :meth:`LightOperator.response`."""
+
+
+class LightOperator(nn.Module):
+    """What a :class:`Model` describes, ready to be used many times, also in training.
+
+    ``forward`` gives the transfer matrix where the model's method forms one. All results are
+    differentiable in scenes and weights.
+    """
+
+    fade: Tensor
+    shares: Tensor
+
+    def __init__(self, model: Model) -> None:
+        super().__init__()
+        self.model = model
+        dtype, conditions = model.dials.dtype, model.conditions
+        self._fades = conditions.off_axis > 0
+        self.register_buffer("fade", model.fade().to(dtype))
+        shares = torch.tensor(model.camera.sensor.channel_weights, dtype=torch.float64)
+        shares = shares[:, None, None].expand(-1, *model.embedding.shape)
+        if conditions.bayer:
+            shares = bayer_shares(model.camera.sensor, model.embedding)
+        self.register_buffer("shares", shares.to(dtype).contiguous())
+        self._parts = model.zones()
+        self._zones: list[list[TransferOperator]] = []
+        self._grids: list[tuple[float, Zone, TurnedLight]] = []
+        if model.dials.method == "grid":
+            self._grids = list(_grids(model))
+        else:
+            self._zones = [[_zone(model, zone) for zone in row] for row in self._parts]
+        self.zones = nn.ModuleList([zone for row in self._zones for zone in row])
+
+    @property
+    def has_transfer(self) -> bool:
+        """Whether calling it gives the transfer matrix."""
+        return self.model.dials.method == "transfer"
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of every result."""
+        return self.model.dials.dtype
+
+    def forward(self, weights: Tensor) -> Tensor:
+        """The transfer matrix of a mask, everything linear included.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+
+        Returns:
+            (scene pixels, embedding pixels).
+
+        Raises:
+            OpticsError: the method forms no matrix, or the mask has another shape or holds NaN.
+        """
+        transfer = self._transfer(weights)
+        if self._fades:
+            transfer = self.fade.reshape(-1, 1) * transfer
+        return self._scatter(transfer, (1,))
+
+    def embed(
+        self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """What the camera reads of scenes behind a mask.
+
+        Args:
+            scenes: (batch, rows, columns), in [0, 1].
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            generator: source of the noise, if the model has any.
+
+        Returns:
+            (batch, rows, columns) of the embedding.
+
+        Raises:
+            OpticsError: scenes or mask have another shape, or the mask holds NaN.
+        """
+        model = self.model
+        values = self.collect(scenes, self.response(weights))
+        return read(values, model.conditions, shot=model.dials.shot, generator=generator)
+
+    def response(self, weights: Tensor) -> Response:
+        """What a mask makes of the light, for :meth:`collect` to use with many scenes.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+
+        Returns:
+            As the method has it: the transfer matrix (scene pixels, embedding pixels); the point
+            spread functions (channels, rows, columns) of every sample of light; or the mask itself,
+            as shown.
+
+        Raises:
+            OpticsError: the mask has another shape or holds NaN.
+        """
+        if self.has_transfer:
+            return (self._transfer(weights),)
+        check_weights(weights, self.model.camera)
+        shown = self.model.shown(weights.to(self.dtype))
+        return tuple(light.psf(shown) for _, _, light in self._grids) or (shown,)
+
+    def collect(self, scenes: Tensor, response: Response) -> Tensor:
+        """The light on the sensor, without what the sensor makes of it.
+
+        Args:
+            scenes: (batch, rows, columns), in [0, 1].
+            response: from :meth:`response`.
+
+        Returns:
+            (batch, rows, columns) of the embedding.
+
+        Raises:
+            OpticsError: the scenes have another shape.
+        """
+        if tuple(scenes.shape[1:]) != self.model.scene.shape:
+            valid = f"(batch, *{self.model.scene.shape})"
+            raise invalid("scenes.shape", tuple(scenes.shape), "", valid)
+        scenes = scenes.to(self.dtype)
+        if self._fades:
+            scenes = scenes * self.fade
+        return self._scatter(self._light(scenes, response), (1, 2))
+
+    def _light(self, scenes: Tensor, response: Response) -> Tensor:
+        shape = (len(scenes), *self.model.embedding.shape)
+        if self.has_transfer:
+            return (scenes.flatten(1) @ response[0]).reshape(shape)
+        total = scenes.new_zeros(shape)
+        for row, zones in zip(self._parts, self._zones, strict=False):
+            for part, zone in zip(row, zones, strict=True):
+                values = zone.embed_by_factors(
+                    _cut(scenes, part, coloured=self.model.conditions.bayer), response[0]
+                )
+                total = total + self._gray(values)
+        for (share, part, light), psf in zip(self._grids, response, strict=False):
+            # Only one zone's pixels are lit, but they keep their places.
+            lit = torch.zeros_like(scenes)
+            lit[:, part.rows, part.columns] = scenes[:, part.rows, part.columns]
+            total = total + share * self._blurred(light, lit, psf)
+        return total
+
+    def _blurred(self, light: TurnedLight, scenes: Tensor, psf: Tensor) -> Tensor:
+        if self.model.conditions.bayer:
+            values = light.embed_colour(scenes, psf, self.model.embedding)
+            return (values * self.shares).sum(1)
+        # Every pixel has the same share of each colour: one convolution does for all of them.
+        return light.embed(scenes, psf, self.model.embedding)
+
+    def _gray(self, values: Tensor) -> Tensor:
+        return (values * self.shares).sum(1) if self.model.conditions.bayer else values
+
+    def _transfer(self, weights: Tensor) -> Tensor:
+        if not self.has_transfer:
+            method = self.model.dials.method
+            raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')
+        check_weights(weights, self.model.camera)
+        shown = self.model.shown(weights.to(self.model.dials.dtype))
+        rows = []
+        for row, zones in zip(self._parts, self._zones, strict=True):
+            parts = [
+                self._gray_transfer(zone(shown)).reshape(
+                    part.rows.stop - part.rows.start, part.columns.stop - part.columns.start, -1
+                )
+                for part, zone in zip(row, zones, strict=True)
+            ]
+            rows.append(parts[0] if len(parts) == 1 else torch.cat(parts, dim=1))
+        transfer = rows[0] if len(rows) == 1 else torch.cat(rows)
+        return transfer.flatten(0, 1)
+
+    def _gray_transfer(self, transfer: Tensor) -> Tensor:
+        if not self.model.conditions.bayer:
+            return transfer
+        return torch.einsum("cpe,ce->pe", transfer, self.shares.flatten(1))
+
+    def _scatter(self, values: Tensor, axes: tuple[int, ...]) -> Tensor:
+        share = self.model.conditions.stray_light
+        if not share:
+            return values
+        return (1 - share) * values + share * values.mean(axes, keepdim=True)
+
+
+def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
+    scenes = scenes[:, part.rows, part.columns]
+    return scenes[:, None].expand(-1, len(CHANNELS), -1, -1) if coloured else scenes
+
+
+def _zone(model: Model, zone: Zone) -> TransferOperator:
+    """The operator of one zone: that of a smaller scene, off the axis."""
+    camera, scene = model.actual_camera, model.scene
+    part = replace(
+        scene,
+        rows=zone.rows.stop - zone.rows.start,
+        columns=zone.columns.stop - zone.columns.start,
+        height=scene.pixel * (zone.rows.stop - zone.rows.start),
+    )
+    centre_y, centre_x = (
+        ((used.start + used.stop - 1) / 2 - (count - 1) / 2) * scene.pixel
+        for used, count in ((zone.rows, scene.rows), (zone.columns, scene.columns))
+    )
+    area = part.rows * part.columns / (scene.rows * scene.columns)
+    return TransferOperator(
+        camera,
+        part,
+        model.embedding,
+        # Shadows do not interfere: their kernels would be zeros.
+        reach=model.dials.reach if model.dials.diffraction else Reach(0, 0),
+        step=model.dials.step,
+        colour=model.conditions.bayer,
+        dtype=model.dials.dtype,
+        variables=Variables(
+            shift_y=torch.tensor(model.conditions.shift_y, dtype=torch.float64),
+            shift_x=torch.tensor(model.conditions.shift_x, dtype=torch.float64),
+        ),
+        centre=(centre_y, centre_x),
+        beams=[replace(beam, share=beam.share * area) for beam in model.beams(zone)],
+        approximation=model.approximation,
+        rotation=model.conditions.rotation,
+    )
+
+
+def _grids(model: Model) -> list[tuple[float, Zone, TurnedLight]]:
+    """(share, zone, light) for every sample of spectrum, depth and field."""
+    lights = []
+    for row in model.zones():
+        for zone in row:
+            by_channel = [
+                [beam for beam in model.beams(zone) if beam.channel == channel]
+                for channel in range(len(CHANNELS))
+            ]
+            most = max(by_channel, key=len)
+            for index, sample in enumerate(most):
+                # A channel without a spectrum repeats its one wavelength at each depth.
+                beams = [
+                    own[index if len(own) == len(most) else index % model.dials.layers]
+                    for own in by_channel
+                ]
+                distance = sample.scene_distance
+                scene = model.scene
+                camera = replace(
+                    model.actual_camera,
+                    wavelengths=tuple(
+                        float(beam.wavelength) * (beam.stretch[0] * beam.stretch[1]) ** 0.5
+                        for beam in beams
+                    ),
+                )
+                light = TurnedLight(
+                    camera,
+                    scene if distance is None else replace(scene, distance=distance),
+                    rotation=model.conditions.rotation,
+                    shift_y=model.conditions.shift_y,
+                    shift_x=model.conditions.shift_x,
+                    oversampling=model.dials.oversampling,
+                    dtype=model.dials.dtype,
+                )
+                lights.append((sample.share, zone, light))
+    return lights

@@ -1,0 +1,1 @@
+"""Transfer matrices: from a mask to the matrix that maps a scene to its embedding."""

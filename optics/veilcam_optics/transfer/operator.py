@@ -1,0 +1,414 @@
+"""The transfer operator: from a mask straight to the matrix that maps a scene to its embedding.
+
+An embedding is linear in the scene, ``v = x T(w)``, and ``T`` is a quadratic form in the mask's
+weights. The point spread function is ``|F w G^T|^2``, so with ``kappa`` the box of an embedding
+pixel convolved with that of a scene pixel's image,
+
+    T = sum over (dr, dc) of  Re  Ky[dr] (w * shift(w; dr, dc)) Kx[dc]^T
+    Ky[dr][o, r] = integral of kappa_y(o - y) F_r(y) conj(F_{r+dr}(y)) dy,   Kx likewise,
+
+``o`` running over every offset between an embedding pixel and a scene pixel's image. Sub-pixels far
+apart interfere in fringes much finer than an embedding pixel, which average out: a few offsets
+(dr, dc) are enough, and how many is the dial between accuracy and time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
+from veilcam_optics.camera.masks import check_weights
+from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
+from veilcam_optics.transfer.parts import Part, embed_lit
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far apart two sub-pixels may be, in sub-pixels, and still be counted as interfering."""
+
+    rows: int = 1
+    columns: int = 0
+
+
+@dataclass(frozen=True)
+class Variables:
+    """Tensors that take the place of the camera's numbers, so that gradients reach them.
+
+    Each is a float64 scalar (``wavelengths``: shape (3,)) in metres; None keeps the camera's value.
+    """
+
+    distance: Tensor | None = None
+    wavelengths: Tensor | None = None
+    pitch_y: Tensor | None = None
+    pitch_x: Tensor | None = None
+    shift_y: Tensor | None = None
+    shift_x: Tensor | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """Light of one wavelength, from one distance, that a channel adds up.
+
+    Attributes:
+        channel: 0 (R), 1 (G) or 2 (B).
+        wavelength: [m].
+        share: of the channel's light.
+        scene_distance: scene to mask [m]; None keeps the scene's.
+        stretch: factors on the wavelength along y and x. A tilted beam spreads like one of a longer
+            wavelength, more along the tilt than across it.
+    """
+
+    channel: int
+    wavelength: float | Tensor
+    share: float = 1.0
+    scene_distance: float | None = None
+    stretch: tuple[float, float] = (1.0, 1.0)
+
+
+class _Group(nn.Module):
+    """Sub-pixel pairs of one channel that share a column offset, hence a column kernel."""
+
+    first: Tensor
+    second: Tensor
+    columns: Tensor
+
+    def __init__(self, first: Tensor, second: Tensor, offset: int, columns: Tensor) -> None:
+        super().__init__()
+        self.offset = offset
+        self.register_buffer("first", first)
+        self.register_buffer("second", second)
+        self.register_buffer("columns", columns)
+
+    def products(self, weights: Tensor) -> Tensor:
+        """Products of paired weights: (row pairs, column pairs)."""
+        width = weights.shape[1] - abs(self.offset)
+        start = max(0, -self.offset)
+        one = weights[self.first, start : start + width]
+        other = weights[self.second, start + self.offset : start + self.offset + width]
+        return one * other
+
+    def forward(self, weights: Tensor, x: slice) -> Tensor:
+        """Products of paired weights, spread along x: (row pairs, offsets ``x``)."""
+        return self.products(weights) @ self.columns[:, x]
+
+
+class _Reading(nn.Module):
+    """What one output (gray, or one colour) adds up: groups of pairs and their row kernels."""
+
+    rows: Tensor
+
+    def __init__(self, groups: list[_Group], rows: list[Tensor], dtype: torch.dtype) -> None:
+        super().__init__()
+        # Held twice: a ModuleList does not tell the type of what it holds.
+        self.groups, self._groups = nn.ModuleList(groups), tuple(groups)
+        self.register_buffer("rows", torch.cat(rows, dim=1))
+        self.to(dtype)
+
+    def embed(self, scenes: Tensor, weights: Tensor, pixels: tuple[int, int]) -> Tensor:
+        """Embeddings (batch, *pixels) of scenes (batch, rows, columns), without the transfer."""
+        height, width = scenes.shape[1:]
+        rows = self.rows.reshape(height, pixels[0], self.rows.shape[1])
+        total = scenes.new_zeros(len(scenes), *pixels)
+        if not len(scenes):
+            return total
+        start = 0
+        for group in self._groups:
+            end = start + len(group.first)
+            columns = group.columns.reshape(-1, width, pixels[1])
+            spread = torch.einsum("pc,cwe->pwe", group.products(weights), columns)
+            # One scene at a time holds only (pairs, rows, pixel columns) at once.
+            total = total + torch.stack(
+                [
+                    torch.einsum("hyp,phx->yx", rows[..., start:end], scene @ spread)
+                    for scene in scenes
+                ]
+            )
+            start = end
+        return total
+
+    def forward(self, weights: Tensor, y: slice, x: slice) -> Tensor:
+        """Transfer as (offsets ``y``, offsets ``x``)."""
+        transfer: Tensor = self.rows[y] @ torch.cat([group(weights, x) for group in self._groups])
+        return transfer
+
+
+class TransferOperator(nn.Module):
+    """``T(w)`` for one camera, scene and embedding; everything but ``w`` is computed once.
+
+    Args:
+        camera: geometry, filters and wavelengths.
+        scene: flat object; a scene pixel needs to be no finer than the embedding can tell apart.
+        embedding: shape of the embedding.
+        reach: which pairs of sub-pixels interfere. With ideal colour filters, rows of one colour
+            are 3 sub-pixels apart, so a smaller reach along rows counts none.
+        step: distance of integration nodes on the sensor [m].
+        colour: True keeps the three channels apart, False sums them to a gray reading.
+        dtype: of the result; the kernels are made in float64 and then cast.
+        variables: tensors to differentiate with respect to.
+        beams: what each channel adds up; by default its one wavelength.
+        approximation: what is left out.
+        centre: where the middle of the scene is, from the optical axis along y and x [m].
+        rotation: angle by which the mask is turned around its middle, from x towards y [rad];
+            to first order, so small. A float64 scalar tensor lets gradients reach it.
+
+    Raises:
+        OpticsError: a negative reach or step, or beams that miss a channel.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        scene: Scene,
+        embedding: Embedding,
+        *,
+        reach: Reach = Reach(),
+        step: float = 1.55e-6,
+        colour: bool = False,
+        dtype: torch.dtype = torch.float32,
+        variables: Variables = Variables(),
+        beams: Sequence[Beam] | None = None,
+        approximation: Approximation = EXACT,
+        centre: tuple[float, float] = (0.0, 0.0),
+        rotation: float | Tensor = 0.0,
+    ) -> None:
+        super().__init__()
+        require_count("reach.rows", reach.rows, least=0)
+        require_count("reach.columns", reach.columns, least=0)
+        require_positive("step", step, "m")
+        self.camera, self.scene, self.embedding = camera, scene, embedding
+        self.reach, self.colour = reach, colour
+        if beams is None:
+            wavelengths: Sequence[float | Tensor] = (
+                camera.wavelengths
+                if variables.wavelengths is None
+                else variables.wavelengths.unbind()
+            )
+            beams = [Beam(channel, wavelength) for channel, wavelength in enumerate(wavelengths)]
+        if {beam.channel for beam in beams} != set(range(len(CHANNELS))):
+            raise invalid("beams", f"{len(beams)} beams", "", "at least one for each of R, G and B")
+        axes = {
+            distance: make_axes(
+                camera,
+                scene if distance is None else replace(scene, distance=distance),
+                embedding,
+                step=step,
+                variables=variables,
+                approximation=approximation,
+                centre=centre,
+            )
+            for distance in {beam.scene_distance for beam in beams}
+        }
+        readings: list[_Reading] = []
+        groups: list[_Group] = []
+        rows: list[Tensor] = []
+        for channel, share in enumerate(camera.sensor.channel_weights):
+            for beam in beams:
+                if beam.channel != channel or not (colour or share):
+                    continue
+                for group, row_kernel in _pairs(
+                    camera, axes[beam.scene_distance], beam, reach, rotation
+                ):
+                    groups.append(group)
+                    rows.append(row_kernel * (beam.share if colour else beam.share * share))
+            if colour or channel == len(CHANNELS) - 1:
+                if not groups:  # no row passes this light: a reading without pairs
+                    none = torch.zeros(0, dtype=torch.long)
+                    y, x = axes[beams[0].scene_distance]
+                    dark = torch.zeros(camera.window.columns, len(x.offsets), dtype=torch.float64)
+                    groups.append(_Group(none, none, 0, dark))
+                    rows.append(torch.zeros(len(y.offsets), 0, dtype=torch.float64))
+                readings.append(_Reading(groups, rows, dtype))
+                groups, rows = [], []
+        self.readings, self._readings = nn.ModuleList(readings), tuple(readings)
+
+    def forward(self, weights: Tensor, part: Part | None = None) -> Tensor:
+        """The transfer matrix of a mask.
+
+        Args:
+            weights: amplitude transmittances, ``camera.mask_shape``. Differentiable.
+            part: of the scene that is asked for; None for all of it. Its cost is its own, so an
+                object that moves about in a large and black scene costs what the object does.
+
+        Returns:
+            (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour:
+            irradiance of an embedding pixel relative to an all-white scene seen without a mask.
+
+        Raises:
+            OpticsError: the mask has another shape, or holds NaN or infinity; a part that is not
+                wholly in the scene.
+        """
+        check_weights(weights, self.camera)
+        scene, embedding = self.scene, self.embedding
+        part = Part(0, 0, *scene.shape) if part is None else part
+        part.check(scene)
+        # Offsets are in the order of the scene's pixels, so those of a part lie side by side.
+        y, x = (
+            slice(first * pixels, (first + count) * pixels)
+            for first, count, pixels in (
+                (part.top, part.rows, embedding.rows),
+                (part.left, part.columns, embedding.columns),
+            )
+        )
+        values = [reading(weights, y, x) for reading in self._readings]
+        pixels = (part.rows * part.columns, embedding.size)
+        transfers = [
+            value.reshape(part.rows, embedding.rows, part.columns, embedding.columns)
+            .transpose(1, 2)
+            .reshape(pixels)
+            for value in values
+        ]
+        # One gray reading is taken as it is: stacking would copy the largest tensor of a step.
+        return torch.stack(transfers) if self.colour else transfers[0]
+
+    def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
+        """Noiseless embeddings of scenes behind a mask.
+
+        Args:
+            scenes: (batch, rows, columns), or (batch, 3, rows, columns) in colour, in [0, 1].
+            weights: amplitude transmittances, ``camera.mask_shape``.
+
+        Returns:
+            (batch, rows, columns) or (batch, 3, rows, columns) of the embedding.
+
+        Raises:
+            OpticsError: the scenes or the mask have another shape.
+        """
+        self._check_scenes(scenes)
+        if self.colour:
+            pixels = self.scene.rows * self.scene.columns
+            flat = torch.einsum("bcp,cpe->bce", scenes.reshape(-1, 3, pixels), self(weights))
+            return flat.reshape(-1, 3, *self.embedding.shape)
+        whole = Part(0, 0, *self.scene.shape)
+        values = embed_lit(scenes, whole, lambda part: self(weights, part))
+        return values.reshape(-1, *self.embedding.shape)
+
+    def embed_by_factors(self, scenes: Tensor, weights: Tensor) -> Tensor:
+        """As :meth:`embed`, factor by factor: for matrices too large to be formed.
+
+        It needs ``pairs x rows x columns`` numbers at once, and more time for each scene.
+        """
+        self._check_scenes(scenes)
+        check_weights(weights, self.camera)
+        values = [
+            reading.embed(
+                scenes[:, channel] if self.colour else scenes, weights, self.embedding.shape
+            )
+            for channel, reading in enumerate(self._readings)
+        ]
+        return torch.stack(values, dim=1) if self.colour else values[0]
+
+    def _check_scenes(self, scenes: Tensor) -> None:
+        expected = (3, *self.scene.shape) if self.colour else self.scene.shape
+        if tuple(scenes.shape[1:]) != expected:
+            raise invalid("scenes.shape", tuple(scenes.shape), "", f"(batch, *{expected})")
+
+
+def make_axes(
+    camera: Camera,
+    scene: Scene,
+    embedding: Embedding,
+    *,
+    step: float,
+    variables: Variables = Variables(),
+    approximation: Approximation = EXACT,
+    centre: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Axis, Axis]:
+    """The two axes (y, x) of a camera, a scene and an embedding; arguments as for the operator."""
+    distance = camera.distance if variables.distance is None else variables.distance
+    # A scene moved by s is a mask moved by -s d2/(d1+d2): shadows fall where they would have.
+    share = distance / (scene.distance + distance)
+    y = Axis(
+        length=camera.sensor.height,
+        pixels=embedding.rows,
+        scene_pixels=scene.rows,
+        scene_pixel=scene.pixel,
+        scene_distance=scene.distance,
+        distance=distance,
+        apertures=camera.window.rows,
+        pitch=camera.panel.pitch_y if variables.pitch_y is None else variables.pitch_y,
+        width=camera.panel.aperture_y,
+        shift=(0.0 if variables.shift_y is None else variables.shift_y) - centre[0] * share,
+        step=step,
+        approximation=approximation,
+    )
+    x = Axis(
+        length=camera.sensor.width,
+        pixels=embedding.columns,
+        scene_pixels=scene.columns,
+        scene_pixel=scene.pixel,
+        scene_distance=scene.distance,
+        distance=distance,
+        apertures=camera.window.columns,
+        pitch=camera.panel.pitch_x if variables.pitch_x is None else variables.pitch_x,
+        width=camera.panel.aperture_x,
+        shift=(0.0 if variables.shift_x is None else variables.shift_x) - centre[1] * share,
+        step=step,
+        approximation=approximation,
+    )
+    return y, x
+
+
+def _pairs(
+    camera: Camera,
+    axes: tuple[Axis, Axis],
+    beam: Beam,
+    reach: Reach,
+    rotation: float | Tensor,
+) -> Iterator[tuple[_Group, Tensor]]:
+    """All groups of interfering pairs of one beam, each with its row kernels.
+
+    Each pair of different sub-pixels is taken once, with a factor 2: its mirror image is its
+    complex conjugate. So dr >= 0, and dc < 0 occurs with dr > 0 only.
+
+    In a mask turned by a small angle, row ``r`` moves along x by ``-angle y_r`` and column ``c``
+    along y by ``angle x_c``. To first order that adds two products of kernels and slopes.
+    """
+    y, x = axes
+    # At an angle of zero, too, a gradient needs the slopes.
+    turned = isinstance(rotation, Tensor) or rotation != 0
+    amplitudes = torch.tensor(camera.row_amplitudes(beam.channel), dtype=torch.float64)
+    # A row that its filter closes needs no field.
+    fields_y = y.fields(beam.wavelength * beam.stretch[0], of=amplitudes.nonzero().flatten())
+    fields_x = x.fields(beam.wavelength * beam.stretch[1])
+    rows, columns = camera.mask_shape
+    below = []
+    for dr in range(min(reach.rows, rows - 1) + 1):
+        product = amplitudes[: rows - dr] * amplitudes[dr:]
+        first = product.nonzero().flatten()
+        down = y.kernel(fields_y, first, first + dr) * product[first]
+        # Without a rotation nothing asks for the slopes.
+        slope = y.slope(fields_y, first, first + dr) * product[first] if turned else down
+        below.append((first, first + dr, down, slope))
+    beside = []
+    for dc in range(min(reach.columns, columns - 1) + 1):
+        column = torch.arange(columns - dc)
+        across = x.kernel(fields_x, column, column + dc)
+        slope = x.slope(fields_x, column, column + dc) if turned else across
+        beside.append((column, column + dc, across, slope))
+    for dc in range(1 - len(beside), len(beside)):
+        used = [pair for pair in below[1 if dc < 0 else 0 :] if len(pair[0])]
+        if not used:
+            continue
+        first, second = (torch.cat([pair[k] for pair in used]) for k in (0, 1))
+        # A pair and its mirror image count, a sub-pixel with itself once.
+        twice = 2 - ((first == second) & (dc == 0)).double()
+        down = torch.cat([pair[2] for pair in used], dim=1) * twice
+        column, other, across, slope_x = beside[abs(dc)]
+        if dc < 0:  # the same pairs, the other way round
+            across, slope_x = across.conj(), slope_x.conj()
+        terms = [(down, across)]
+        if turned:
+            slope_y = torch.cat([pair[3] for pair in used], dim=1) * twice
+            terms += [
+                (slope_y * (-rotation * y.magnification), across * x.middles(column, other)),
+                (down * y.middles(first, second), slope_x * (rotation * x.magnification)),
+            ]
+        for down, across in terms:
+            yield _Group(first, second, dc, across.real.T.contiguous()), down.real
+            if dc:  # Re(A B) = Re A Re B - Im A Im B; without an offset B is real
+                yield _Group(first, second, dc, across.imag.T.contiguous()), -down.imag
