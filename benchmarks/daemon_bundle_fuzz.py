@@ -73,7 +73,7 @@ from veilcam_training.bundle.layers import (
     Residual,
     Resize,
 )
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 CAMERA, SCENE, EMBEDDING = Camera(window=Window(rows=9, columns=5)), Scene(), Embedding(4, 5)
 LABELS = tuple("0123456789")

@@ -51,7 +51,7 @@ from veilcam_server.devices.protocols import Device, Reading
 from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
 from veilcam_server.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 SETTLE, SCAN, EXPOSURE = 0.05, 0.0123, 0.01
 """Of the simulated panel and sensor [s]."""

@@ -31,7 +31,7 @@ from veilcam_server.calibration import Geometry
 from veilcam_server.calibration.alignment import Sight, align
 from veilcam_server.calibration.scenes import lamp, white
 from veilcam_server.devices.simulated import TOLERANCE
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 GEOMETRY = Geometry(
     Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)

@@ -56,7 +56,7 @@ from veilcam_server.masks import Mask, Reader
 from veilcam_server.preparation import Preparation
 from veilcam_training.bundle import Bundle, Fresh, build_untrained
 from veilcam_training.bundle.layers import AveragePool, Conv2d, Flatten, Linear, ReLU, Reshape
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(), Embedding(12, 16)
 RAW = raw_shape(EMBEDDING)

@@ -54,7 +54,7 @@ from veilcam_server.devices.scene import write_scene
 from veilcam_server.fresh import FreshSource
 from veilcam_server.tokens import TokenStore
 from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 WINDOW = 12
 """So many bytes or levels in a row are a leak; a run of twice as many is found surely."""

@@ -19,7 +19,7 @@ from typing import Annotated
 
 import typer
 
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS, PYTHON = "tests/real_picamera2", "build/libcamera/venv/bin/python"

@@ -37,7 +37,7 @@ from veilcam_client.wire.captures import Classification, Timing
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import KEYRING, load_digits
 from veilcam_server.devices.scene import write_scene
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 WARM_UP = 5
 """Requests of each client that do not count."""

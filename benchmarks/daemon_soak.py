@@ -54,7 +54,7 @@ from veilcam_server.fence import Fence
 from veilcam_server.inference import Verdict
 from veilcam_server.masks import Mask
 from veilcam_server.preparation import Preparation
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 CAMERA, EMBEDDING = Camera(), Embedding(8, 8)
 MODE = SensorMode(16, 16, line_time=0.0, frame_duration=0.0)

@@ -16,7 +16,7 @@ import typer
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS
 from veilcam_server.devices.st7735r_emulator import PanelEmulator
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 
 def most_bytes(tab: str, masks: int) -> int:

@@ -21,7 +21,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from veilcam_training.figures import Origin, record_figures
+from veilcam_training.experiments.records import Origin, record_figures
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGE = ROOT / "tests" / "virtual_machine" / "build-image.sh"

@@ -27,6 +27,8 @@ from veilcam_optics.decoding import Precision, SceneDecoding
 from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
+from veilcam_training.attacks.keyless import KeylessCamera
 from veilcam_training.bundle import (
     build_classifier,
     build_untrained,
@@ -34,16 +36,15 @@ from veilcam_training.bundle import (
     read_bundle,
     write_bundle,
 )
+from veilcam_training.config.fresh import TASKS, find_settings
 from veilcam_training.data import Images, Split, open_source, split
-from veilcam_training.figures import record_figures
-from veilcam_training.fitting import Epoch
-from veilcam_training.fresh import as_fresh_bundle, find_settings, fit_fresh, run_fresh
-from veilcam_training.fresh.camera import CHANNELS, FreshCamera, scene_statistics
-from veilcam_training.fresh.classifier import make_fresh_layers, multiplications
-from veilcam_training.fresh.clustering import adjusted_rand_index, k_means, subspace_clusters
-from veilcam_training.fresh.keyless import KeylessCamera
-from veilcam_training.fresh.settings import TASKS
-from veilcam_training.progress import FitProgress, make_progress
+from veilcam_training.encoders.fresh import CHANNELS, FreshCamera, scene_statistics
+from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
+from veilcam_training.experiments.records import record_figures
+from veilcam_training.models.fresh import make_fresh_layers, multiplications
+from veilcam_training.trainer.callbacks import FitProgress, make_progress
+from veilcam_training.trainer.fresh_loop import fit_fresh
+from veilcam_training.trainer.loop import Epoch
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 

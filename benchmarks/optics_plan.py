@@ -46,7 +46,7 @@ from veilcam_optics.plan.search import MAX_NUMBERS
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
 from veilcam_optics.transfer.reference import reference_transfer
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 BATCH = 64
 EMBEDDINGS = ((1, 1), (3, 4), (6, 8), (12, 16), (13, 17), (24, 32), (27, 36), (48, 64))

@@ -47,7 +47,7 @@ from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_training.data import open_source
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 SNR_DB = 40.0
 IMAGES = 1024

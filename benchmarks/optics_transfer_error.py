@@ -20,7 +20,7 @@ from veilcam_optics.accuracy.psf_methods import example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer
-from veilcam_training.figures import record_figures
+from veilcam_training.experiments.records import record_figures
 
 
 def main(

@@ -24,8 +24,8 @@ import torch
 import typer
 
 from veilcam_training.bundle import read_bundle
-from veilcam_training.figures import record_figures
-from veilcam_training.tables.result import BUNDLE, CHECKPOINT, RESULT, load_results
+from veilcam_training.experiments.records import record_figures
+from veilcam_training.experiments.results import BUNDLE, CHECKPOINT, RESULT, load_results
 
 PART = (
     *("--encoders", "learned"),
@@ -59,7 +59,7 @@ def main(
 
 def run(options: list[str]) -> subprocess.Popen[bytes]:
     """Start the command."""
-    program = "from veilcam_training.cli import main; main()"
+    program = "from veilcam_training.cli.main import main; main()"
     return subprocess.Popen([sys.executable, "-c", program, "table", "mnist", *options])
 
 

@@ -19,11 +19,11 @@ import typer
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_training.config.recipes import Situation, find_recipe
 from veilcam_training.data import open_source
-from veilcam_training.figures import record_figures
-from veilcam_training.job import Settings, run_job
-from veilcam_training.progress import FitProgress, make_progress
-from veilcam_training.recipes import Situation, find_recipe
+from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.experiments.records import record_figures
+from veilcam_training.trainer.callbacks import FitProgress, make_progress
 
 
 def main(

@@ -25,18 +25,18 @@ from rich.table import Table
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
+from veilcam_training.config.recipes import Situation, find_recipe
 from veilcam_training.data import Images, Split, open_source, split
-from veilcam_training.decorrelation import plain
 from veilcam_training.encoders import FixedEncoder, Mask, PanelErrors
-from veilcam_training.encoders.panel import make_operators
-from veilcam_training.evaluation import evaluate
-from veilcam_training.figures import record_figures
-from veilcam_training.fitting import fit
-from veilcam_training.job import Settings, make_model
-from veilcam_training.model import LenslessClassifier
-from veilcam_training.progress import FitProgress, make_progress
-from veilcam_training.randomness import stream
-from veilcam_training.recipes import Situation, find_recipe
+from veilcam_training.encoders.imperfections import make_operators
+from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.records import record_figures
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.models.whitening import plain
+from veilcam_training.seeding import stream
+from veilcam_training.trainer.callbacks import FitProgress, make_progress
+from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.loop import fit
 
 ERRORS = PanelErrors(gamma=0.1, floor=0.05, shift=5e-5, distance=5e-5)
 PANELS = 20

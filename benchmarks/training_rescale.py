@@ -18,12 +18,12 @@ import typer
 
 from veilcam_optics.camera.masks import to_weights
 from veilcam_training.bundle import read_bundle
-from veilcam_training.changes import Rescale
 from veilcam_training.data import open_source, split
 from veilcam_training.encoders import FixedEncoder, Setup
-from veilcam_training.encoders.panel import make_operators
-from veilcam_training.model import LenslessClassifier
-from veilcam_training.randomness import stream
+from veilcam_training.encoders.imperfections import make_operators
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.seeding import stream
+from veilcam_training.transforms.scene import Rescale
 
 EDGES = (0.02, 0.025, 0.03, 0.04, 0.05, 0.07, 0.10, 0.15, 0.20)
 SNR_DB = 40.0

@@ -22,14 +22,14 @@ from typing import Annotated
 import torch
 import typer
 
-from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Images
 from veilcam_training.encoders import Setup, make_encoder
-from veilcam_training.figures import record_figures
-from veilcam_training.model import LenslessClassifier
-from veilcam_training.randomness import seeded, stream
-from veilcam_training.recipe import Recipe
-from veilcam_training.steps import Inputs, make_optimiser, train_step
+from veilcam_training.experiments.records import record_figures
+from veilcam_training.models.classifiers import Task, make_layers
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.seeding import seeded, stream
+from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
 
 CASES = {"learned": "learned", "fixed": "fixed_simulated", "fixed, encoded each step": "encoded"}
 

@@ -114,7 +114,7 @@ def demo(
 
     from veilcam_server.demo.run import Plan, demonstrate  # noqa: PLC0415
     from veilcam_training.errors import TrainingError  # noqa: PLC0415
-    from veilcam_training.figures import record_figures  # noqa: PLC0415
+    from veilcam_training.experiments.records import record_figures  # noqa: PLC0415
 
     bundle = bundle or (FRESH if fresh else KEYRING)
     every = every or (1 if fresh else 10)

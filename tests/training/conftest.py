@@ -14,7 +14,7 @@ from PIL import Image
 
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import idx_bytes
-from veilcam_training.randomness import stream
+from veilcam_training.seeding import stream
 
 
 def make_digits(count: int, seed: int) -> Images:

@@ -9,8 +9,8 @@ from veilcam_optics.apertures import mls_cells
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor
 from veilcam_training.encoders import Setup, SpreadEncoder
 from veilcam_training.encoders import baselines as b
-from veilcam_training.encoders.spread import Spread, point_transfer
-from veilcam_training.randomness import stream
+from veilcam_training.encoders.psf import Spread, point_transfer
+from veilcam_training.seeding import stream
 
 CAMERA, SCENE = Camera(), Scene()
 SMALL = Camera(sensor=Sensor(rows=1520, columns=2028))

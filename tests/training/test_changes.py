@@ -12,7 +12,11 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.simulation.scenes import SceneTransform
 from veilcam_optics.transfer.parts import Part
 from veilcam_training.bundle.layers import Linear
-from veilcam_training.changes import (
+from veilcam_training.encoders import Setup, make_encoder
+from veilcam_training.errors import TrainingError
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.seeding import stream
+from veilcam_training.transforms.scene import (
     CHANGES,
     PLACES,
     Perspective,
@@ -21,11 +25,7 @@ from veilcam_training.changes import (
     Shift,
     make_change,
 )
-from veilcam_training.encoders import Setup, make_encoder
-from veilcam_training.errors import TrainingError
-from veilcam_training.model import LenslessClassifier
-from veilcam_training.randomness import stream
-from veilcam_training.warping import homographies, warp
+from veilcam_training.transforms.warp import homographies, warp
 
 IMAGE, CAMERA = Scene(), Camera()
 

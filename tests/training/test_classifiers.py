@@ -12,8 +12,8 @@ from pydantic import TypeAdapter
 from veilcam_training.bundle import LayerRecord, build_classifier, build_untrained
 from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
-from veilcam_training.classifiers import Exposure, Normalisation, Task, make_layers
 from veilcam_training.errors import TrainingError
+from veilcam_training.models.classifiers import Exposure, Normalisation, Task, make_layers
 
 NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
 

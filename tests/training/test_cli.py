@@ -15,14 +15,15 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training import cli, fitting
 from veilcam_training.bundle import build_classifier, read_bundle
+from veilcam_training.cli import main as cli
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
-from veilcam_training.job import Settings, run_job
-from veilcam_training.keyring import as_bundle
-from veilcam_training.randomness import stream
-from veilcam_training.recipe import Recipe
+from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.seeding import stream
+from veilcam_training.trainer import loop as fitting
 
 FIT = ("--embedding", "6x8", "--classifier", "FC20", "--epochs", "6", "--batch", "30")
 

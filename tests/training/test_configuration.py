@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.configuration import load_settings
+from veilcam_training.config.recipes import RECIPES, Recipe, Situation, find_recipe
+from veilcam_training.config.settings import load_settings
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
-from veilcam_training.job import Settings, make_model
-from veilcam_training.recipe import Recipe
-from veilcam_training.recipes import RECIPES, Situation, find_recipe
+from veilcam_training.experiments.fit import Settings, make_model
 
 
 @pytest.mark.parametrize(

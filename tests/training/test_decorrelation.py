@@ -9,13 +9,13 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import build_classifier
-from veilcam_training.classifiers import Task, make_layers
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Source, split
-from veilcam_training.decorrelation import Decorrelated, decorrelate, plain
 from veilcam_training.errors import TrainingError
-from veilcam_training.fitting import fit
-from veilcam_training.job import Settings, as_pair, make_model
-from veilcam_training.recipe import Recipe
+from veilcam_training.experiments.fit import Settings, as_pair, make_model
+from veilcam_training.models.classifiers import Task, make_layers
+from veilcam_training.models.whitening import Decorrelated, decorrelate, plain
+from veilcam_training.trainer.loop import fit
 
 
 def readings(count: int = 4000) -> Tensor:

@@ -28,7 +28,7 @@ from veilcam_training.encoders import (
     read_spread,
 )
 from veilcam_training.errors import TrainingError
-from veilcam_training.randomness import stream
+from veilcam_training.seeding import stream
 
 # A part of the real sensor, so that the PSFs of the baselines are computed in no time.
 CAMERA = Camera(sensor=Sensor(rows=760, columns=1014))

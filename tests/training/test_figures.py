@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from veilcam_training.errors import TrainingError
-from veilcam_training.figures import check_record, own_command, record_figures
+from veilcam_training.experiments.records import check_record, own_command, record_figures
 
 
 def test_figures_are_merged(tmp_path: Path) -> None:

@@ -13,18 +13,18 @@ import pytest
 import torch
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training import checkpoint as checkpoints
 from veilcam_training.bundle.layers import Affine
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Source, split
 from veilcam_training.encoders import PanelErrors
 from veilcam_training.errors import TrainingError
-from veilcam_training.evaluation import evaluate
-from veilcam_training.fitting import Epoch, Fit, fit
-from veilcam_training.jitter import Jitter
-from veilcam_training.job import Settings, make_model, run_job
-from veilcam_training.randomness import derive, seeded
-from veilcam_training.recipe import Recipe
-from veilcam_training.steps import make_optimiser
+from veilcam_training.experiments.fit import Settings, make_model, run_job
+from veilcam_training.seeding import derive, seeded
+from veilcam_training.trainer import checkpoint as checkpoints
+from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.loop import Epoch, Fit, fit
+from veilcam_training.trainer.step import make_optimiser
+from veilcam_training.transforms.augmentation import Jitter
 
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 
@@ -256,7 +256,7 @@ torch.set_num_threads(1)
 from pathlib import Path
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import open_source
-from veilcam_training.job import Settings, run_job
+from veilcam_training.experiments.fit import Settings, run_job
 
 class Kill:
     def step(self, epoch, done, steps):

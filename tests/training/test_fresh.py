@@ -21,28 +21,28 @@ from veilcam_optics.decoding.release import ReleaseForm
 from veilcam_optics.keys.masks import Secret, epoch_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
+from veilcam_training.attacks.keyless import KeylessCamera
 from veilcam_training.bundle import build_classifier, classifier_inputs, read_bundle, write_bundle
-from veilcam_training.cli import app
-from veilcam_training.data import Source, open_source, split
-from veilcam_training.errors import TrainingError
-from veilcam_training.fresh import (
-    FreshFit,
+from veilcam_training.cli.main import app
+from veilcam_training.config.fresh import (
+    TASKS,
+    Augmentation,
     FreshSettings,
-    as_fresh_bundle,
-    evaluate_fresh,
+    Misalignment,
     find_settings,
-    fit_fresh,
-    job,
-    run_fresh,
 )
-from veilcam_training.fresh.augment import augment
-from veilcam_training.fresh.camera import CHANNELS, FreshCamera, pooled, scene_statistics
-from veilcam_training.fresh.classifier import make_fresh_layers, multiplications
-from veilcam_training.fresh.clustering import adjusted_rand_index, k_means, subspace_clusters
-from veilcam_training.fresh.keyless import KeylessCamera
-from veilcam_training.fresh.learned import LearnedRange
-from veilcam_training.fresh.placement import Placement
-from veilcam_training.fresh.settings import TASKS, Augmentation, Misalignment
+from veilcam_training.data import Source, open_source, split
+from veilcam_training.encoders.fresh import CHANNELS, FreshCamera, pooled, scene_statistics
+from veilcam_training.encoders.learned_levels import LearnedRange
+from veilcam_training.errors import TrainingError
+from veilcam_training.experiments import fresh as job
+from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
+from veilcam_training.models.fresh import make_fresh_layers, multiplications
+from veilcam_training.trainer.fresh_evaluation import evaluate_fresh
+from veilcam_training.trainer.fresh_loop import FreshFit, fit_fresh
+from veilcam_training.transforms.augment import augment
+from veilcam_training.transforms.placement import Placement
 
 CAMERA = Camera(window=Window(rows=18, columns=9))
 FEW = Misalignment(panels=2)

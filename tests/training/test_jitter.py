@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from veilcam_training.jitter import Jitter, jitter
-from veilcam_training.randomness import stream
+from veilcam_training.seeding import stream
+from veilcam_training.transforms.augmentation import Jitter, jitter
 
 
 def spot(row: int, column: int, count: int = 3000) -> torch.Tensor:

@@ -13,12 +13,12 @@ import torch
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
 from veilcam_training.errors import TrainingError
-from veilcam_training.fitting import Epoch
-from veilcam_training.job import Outcome, Settings, make_model, run_job
-from veilcam_training.recipe import Recipe
+from veilcam_training.experiments.fit import Outcome, Settings, make_model, run_job
+from veilcam_training.trainer.loop import Epoch
 
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 Writer = Callable[..., Path]

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_training import cli
+from veilcam_training.cli import fresh as fresh_command
+from veilcam_training.cli import main as cli
 from veilcam_training.data import download
 from veilcam_training.errors import TrainingError
-from veilcam_training.fresh import command as fresh_command
-from veilcam_training.outputs import check_file, check_folder
+from veilcam_training.files import check_file, check_folder
 
 LONG = "a" * 300
 

@@ -14,9 +14,9 @@ from veilcam_training.encoders import (
     Setup,
     make_encoder,
 )
-from veilcam_training.encoders.panel import make_operators
+from veilcam_training.encoders.imperfections import make_operators
 from veilcam_training.errors import TrainingError
-from veilcam_training.randomness import seeded, stream
+from veilcam_training.seeding import seeded, stream
 
 SETUP = Setup(Camera(), Scene(7, 9), Embedding(3, 4))
 ERRORS = PanelErrors(gamma=0.2, floor=0.1, shift=5e-5, distance=5e-5, places=3)

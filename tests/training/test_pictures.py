@@ -11,9 +11,9 @@ import torch
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source
 from veilcam_training.encoders import Encoder, Setup, make_encoder
-from veilcam_training.job import Settings, make_model
-from veilcam_training.tables import pictures
-from veilcam_training.tables.pictures import point_image
+from veilcam_training.experiments import pictures
+from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.pictures import point_image
 
 
 @pytest.mark.parametrize("encoder", ["lens", "learned"])

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 import torch
 
-from veilcam_training.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.errors import TrainingError
-from veilcam_training.private_file import read_private, write_private
+from veilcam_training.files import read_private, write_private
+from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 
 STATE: dict[str, Any] = {
     "model": {"weight": torch.arange(40.0)},

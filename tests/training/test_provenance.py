@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from veilcam_training import cli
 from veilcam_training.bundle import read_bundle
-from veilcam_training.figures import commit
-from veilcam_training.tables.result import BUNDLE, cell_folder, load_results
+from veilcam_training.cli import main as cli
+from veilcam_training.experiments.records import commit
+from veilcam_training.experiments.results import BUNDLE, cell_folder, load_results
 
 
 def test_a_cell_and_its_bundle_say_where_they_come_from(

@@ -16,14 +16,14 @@ from torch import distributed
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import read_bundle
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Source, open_source
 from veilcam_training.errors import TrainingError
-from veilcam_training.fitting import Epoch
-from veilcam_training.job import Outcome, Settings, run_job
-from veilcam_training.randomness import derive
-from veilcam_training.ranks import ALONE, Ranks
-from veilcam_training.recipe import Recipe
-from veilcam_training.workers import LocalWorkers
+from veilcam_training.experiments.executors import LocalWorkers
+from veilcam_training.experiments.fit import Outcome, Settings, run_job
+from veilcam_training.seeding import derive
+from veilcam_training.trainer.distributed import ALONE, Ranks
+from veilcam_training.trainer.loop import Epoch
 
 ROOT = Path(__file__).resolve().parents[2]
 NOISELESS = Recipe(epochs=1, batch=90, rate=1e-2, mask_rate=1e-2, snr_db=None)

@@ -13,14 +13,14 @@ import pytest
 import torch
 from torch import distributed
 
-from veilcam_training import cli
 from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.configuration import load_settings
+from veilcam_training.cli import main as cli
+from veilcam_training.config.settings import load_settings
 from veilcam_training.errors import TrainingError
-from veilcam_training.job import Settings
-from veilcam_training.progress import FitProgress
-from veilcam_training.ranks import Ranks
-from veilcam_training.seed import settle_seed
+from veilcam_training.experiments.fit import Settings
+from veilcam_training.experiments.seed import settle_seed
+from veilcam_training.trainer.callbacks import FitProgress
+from veilcam_training.trainer.distributed import Ranks
 
 SMALL = ("--embedding", "3x4", "--epochs", "2", "--batch", "90")
 COMMANDS = {"fit": ("fit", *SMALL), "keyring": ("keyring", *SMALL, "--pairs", "2")}

@@ -13,12 +13,12 @@ from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import build_classifier, read_bundle, write_bundle
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import SOURCES, open_source, split
 from veilcam_training.data.celeba import CelebaSource, stratified
 from veilcam_training.errors import TrainingError
-from veilcam_training.job import Settings, run_job
-from veilcam_training.keyring import as_bundle
-from veilcam_training.recipe import Recipe
+from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.experiments.keyring import as_bundle
 
 Writer = Callable[..., Path]
 

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Source, Split
-from veilcam_training.fitting import fit
-from veilcam_training.jitter import Jitter
-from veilcam_training.job import Settings, make_model
-from veilcam_training.model import LenslessClassifier
-from veilcam_training.randomness import stream
-from veilcam_training.recipe import Recipe
-from veilcam_training.steps import Inputs
+from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.seeding import stream
+from veilcam_training.trainer.loop import fit
+from veilcam_training.trainer.step import Inputs
+from veilcam_training.transforms.augmentation import Jitter
 
 RECIPE = Recipe(epochs=2, batch=30)
 

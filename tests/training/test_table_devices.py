@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import torch
 
-from veilcam_training import cli
-from veilcam_training.tables import command
+from veilcam_training.cli import main as cli
+from veilcam_training.cli import table as command
 
 
 @pytest.mark.parametrize(("device", "gpus"), [("cuda", 1), ("cpu", 0)])

@@ -14,32 +14,31 @@ from matplotlib.collections import PathCollection
 from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.figures import Origin
-from veilcam_training.job import Settings, make_model
-from veilcam_training.recipe import Recipe
-from veilcam_training.tables.catalogue import find_table
-from veilcam_training.tables.cell import Cell
-from veilcam_training.tables.charts import draw_charts
-from veilcam_training.tables.cost import draw_cost
-from veilcam_training.tables.figures import record_cells
-from veilcam_training.tables.pictures import (
+from veilcam_training.experiments.cost import draw_cost
+from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.grid import Cell, find_table
+from veilcam_training.experiments.pictures import (
     PSF_SHAPE,
     Pictures,
     load_pictures,
     make_pictures,
     save_pictures,
 )
-from veilcam_training.tables.report import write_report
-from veilcam_training.tables.result import (
+from veilcam_training.experiments.plots import draw_charts
+from veilcam_training.experiments.records import Origin
+from veilcam_training.experiments.report import write_report
+from veilcam_training.experiments.results import (
     CellResult,
     EpochRecord,
     Finished,
+    Summary,
     load_results,
+    record_cells,
     save_finished,
 )
-from veilcam_training.tables.summary import Summary
 
 
 def finish(work: Path, test: float, **settings: object) -> CellResult:

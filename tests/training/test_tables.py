@@ -19,22 +19,27 @@ from typing import Any
 import pytest
 import torch
 
-from veilcam_training import cli
 from veilcam_training.bundle import read_bundle
-from veilcam_training.evaluation import confusion
-from veilcam_training.fitting import Epoch
-from veilcam_training.job import Settings
-from veilcam_training.private_file import read_private
-from veilcam_training.tables import command
-from veilcam_training.tables import run as run_module
-from veilcam_training.tables.catalogue import TABLES, find_table
-from veilcam_training.tables.cell import Cell
-from veilcam_training.tables.inference import time_label
-from veilcam_training.tables.paper import load_paper
-from veilcam_training.tables.place import Column, Place, Row
-from veilcam_training.tables.result import load_results
-from veilcam_training.tables.stopwatch import Stopwatch
-from veilcam_training.tables.table import Part
+from veilcam_training.cli import main as cli
+from veilcam_training.cli import table as command
+from veilcam_training.experiments import runner as run_module
+from veilcam_training.experiments.fit import Settings
+from veilcam_training.experiments.grid import (
+    TABLES,
+    Cell,
+    Column,
+    Part,
+    Place,
+    Row,
+    find_table,
+    load_paper,
+)
+from veilcam_training.experiments.results import load_results
+from veilcam_training.experiments.runner import time_label
+from veilcam_training.experiments.stopwatch import Stopwatch
+from veilcam_training.files import read_private
+from veilcam_training.trainer.evaluation import confusion
+from veilcam_training.trainer.loop import Epoch
 
 Call = Callable[..., int]
 ONE = ("--encoders", "learned", "--embeddings", "6x8", "--readings", "area", "--classifiers", "LR")
@@ -371,7 +376,7 @@ def test_a_killed_table_ends_with_the_same_numbers(
     broken, whole = tmp_path / "broken", tmp_path / "whole"
     chosen = (*ONE, "--data", digit_folder, "--epochs", 60)
     arguments = ["table", "mnist", *map(str, chosen), "--work", str(broken)]
-    program = "from veilcam_training.cli import main; main()"
+    program = "from veilcam_training.cli.main import main; main()"
     checkpoint = broken / "mnist_LR_learned_6x8" / "checkpoint"
     process = subprocess.Popen(
         [sys.executable, "-c", program, *arguments],

@@ -17,11 +17,18 @@ import pytest
 import torch
 from tests.training.tasks import closure, gpus, kill, kill_once, place, refuse
 
-from veilcam_training import cli
 from veilcam_training.bundle import Bundle, read_bundle
+from veilcam_training.cli import main as cli
 from veilcam_training.errors import TrainingError
-from veilcam_training.tables.result import load_results
-from veilcam_training.workers import ATTEMPTS, HERE, LocalWorkers, RayWorkers, Workers, make_workers
+from veilcam_training.experiments.executors import (
+    ATTEMPTS,
+    HERE,
+    LocalWorkers,
+    RayWorkers,
+    Workers,
+    make_workers,
+)
+from veilcam_training.experiments.results import load_results
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -127,7 +134,7 @@ import signal
 import sys
 from pathlib import Path
 from tests.training.tasks import linger
-from veilcam_training.workers import LocalWorkers
+from veilcam_training.experiments.executors import LocalWorkers
 
 # A shell's background jobs ignore Ctrl-C, and what they start does, too.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -11,7 +11,6 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from veilcam_training.bundle.bundle import Bundle, check_bundle
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.manifest import (
     FreshManifest,
@@ -20,6 +19,7 @@ from veilcam_training.bundle.manifest import (
     dump_manifest,
     load_manifest,
 )
+from veilcam_training.bundle.model import Bundle, check_bundle
 from veilcam_training.bundle.parts import (
     MASKS,
     PARTS,

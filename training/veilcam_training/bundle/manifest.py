@@ -10,10 +10,10 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise
 from veilcam_optics.transfer.operator import Reach
-from veilcam_training.bundle.bundle import Accuracy
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature
 from veilcam_training.bundle.layers import LayerRecord
+from veilcam_training.bundle.model import Accuracy
 
 FORMAT = "veilcam-bundle"
 VERSION = 1

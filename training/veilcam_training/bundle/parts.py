@@ -15,10 +15,10 @@ from torch import Tensor
 from veilcam_optics.decoding import SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_training.bundle.bundle import Bundle, Pair
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Fresh
 from veilcam_training.bundle.manifest import FreshManifest, PairManifest
+from veilcam_training.bundle.model import Bundle, Pair
 
 MASKS, WEIGHTS, SCENES = "masks.safetensors", "weights.safetensors", "scene_stats.safetensors"
 PARTS: Mapping[str, tuple[str, ...]] = {

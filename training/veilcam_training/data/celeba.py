@@ -18,7 +18,7 @@ from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.images import Images
+from veilcam_training.data.base import Images
 from veilcam_training.errors import TrainingError
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {

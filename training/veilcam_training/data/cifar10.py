@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.images import Images
+from veilcam_training.data.base import Images
 from veilcam_training.errors import TrainingError
 
 LABELS = (

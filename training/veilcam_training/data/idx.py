@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.images import Images
+from veilcam_training.data.base import Images
 from veilcam_training.errors import TrainingError
 
 DIGITS = tuple("0123456789")

@@ -1,12 +1,11 @@
 """Encoders: the cameras that training compares, behind one interface."""
 
-from veilcam_training.encoders.catalogue import ENCODERS, make_encoder
+from veilcam_training.encoders.base import Encoder, FixedEncoder, Setup
 from veilcam_training.encoders.digital import Digital
-from veilcam_training.encoders.encoder import Encoder, FixedEncoder
+from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import FixedMask, LearnedMask, Mask
-from veilcam_training.encoders.panel import PanelErrors
-from veilcam_training.encoders.setup import Setup
-from veilcam_training.encoders.spread import Spread, SpreadEncoder, read_spread
+from veilcam_training.encoders.psf import Spread, SpreadEncoder, read_spread
+from veilcam_training.encoders.registry import ENCODERS, make_encoder
 
 __all__ = [
     "ENCODERS",

@@ -13,7 +13,7 @@ from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid, covering_grid
-from veilcam_training.encoders.spread import Spread
+from veilcam_training.encoders.psf import Spread
 
 LENS_DISTANCE = 7.53e-3
 """Lens to sensor [m] (the paper, appendix A)."""

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.transfer.parts import Part
-from veilcam_training.encoders.encoder import Encoder
-from veilcam_training.encoders.setup import Setup
+from veilcam_training.encoders.base import Encoder, Setup
 
 
 class Digital(Encoder):

@@ -13,9 +13,8 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.transfer.parts import Part
-from veilcam_training.encoders.encoder import Encoder
-from veilcam_training.encoders.panel import PanelErrors, make_places
-from veilcam_training.encoders.setup import Setup
+from veilcam_training.encoders.base import Encoder, Setup
+from veilcam_training.encoders.imperfections import PanelErrors, make_places
 
 NO_ERRORS = PanelErrors()
 GROUND = 0.05

@@ -1,0 +1,289 @@
+"""``veilcam-train``: fit masks and classifiers, and write them as bundles."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import torch
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.errors import OpticsError
+from veilcam_training.bundle import BundleError, write_bundle
+from veilcam_training.cli.fresh import fit_fresh_command, frame_command
+from veilcam_training.cli.table import report_command, table_command
+from veilcam_training.config.recipes import RECIPES
+from veilcam_training.config.settings import load_settings
+from veilcam_training.data import SOURCES, open_source
+from veilcam_training.data.download import REMOTES, download
+from veilcam_training.encoders import ENCODERS
+from veilcam_training.errors import TrainingError
+from veilcam_training.experiments.executors import make_workers
+from veilcam_training.experiments.fit import Outcome, Settings, run_job
+from veilcam_training.experiments.keyring import as_bundle, check_pairs, fit_keyring
+from veilcam_training.experiments.seed import settle_seed
+from veilcam_training.files import check_file, check_folder
+from veilcam_training.trainer.callbacks import FitProgress, make_progress
+from veilcam_training.trainer.distributed import choose_device, join_ranks
+from veilcam_training.trainer.loop import Observer
+from veilcam_training.transforms.scene import CHANGES
+
+app = typer.Typer(
+    help="Train lensless cameras: mask and classifier together.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+console = Console()
+
+Folder = Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")]
+Config = Annotated[
+    Path | None, typer.Option("--config", help="TOML file of settings; options go before it.")
+]
+Dataset = Annotated[str | None, typer.Option("--dataset", help=f"One of {', '.join(SOURCES)}.")]
+Classifier = Annotated[
+    str | None, typer.Option("--classifier", help="LR, FC<width>, MLP<width>, CNN<width>, VGG11.")
+]
+EncoderName = Annotated[
+    str | None, typer.Option("--encoder", help=f"One of {', '.join(ENCODERS)}.")
+]
+Psf = Annotated[Path | None, typer.Option("--psf", help="PSF file (.npz) of fixed_measured.")]
+Shape = Annotated[
+    str | None, typer.Option("--embedding", help="ROWSxCOLUMNS; 24x32 unless told otherwise.")
+]
+Reading = Annotated[
+    str | None,
+    typer.Option("--reading", help="area: mean of a pixel; point: its centre (the paper's)."),
+]
+ChangeName = Annotated[
+    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(CHANGES)}.")
+]
+RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
+Epochs = Annotated[int | None, typer.Option("--epochs", help="Instead of the recipe's.")]
+Batch = Annotated[int | None, typer.Option("--batch", help="Instead of the recipe's.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        help="Of every random number, to get the same masks again, as whoever knows it can: "
+        "leave it out for masks that go on a camera, then a secret one is drawn.",
+    ),
+]
+Work = Annotated[
+    Path | None, typer.Option("--work", help="Folder for checkpoints: resumes what is in it.")
+]
+Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
+Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
+WorkerCount = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes, each of one thread; 1 by default."),
+]
+RayAddress = Annotated[
+    str | None, typer.Option("--ray", help="HOST:PORT of a Ray cluster, or local to start one.")
+]
+
+
+@app.command("fit")
+def fit_command(
+    *,
+    data: Folder,
+    config: Config = None,
+    dataset: Dataset = None,
+    classifier: Classifier = None,
+    encoder: EncoderName = None,
+    psf: Psf = None,
+    embedding: Shape = None,
+    reading: Reading = None,
+    change: ChangeName = None,
+    recipe: RecipeName = None,
+    epochs: Epochs = None,
+    batch: Batch = None,
+    seed: Seed = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Bundle to write, *.veilcam.")] = None,
+    work: Work = None,
+    tensorboard: Logs = None,
+    device: Device = "auto",
+    threads: Threads = None,
+) -> None:
+    """Fit one camera and classifier; print its accuracy on the test set; write a bundle."""
+    settings = _settings(
+        config,
+        data=dataset,
+        classifier=classifier,
+        encoder=encoder,
+        psf=psf,
+        embedding=embedding,
+        reading=reading,
+        change=change,
+        seed=seed,
+        recipe=_given(base=recipe, epochs=epochs, batch=batch),
+    )
+    place = _prepare(device, threads)
+    _check_places(out, work, tensorboard)
+    source, camera = open_source(settings.data, data), Camera()
+    if out is not None:
+        check_pairs(settings, source, camera)
+    with join_ranks(place) as (ranks, place):
+        settings = settle_seed(settings, work, ranks)
+        terminal = console if ranks.is_first else Console(quiet=True)
+        with make_progress(terminal) as progress:
+            name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
+            bar = FitProgress(progress, name, settings.recipe.epochs)
+            outcome = run_job(
+                settings,
+                source,
+                camera,
+                device=place,
+                checkpoint=None if work is None else work / "fit.checkpoint",
+                observers=[bar, *_logs(tensorboard)] if ranks.is_first else (),
+                ranks=ranks,
+            )
+        if not ranks.is_first:
+            return
+        _show(outcome)
+        if out is not None:
+            write_bundle(out, as_bundle([outcome], source, camera))
+            console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+
+
+@app.command("keyring")
+def keyring_command(
+    *,
+    data: Folder,
+    out: Annotated[Path, typer.Option("--out", help="Bundle to write, *.veilcam.")],
+    pairs: Annotated[int, typer.Option("--pairs", min=1, help="How many masks.")] = 5,
+    config: Config = None,
+    dataset: Dataset = None,
+    classifier: Classifier = None,
+    encoder: EncoderName = None,
+    embedding: Shape = None,
+    recipe: RecipeName = None,
+    epochs: Epochs = None,
+    batch: Batch = None,
+    seed: Seed = None,
+    work: Work = None,
+    device: Device = "auto",
+    threads: Threads = None,
+    processes: WorkerCount = None,
+    address: RayAddress = None,
+) -> None:
+    """Fit several pairs of mask and classifier, each from its own seed, into one bundle."""
+    settings = _settings(
+        config,
+        data=dataset,
+        classifier=classifier,
+        encoder=encoder,
+        embedding=embedding,
+        seed=seed,
+        recipe=_given(base=recipe, epochs=epochs, batch=batch),
+    )
+    place = _prepare(device, threads)
+    _check_places(out, work)
+    workers = make_workers(processes, address, threads=threads, gpus=int(place.type == "cuda"))
+    here = address is None and processes in (None, 1)  # no bar moves from another process
+    with make_progress(console) as progress:
+        done = progress.add_task("pairs", total=pairs, note="")
+        bundle = fit_keyring(
+            settle_seed(settings, work),
+            pairs,
+            open_source(settings.data, data.resolve()),
+            Camera(),
+            device=place,
+            work=None if work is None else work.resolve(),  # a worker may stand elsewhere
+            workers=workers,
+            observe=lambda index: (
+                [FitProgress(progress, f"pair {index + 1} of {pairs}", settings.recipe.epochs)]
+                if here
+                else []
+            ),
+            fitted=lambda *_: progress.advance(done),
+        )
+    write_bundle(out, bundle)
+    if bundle.accuracy is not None:
+        console.print(
+            f"{pairs} pairs, mean accuracy {100 * bundle.accuracy.value:.2f} % "
+            f"on {bundle.accuracy.test_set} ({bundle.accuracy.samples})"
+        )
+    console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+
+
+app.command("table")(table_command)
+app.command("report")(report_command)
+app.command("fit-fresh")(fit_fresh_command)
+app.command("frame")(frame_command)
+
+
+@app.command("download")
+def download_command(
+    name: Annotated[str, typer.Argument(help=f"One of {', '.join(REMOTES)}.")],
+    data: Annotated[Path, typer.Option("--data", help="Folder to put the files into.")],
+) -> None:
+    """Fetch a public data set and check it against its published digests."""
+    check_folder("--data", data)
+    download(name, data, console)
+    console.print(f"{name} is in {data}")
+
+
+def main() -> None:
+    """Run the command line; what the user can mend is one line on stderr and exit status 1."""
+    try:
+        app()
+    except (TrainingError, OpticsError, BundleError) as error:
+        _fail(str(error))
+
+
+def _fail(message: str) -> NoReturn:
+    Console(stderr=True).print(f"error: {message}", markup=False, highlight=False, soft_wrap=True)
+    sys.exit(1)
+
+
+def _given(**options: object) -> dict[str, object]:
+    """Those options that were given."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _settings(config: Path | None, **options: object) -> Settings:
+    return load_settings(config, _given(**options))
+
+
+def _check_places(out: Path | None, work: Path | None, logs: Path | None = None) -> None:
+    if out is not None:
+        check_file("--out", out, ".veilcam")
+    if work is not None:
+        check_folder("--work", work)
+    if logs is not None:
+        check_folder("--tensorboard", logs)
+
+
+def _prepare(device: str, threads: int | None) -> torch.device:
+    """Set the number of threads and choose the device."""
+    if threads is not None:
+        torch.set_num_threads(threads)
+    return choose_device(device)
+
+
+def _logs(folder: Path | None) -> Sequence[Observer]:
+    if folder is None:
+        return ()
+    from veilcam_training.trainer.callbacks import TensorBoardLog  # noqa: PLC0415 - slow to import
+
+    return (TensorBoardLog(folder),)
+
+
+def _show(outcome: Outcome) -> None:
+    settings, best = outcome.settings, outcome.fit.best
+    table = Table("encoder", "embedding", "classifier", "best epoch", "validation", "test")
+    table.add_row(
+        settings.encoder,
+        settings.embedding,
+        settings.classifier,
+        f"{best.number + 1} of {settings.recipe.epochs}",
+        f"{100 * best.validation_accuracy:.2f} %",
+        f"{100 * outcome.accuracy.value:.2f} %",
+    )
+    console.print(table)

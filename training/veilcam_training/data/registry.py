@@ -1,0 +1,34 @@
+"""Every data set by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+
+from veilcam_training.data import celeba, faces
+from veilcam_training.data.base import Source
+from veilcam_training.data.cifar10 import Cifar10Source
+from veilcam_training.data.idx import CLOTHES, DIGITS, IdxSource
+from veilcam_training.errors import TrainingError
+
+SOURCES: Mapping[str, Callable[[Path], Source]] = {
+    "mnist": partial(IdxSource, "mnist", DIGITS),
+    "fashion": partial(IdxSource, "fashion", CLOTHES),
+    "cifar10": Cifar10Source,
+    **{name: partial(faces.FacesSource, name) for name in faces.ATTRIBUTES},
+    **{name: partial(celeba.CelebaSource, name) for name in celeba.ATTRIBUTES},
+}
+
+
+def open_source(name: str, folder: Path) -> Source:
+    """Data set ``name``, with its files in ``folder``; nothing is read yet.
+
+    Raises:
+        TrainingError: an unknown name, or a folder that is not there.
+    """
+    if name not in SOURCES:
+        raise TrainingError(f"data set {name!r} is unknown: use one of {', '.join(SOURCES)}")
+    if not folder.is_dir():
+        raise TrainingError(f"{folder} is not a folder: give the one that holds {name} as --data")
+    return SOURCES[name](folder)

@@ -1,0 +1,147 @@
+"""What every camera does: a linear map from scene to embedding, then noise.
+
+All of them are used in the same way, so that a comparison compares the cameras alone.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.parts import Part, embed_lit
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Camera, scene, and how the sensor is read.
+
+    ``point_reading`` reads the sensor at the centre of each embedding pixel, as the paper's code
+    does when it shrinks a reading without antialiasing. A real camera averages over the pixel.
+    """
+
+    camera: Camera = field(default_factory=Camera)
+    scene: Scene = field(default_factory=Scene)
+    embedding: Embedding = field(default_factory=Embedding)
+    colour: bool = False
+    """False sums the colours to a gray reading, True keeps three."""
+    point_reading: bool = False
+    finer: tuple[Scene, ...] = ()
+    """Scenes of smaller pixels that are shown too; each has a transfer of its own."""
+
+    @property
+    def grids(self) -> tuple[Scene, ...]:
+        """The scene, and the finer ones, by the number of their grid."""
+        return (self.scene, *self.finer)
+
+    def light(self, grid: int) -> float:
+        """How much light a white scene on ``grid`` sends, relative to that of ``scene``."""
+        first, other = self.scene, self.grids[grid]
+        return (other.rows * other.columns * other.pixel**2) / (
+            first.rows * first.columns * first.pixel**2
+        )
+
+    @property
+    def channels(self) -> int:
+        """1 gray, 3 in colour."""
+        return 3 if self.colour else 1
+
+    @property
+    def outputs(self) -> int:
+        """How many numbers one embedding has, all channels together."""
+        return self.channels * self.embedding.size
+
+    @property
+    def matrix_shape(self) -> tuple[int, ...]:
+        """Shape of the transfer: (scene pixels, embedding pixels), after (3,) in colour."""
+        shape = (self.scene.rows * self.scene.columns, self.embedding.size)
+        return (3, *shape) if self.colour else shape
+
+
+class Encoder(nn.Module, ABC):
+    """A camera as ``v = x T``; ``trainable`` says whether T has parameters.
+
+    ``constant`` says whether T is the same in every step, so that a noiseless reading need be
+    computed only once.
+    """
+
+    trainable: bool = False
+    constant: bool = False
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__()
+        self.setup = setup
+
+    @abstractmethod
+    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+        """T, of shape ``setup.matrix_shape``; for a part of the scene only the rows of its pixels.
+
+        Args:
+            part: of the scene; None for all of it.
+            grid: which of ``setup.grids`` the scene is on.
+
+        Raises:
+            OpticsError: a part that is not wholly in the scene.
+        """
+
+    def forward(self, scenes: Tensor, part: Part | None = None, grid: int = 0) -> Tensor:
+        """Noiseless embeddings.
+
+        Args:
+            scenes: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
+            part: which part of the scene ``scenes`` are; the rest is black. None for all of it.
+            grid: which of ``setup.grids`` the scene is on.
+
+        Returns:
+            (batch, ``setup.outputs``).
+        """
+        if self.setup.colour:
+            transfer = self.transfer(part, grid)
+            seen = torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
+        else:
+            whole = Part(0, 0, *self.setup.grids[grid].shape)
+            seen = embed_lit(scenes, part or whole, lambda lit: self.transfer(lit, grid))
+        # A transfer is relative to a white scene of its own size.
+        return seen * self.setup.light(grid) if grid else seen
+
+    def _of_part(self, matrix: Tensor, part: Part | None, grid: int) -> Tensor:
+        """Those rows of the whole T that belong to pixels of ``part``."""
+        if part is None:
+            return matrix
+        scene = self.setup.grids[grid]
+        part.check(scene)
+        pixels = matrix.reshape(*matrix.shape[:-2], *scene.shape, -1)
+        pixels = pixels.narrow(-3, part.top, part.rows).narrow(-2, part.left, part.columns)
+        return pixels.flatten(-3, -2)
+
+    def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
+        """Noise of the sensor at the delivered signal-to-noise ratio ``snr_db`` [dB]."""
+        return shot_noise(values, snr_db, generator)
+
+    def project(self) -> None:
+        """Bring the parameters back into what the device can show, after an optimiser's step."""
+
+
+class FixedEncoder(Encoder):
+    """A camera that does not learn: its transfer is a constant.
+
+    Args:
+        setup: camera, scene and reading.
+        matrices: T on each of ``setup.grids``.
+    """
+
+    constant = True
+
+    def __init__(self, setup: Setup, matrices: Sequence[Tensor]) -> None:
+        super().__init__(setup)
+        for grid, matrix in enumerate(matrices):
+            self.register_buffer(f"matrix_{grid}", matrix)
+
+    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+        """T, a constant."""
+        return self._of_part(self.get_buffer(f"matrix_{grid}"), part, grid)

@@ -1,0 +1,125 @@
+"""Cameras that are known by their point spread function (PSF): simulated elsewhere, or measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
+from veilcam_optics.propagation.sampling import axis, coverage
+from veilcam_optics.transfer.reference import TransferBinning
+from veilcam_training.encoders.base import FixedEncoder, Setup
+from veilcam_training.errors import TrainingError
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A PSF on square cells centred on the axis; what falls outside counts as dark.
+
+    ``irradiance`` is (3, rows, columns) for R, G, B; ``pitch`` the side of a cell [m];
+    ``distance`` from the coding element to the sensor [m], which sets the scene's scale there.
+    """
+
+    irradiance: Tensor
+    pitch: float
+    distance: float
+
+
+class SpreadEncoder(FixedEncoder):
+    """A camera with one PSF for the whole scene."""
+
+    def __init__(self, setup: Setup, spread: Spread) -> None:
+        super().__init__(setup, [_transfer(setup, scene, spread) for scene in setup.grids])
+
+
+def _transfer(setup: Setup, scene: Scene, spread: Spread) -> Tensor:
+    camera = replace(setup.camera, distance=spread.distance)
+    if setup.point_reading:
+        image = scene.pixel_at_sensor(camera)
+        channels = point_transfer(spread, camera.sensor, scene, setup.embedding, image=image)
+    else:
+        rows, columns = spread.irradiance.shape[1:]
+        binning = TransferBinning(
+            camera,
+            scene,
+            setup.embedding,
+            shape=(rows, columns),
+            pitch=spread.pitch,
+            dtype=spread.irradiance.dtype,
+        )
+        channels = binning(spread.irradiance)
+    if not setup.colour:
+        shares = torch.tensor(camera.sensor.channel_weights, dtype=channels.dtype)
+        channels = torch.einsum("c,cpe->pe", shares, channels)
+    return channels.float()
+
+
+def point_transfer(
+    spread: Spread, sensor: Sensor, scene: Scene, embedding: Embedding, *, image: float
+) -> Tensor:
+    """Transfer (3, scene pixels, embedding pixels) to the centres of the embedding pixels.
+
+    Args:
+        spread: the PSF.
+        sensor: is read.
+        scene: is seen.
+        embedding: its pixels' centres are where the sensor is read.
+        image: side of a scene pixel's geometric image on the sensor [m].
+    """
+    rows, columns = spread.irradiance.shape[1:]
+    boxes = []
+    for length, pixels, scene_pixels, cells in (
+        (sensor.height, embedding.rows, scene.rows, rows),
+        (sensor.width, embedding.columns, scene.columns, columns),
+    ):
+        # A scene point falls on the other side of the axis: the offset to it is a sum.
+        at = (axis(scene_pixels, image)[:, None] + axis(pixels, length / pixels)).flatten()
+        covered = coverage(at - image / 2, at + image / 2, cells, spread.pitch)
+        boxes.append(covered * (spread.pitch / (scene_pixels * image)))
+    y, x = (box.to(spread.irradiance.dtype) for box in boxes)
+    split = (y @ spread.irradiance @ x.T).reshape(
+        3, scene.rows, embedding.rows, scene.columns, embedding.columns
+    )
+    return split.transpose(2, 3).reshape(3, scene.rows * scene.columns, embedding.size)
+
+
+def read_spread(path: Path, distance: float) -> Spread:
+    """Read a measured PSF from an ``.npz`` file.
+
+    The file holds ``psf``, (rows, columns) or (3, rows, columns), not negative; ``pitch``, the side
+    of its cells [m]; and may hold ``distance`` [m], from mask to sensor.
+
+    Args:
+        path: of the file.
+        distance: for a file without one [m].
+
+    Raises:
+        TrainingError: the file is missing, damaged, or not such a file.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+            psf = np.asarray(content["psf"], dtype=np.float32)
+            pitch = float(content["pitch"])
+            distance = float(content["distance"]) if "distance" in content else distance
+    except FileNotFoundError:
+        raise TrainingError(f"{path} is missing: give the file of a PSF as --psf") from None
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+        raise TrainingError(
+            f"{path} is not the file of a PSF ({error}): save psf and pitch with numpy.savez"
+        ) from None
+    if psf.ndim == 2:
+        psf = np.broadcast_to(psf, (3, *psf.shape))
+    if psf.ndim != 3 or len(psf) != 3 or psf.size == 0:
+        raise TrainingError(f"{path} has a PSF of shape {psf.shape}: use (3, rows, columns)")
+    if not np.isfinite(psf).all() or psf.min() < 0 or psf.max() <= 0:
+        raise TrainingError(f"{path} has a PSF that is no irradiance: use finite numbers >= 0")
+    if not (0 < pitch < 1 and 0 < distance < 1):
+        raise TrainingError(
+            f"{path} has pitch {pitch} m and distance {distance} m: use metres, > 0"
+        )
+    return Spread(torch.from_numpy(np.ascontiguousarray(psf)), pitch, distance)

@@ -1,0 +1,279 @@
+"""The paper's tables by name, and ours of the same kind."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from importlib.resources import files
+from itertools import product, starmap
+from typing import NamedTuple, Self
+
+from veilcam_training.encoders import ENCODERS
+from veilcam_training.errors import TrainingError
+from veilcam_training.experiments.fit import Settings
+from veilcam_training.models.classifiers import Task, make_layers
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Test accuracies [percent] and where they stand."""
+
+    source: str
+    accuracy: Mapping[str, float]
+
+
+@cache
+def load_paper() -> Paper:
+    """The numbers of ``paper.json``."""
+    content = json.loads((files(__package__) / "paper.json").read_text())
+    return Paper(content["source"], content["accuracy"])
+
+
+READINGS = ("area", "point")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Which cells of a table are wanted; None for those that it has of its own accord.
+
+    What is named twice is run once.
+    """
+
+    encoders: Sequence[str] | None = None
+    classifiers: Sequence[str] | None = None
+    embeddings: Sequence[str] | None = None
+    readings: Sequence[str] | None = None
+    datasets: Sequence[str] | None = None
+    changes: Sequence[str] | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Every combination of its parts.
+
+    ``classifiers`` are the paper's; others may be asked for. Of its own accord it has the area
+    reading for every encoder, and beside that of a learned mask the paper's sampling.
+    """
+
+    name: str
+    title: str
+    datasets: tuple[str, ...]
+    classifiers: tuple[str, ...]
+    embeddings: tuple[str, ...]
+    changes: tuple[str, ...] = ("none",)
+    encoders: tuple[str, ...] = tuple(ENCODERS)
+    readings: tuple[str, ...] = READINGS
+
+    def places(self, part: Part = Part(), *, psf: bool = False) -> tuple[Place, ...]:
+        """The places of ``part`` of the table, in the order in which they are run.
+
+        Args:
+            part: what is wanted.
+            psf: True if there is a measured point spread function. Without one the encoder
+                ``fixed_measured`` is left out, unless it is asked for by name.
+
+        Raises:
+            TrainingError: a part that the table does not have.
+        """
+        encoders = part.encoders
+        if encoders is None and not psf:
+            encoders = [name for name in self.encoders if name != "fixed_measured"]
+        chosen = replace(part, encoders=encoders)
+        wanted = {
+            field.name: self._choose(field.name, getattr(chosen, field.name))
+            for field in fields(chosen)
+            if field.name != "classifiers"
+        }
+        places = []
+        for data, change, classifier, encoder, embedding, reading in product(
+            wanted["datasets"],
+            wanted["changes"],
+            self._classifiers(part.classifiers),
+            wanted["encoders"],
+            wanted["embeddings"],
+            wanted["readings"],
+        ):
+            sampled = reading == "point"
+            if sampled and encoder == "digital":
+                continue  # there is no sensor to sample
+            if sampled and part.readings is None and encoder != "learned":
+                continue
+            places.append(Place(Row(classifier, encoder, reading), Column(data, change, embedding)))
+        if not places:
+            raise TrainingError(
+                f"table {self.name!r} has no such cells: digital has no reading 'point'"
+            )
+        return tuple(places)
+
+    def holds(self, settings: Settings) -> bool:
+        """True if a fit with ``settings`` belongs into this table."""
+        return (
+            settings.data in self.datasets
+            and settings.change in self.changes
+            and settings.encoder in self.encoders
+            and settings.embedding in self.embeddings
+        )
+
+    def rows(self, finished: Sequence[Row]) -> Iterator[Row]:
+        """The table's rows in order: its own with the area reading, and those of ``finished``."""
+        classifiers = dict.fromkeys((*self.classifiers, *(row.classifier for row in finished)))
+        for row in starmap(Row, product(classifiers, self.encoders, self.readings)):
+            own = row.classifier in self.classifiers and row.reading == "area"
+            if own or row in finished:
+                yield row
+
+    def columns(self) -> tuple[Column, ...]:
+        """The table's columns in order."""
+        return tuple(starmap(Column, product(self.datasets, self.changes, self.embeddings)))
+
+    def column_title(self, column: Column) -> str:
+        """That in a column's name which not all columns share, e.g. ``24x32``."""
+        parts = zip(column, (self.datasets, self.changes, self.embeddings), strict=True)
+        names = [name for name, known in parts if len(known) > 1]
+        return " ".join("original" if name == "none" else name for name in names)
+
+    def _choose(self, kind: str, wanted: Sequence[str] | None) -> Sequence[str]:
+        known: tuple[str, ...] = getattr(self, kind)
+        if wanted is None:
+            return known
+        for name in wanted:
+            if name not in known:
+                raise TrainingError(
+                    f"table {self.name!r} has no {name!r} among its {kind}: "
+                    f"use one or more of {','.join(known)}"
+                )
+        return tuple(dict.fromkeys(wanted))
+
+    def _classifiers(self, wanted: Sequence[str] | None) -> Sequence[str]:
+        if wanted is None:
+            return self.classifiers
+        for name in wanted:  # an unknown one is refused before anything is run
+            make_layers(name, Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel"))
+        return tuple(dict.fromkeys(wanted))
+
+
+class Row(NamedTuple):
+    """What one row of a table has in common."""
+
+    classifier: str
+    encoder: str
+    reading: str
+
+
+class Column(NamedTuple):
+    """What one column of a table has in common."""
+
+    data: str
+    change: str
+    embedding: str
+
+
+@dataclass(frozen=True)
+class Place:
+    """A row and a column, by the names of the settings of a fit."""
+
+    row: Row
+    column: Column
+
+    @classmethod
+    def of(cls, settings: Settings) -> Self:
+        """Where a fit with ``settings`` stands."""
+        return cls(
+            Row(settings.classifier, settings.encoder, settings.reading),
+            Column(settings.data, settings.change, settings.embedding),
+        )
+
+    @property
+    def title(self) -> str:
+        """What is compared, e.g. ``mnist_FC800_learned_24x32_shift``."""
+        row, column = self.row, self.column
+        parts = [column.data, row.classifier, row.encoder, column.embedding]
+        return "_".join(parts if column.change == "none" else [*parts, column.change])
+
+    @property
+    def name(self) -> str:
+        """The title, with ``_point`` for the paper's sampling of the sensor."""
+        return self.title + ("_point" if self.row.reading == "point" else "")
+
+    @property
+    def figure(self) -> str:
+        """The name of its test accuracy in a record of figures."""
+        row, (data, change, embedding) = self.row, self.column
+        classifier = row.classifier.lower() if data == "fashion" else row.classifier
+        name = f"{data}_{classifier}_{row.encoder}_{embedding}"
+        if change != "none":
+            name = f"robust_{change}_{row.classifier}_{row.encoder}"
+        return name + ("_point" if row.reading == "point" else "")
+
+    @property
+    def paper(self) -> float | None:
+        """Test accuracy in the paper [percent], or None where it has none."""
+        return load_paper().accuracy.get(self.title)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One fit of a table."""
+
+    settings: Settings
+
+    @property
+    def place(self) -> Place:
+        """Where it stands."""
+        return Place.of(self.settings)
+
+    @property
+    def name(self) -> str:
+        """Of its place and its seed, unless that is 0: no two cells of a table share a name."""
+        return self.place.name + (f"_seed{self.settings.seed}" if self.settings.seed else "")
+
+
+GRAY_SIZES = ("24x32", "12x16", "6x8", "3x4")
+
+_TABLES = (
+    Table("mnist", "Handwritten digits (MNIST)", ("mnist",), ("LR", "FC800"), GRAY_SIZES),
+    Table("fashion", "Clothes (Fashion-MNIST)", ("fashion",), ("LR", "FC800"), GRAY_SIZES),
+    Table(
+        "robust",
+        "Digits that are moved, scaled, turned and tilted (MNIST)",
+        ("mnist",),
+        ("FC800",),
+        ("24x32",),
+        changes=("none", "shift", "rescale", "rotate", "perspective"),
+    ),
+    Table(
+        "faces",
+        "Drawn faces",
+        ("faces-gender", "faces-smiling", "faces-glasses"),
+        ("FC800",),
+        ("24x32", "3x4"),
+    ),
+    Table(
+        "celeba",
+        "Photographs of faces (CelebA)",
+        ("celeba-gender", "celeba-smiling"),
+        ("FC800",),
+        ("24x32", "3x4"),
+    ),
+    Table(
+        "cifar10",
+        "Photographs of objects in colour (CIFAR-10)",
+        ("cifar10",),
+        ("VGG11",),
+        ("27x36", "13x17", "6x8", "3x4"),
+    ),
+)
+TABLES: Mapping[str, Table] = {table.name: table for table in _TABLES}
+
+
+def find_table(name: str) -> Table:
+    """Table ``name``.
+
+    Raises:
+        TrainingError: an unknown name.
+    """
+    if name not in TABLES:
+        raise TrainingError(f"table {name!r} is unknown: use one of {', '.join(TABLES)}")
+    return TABLES[name]

@@ -1,0 +1,70 @@
+"""``report.html`` and ``report.md``: a table beside the paper's, with its pictures."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+from veilcam_training.experiments.grid import Table, load_paper
+from veilcam_training.experiments.plots import draw_charts
+from veilcam_training.experiments.results import CellResult, Entry, Summary
+from veilcam_training.experiments.style import encoder_title
+
+PICTURE_FOLDER = "pictures"
+
+
+def write_report(out: Path, table: Table, results: Sequence[CellResult], work: Path) -> None:
+    """Write the report of ``table``; the HTML file holds its pictures, the other stands by them.
+
+    Args:
+        out: folder, made if it is not there.
+        table: is reported.
+        results: its finished cells, perhaps none.
+        work: folder of the cells.
+    """
+    folder = out / PICTURE_FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    summary = Summary(table, results)
+    charts = draw_charts(folder, summary, work) if results else []
+    environment = Environment(
+        loader=PackageLoader("veilcam_training.experiments"),
+        autoescape=select_autoescape(("html.jinja",)),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["signed"] = lambda value: f"{value:+.1f}".replace("-", "−")
+    environment.filters["encoder"] = encoder_title
+    context = {
+        "table": table,
+        "summary": summary,
+        "paper": load_paper(),
+        "has_paper": any(e.paper is not None for row in summary.rows for e in summary.entries(row)),
+        "commands": dict.fromkeys(result.origin.command for result in results),
+        "commits": dict.fromkeys(result.origin.commit for result in results),
+        "machines": dict.fromkeys(result.origin.machine for result in results),
+        "mark": mark,
+        "folder": PICTURE_FOLDER,
+    }
+    inlined = [(_inline(folder / name), caption) for name, caption in charts]
+    for template, pictures in (("report.html", inlined), ("report.md", charts)):
+        text = environment.get_template(f"{template}.jinja").render(context, pictures=pictures)
+        (out / template).write_text(text)
+
+
+def mark(entry: Entry) -> str:
+    """How an entry compares with the paper: ``better``, ``equal``, ``worse`` or ``none``."""
+    difference = entry.difference
+    if difference is None:
+        return "none"
+    if difference == 0:
+        return "equal"
+    return "better" if difference > 0 else "worse"
+
+
+def _inline(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()

@@ -1,0 +1,277 @@
+"""Test accuracies of finished cells in the record of figures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import mean, stdev
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+
+from veilcam_training.bundle import Bundle, write_bundle
+from veilcam_training.errors import TrainingError
+from veilcam_training.experiments.fit import Settings
+from veilcam_training.experiments.grid import Cell, Column, Place, Row, Table
+from veilcam_training.experiments.pictures import Pictures, save_pictures
+from veilcam_training.experiments.records import Origin, record_figures
+from veilcam_training.experiments.stopwatch import Clock
+
+RESULT = "result.json"
+PICTURES = "pictures.npz"
+BUNDLE = "pair.veilcam"
+CHECKPOINT = "checkpoint"
+
+
+class EpochRecord(BaseModel):
+    """One epoch's accuracies in [0, 1]."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    loss: float
+    training_accuracy: float
+    validation_accuracy: float
+    validation_loss: float
+
+
+class CellResult(BaseModel):
+    """The numbers of a finished cell; accuracies in [0, 1]."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    settings: Settings
+    fingerprint: str
+    """Of all that the numbers depend on."""
+    labels: tuple[str, ...]
+    test_set: str
+    test_accuracy: float
+    validation_accuracy: float
+    best_epoch: int
+    """From 0."""
+    epochs: tuple[EpochRecord, ...]
+    confusion: tuple[tuple[int, ...], ...]
+    """Of the test set: a row for each true class, a column for each predicted one."""
+    seconds: float
+    """All epochs together."""
+    clock: Clock = "elapsed"
+    """Which measured ``seconds``, see :class:`~veilcam_training.experiments.stopwatch.Stopwatch`."""
+    inference_seconds: float
+    """From one reading to its label, see :func:`~veilcam_training.experiments.runner.time_label`."""
+    device: str
+    origin: Origin
+    provenance: dict[str, JsonValue]
+
+    @property
+    def cell(self) -> Cell:
+        """Where it belongs."""
+        return Cell(self.settings)
+
+    def numbers(self) -> dict[str, Any]:
+        """What another run with the same seed must give again: all but times and origin."""
+        changing = {"seconds", "clock", "inference_seconds", "device", "origin", "provenance"}
+        return self.model_dump(mode="json", exclude=changing)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """All of a finished cell; a camera without a panel has no bundle."""
+
+    result: CellResult
+    pictures: Pictures
+    bundle: Bundle | None
+
+
+def save_finished(work: Path, finished: Finished) -> None:
+    """Write a cell into its folder in ``work``; its numbers come last and say that all is there."""
+    folder = cell_folder(work, finished.result.cell)
+    folder.mkdir(parents=True, exist_ok=True)
+    if finished.bundle is not None:
+        write_bundle(folder / BUNDLE, finished.bundle)
+    save_pictures(folder / PICTURES, finished.pictures)
+    temporary = folder / f".{RESULT}.{os.getpid()}"
+    with temporary.open("w") as stream:
+        stream.write(finished.result.model_dump_json(indent=1) + "\n")
+        stream.flush()
+        os.fsync(stream.fileno())
+    temporary.replace(folder / RESULT)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+
+
+def load_result(work: Path, cell: Cell, fingerprint: str) -> CellResult | None:
+    """The result of ``cell``, or None if it is not finished.
+
+    Raises:
+        TrainingError: the file is damaged, or of other settings, data or torch.
+    """
+    path = cell_folder(work, cell) / RESULT
+    if not path.exists():
+        return None
+    result = _read(path)
+    if result.fingerprint != fingerprint:
+        raise TrainingError(
+            f"{path.parent} was made with other settings, data or torch: "
+            "remove it to run it again, or use another --work"
+        )
+    return result
+
+
+def load_results(work: Path) -> Iterator[CellResult]:
+    """Every finished cell in ``work``, whatever its settings, by name.
+
+    Raises:
+        TrainingError: a file is damaged.
+    """
+    for path in sorted(work.glob(f"*/{RESULT}")):
+        yield _read(path)
+
+
+def cell_folder(work: Path, cell: Cell) -> Path:
+    """Folder of ``cell`` in the folder ``work``."""
+    return work / cell.name
+
+
+def _read(path: Path) -> CellResult:
+    try:
+        return CellResult.model_validate_json(path.read_text())
+    except (OSError, UnicodeDecodeError, ValidationError):
+        raise TrainingError(
+            f"{path} is not the result of a cell: remove {path.parent} to run it again"
+        ) from None
+
+
+def by_place(results: Sequence[CellResult]) -> Mapping[Place, tuple[CellResult, ...]]:
+    """``results`` by their place in a table, the least seed first.
+
+    Raises:
+        TrainingError: two of one place differ in more than their seed.
+    """
+    places: dict[Place, list[CellResult]] = {}
+    for result in sorted(results, key=lambda result: result.settings.seed):
+        group = places.setdefault(result.cell.place, [])
+        group.append(result)
+        first = group[0].settings
+        if result.settings.model_copy(update={"seed": first.seed}) != first:
+            raise TrainingError(
+                f"cells {group[0].cell.name} and {result.cell.name} differ in more than their "
+                "seed, so they have no mean: move one of their folders to another --work"
+            )
+    return {place: tuple(group) for place, group in places.items()}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What stands in one place of a table; accuracies and differences in percent."""
+
+    place: Place
+    results: tuple[CellResult, ...]
+    """One for each seed, the least first; none if it has not been run."""
+
+    @property
+    def test(self) -> float | None:
+        """Mean test accuracy."""
+        return 100 * mean(r.test_accuracy for r in self.results) if self.results else None
+
+    @property
+    def validation(self) -> float | None:
+        """Mean validation accuracy."""
+        return 100 * mean(r.validation_accuracy for r in self.results) if self.results else None
+
+    @property
+    def spread(self) -> float | None:
+        """Standard deviation of the test accuracy over the seeds, if there are several."""
+        if len(self.results) < 2:
+            return None
+        return 100 * stdev(result.test_accuracy for result in self.results)
+
+    @property
+    def paper(self) -> float | None:
+        """The paper's test accuracy."""
+        return self.place.paper
+
+    @property
+    def difference(self) -> float | None:
+        """Test accuracy less the paper's, to the digit that the paper gives."""
+        if self.test is None or self.paper is None:
+            return None
+        return round(self.test - self.paper, 1) + 0.0  # no -0.0
+
+
+class Summary:
+    """A table with what is finished of it.
+
+    Args:
+        table: says what its rows and columns are.
+        results: cells that belong to it.
+
+    Raises:
+        TrainingError: see :func:`veilcam_training.experiments.results.by_place`.
+    """
+
+    def __init__(self, table: Table, results: Sequence[CellResult]) -> None:
+        self.table = table
+        places = by_place(results)
+        self.columns = table.columns()
+        self.rows = tuple(table.rows([place.row for place in places]))
+        self._entries = [
+            [
+                Entry(Place(row, column), places.get(Place(row, column), ()))
+                for column in self.columns
+            ]
+            for row in self.rows
+        ]
+
+    def entries(self, row: Row) -> list[Entry]:
+        """What stands in ``row``, column by column."""
+        return self._entries[self.rows.index(row)]
+
+    def finished(self) -> list[Entry]:
+        """Every place that has been run, row by row."""
+        return [entry for row in self._entries for entry in row if entry.results]
+
+    def find(self, row: Row, column: Column) -> Entry | None:
+        """What stands in ``row`` and ``column``, if there are such and it has been run."""
+        for entry in self.finished():
+            if entry.place == Place(row, column):
+                return entry
+        return None
+
+
+def record_cells(path: Path, results: Sequence[CellResult]) -> None:
+    """Write test accuracies [percent] into the record at ``path``.
+
+    Several seeds of one cell give their mean. Each figure has the command, commit, date and machine
+    of the cell; of several, every command and commit, and the last one's date and machine.
+    ``robust_<change>`` is that of the classifier which validates best behind a learned mask.
+
+    Raises:
+        TrainingError: see :func:`veilcam_training.experiments.results.by_place`; or what is at ``path`` is
+            no such record.
+    """
+    by_name = {place.figure: group for place, group in by_place(results).items()}
+    for change in {result.settings.change for result in results} - {"none"}:
+        learned = [
+            group
+            for group in by_name.values()
+            if (settings := group[0].settings).change == change
+            and (settings.encoder, settings.reading) == ("learned", "area")
+        ]
+        if learned:
+            by_name[f"robust_{change}"] = max(learned, key=_validation_accuracy)
+    for name, group in by_name.items():
+        percent = 100 * mean(result.test_accuracy for result in group)
+        record_figures(path, {name: round(percent, 2)}, origin=_origin(group))
+
+
+def _origin(group: Sequence[CellResult]) -> Origin:
+    origins = sorted((result.origin for result in group), key=lambda origin: origin.date)
+    return replace(
+        origins[-1],
+        command="; ".join(dict.fromkeys(origin.command for origin in origins)),
+        commit=", ".join(dict.fromkeys(origin.commit for origin in origins)),
+    )
+
+
+def _validation_accuracy(group: Sequence[CellResult]) -> float:
+    return mean(result.validation_accuracy for result in group)

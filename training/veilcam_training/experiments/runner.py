@@ -1,0 +1,166 @@
+"""Running the cells of a table: each is one task of the workers, and is taken up where it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import torch
+from torch import nn
+
+from veilcam_optics.camera.geometry import Camera
+from veilcam_training.data import Source, open_source, split
+from veilcam_training.data.base import ReadOnce
+from veilcam_training.encoders import Mask
+from veilcam_training.experiments.executors import Workers
+from veilcam_training.experiments.fit import run_job
+from veilcam_training.experiments.grid import Cell
+from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.experiments.pictures import make_pictures
+from veilcam_training.experiments.provenance import provenance
+from veilcam_training.experiments.records import Origin
+from veilcam_training.experiments.results import (
+    CHECKPOINT,
+    CellResult,
+    EpochRecord,
+    Finished,
+    cell_folder,
+    load_result,
+    save_finished,
+)
+from veilcam_training.experiments.stopwatch import Stopwatch
+from veilcam_training.models.whitening import plain
+from veilcam_training.trainer.loop import Observer
+
+REPEATS = 100
+WARM_UP = 10
+
+
+@torch.inference_mode()
+def time_label(classifier: nn.Module, inputs: int) -> float:
+    """Seconds from one reading of ``inputs`` numbers to its label: the median of many.
+
+    On the CPU, with one thread and one reading at a time, as a device without a GPU does it.
+    """
+    classifier = plain(classifier).cpu().eval()
+    reading = torch.rand(1, inputs)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    times = []
+    try:
+        for _ in range(WARM_UP + REPEATS):
+            started = time.perf_counter()
+            int(classifier(reading).argmax())
+            times.append(time.perf_counter() - started)
+    finally:
+        torch.set_num_threads(threads)
+    return median(times[WARM_UP:])
+
+
+def _unobserved(cell: Cell) -> Sequence[Observer]:
+    del cell
+    return ()
+
+
+@dataclass
+class CellRunner:
+    """Runs a cell wherever a worker is. Only its paths and its end travel there.
+
+    Args:
+        data: folder of the data set.
+        work: folder of the cells; a broken-off one is taken up from its checkpoint there.
+        device: that computes.
+        until: time after which no cell is begun [s since 1970]; None for no end.
+        observe: gives the observers of a cell; for workers in other processes, leave it.
+    """
+
+    data: Path
+    work: Path
+    device: torch.device
+    until: float | None = None
+    observe: Callable[[Cell], Sequence[Observer]] = _unobserved
+
+    def __post_init__(self) -> None:
+        self._sources: dict[str, ReadOnce] = {}
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_sources": {}}  # images are read where they are needed
+
+    def source(self, name: str) -> Source:
+        """Data set ``name``, kept for the next cell."""
+        if name not in self._sources:
+            self._sources = {name: ReadOnce(open_source(name, self.data))}
+        return self._sources[name]
+
+    def __call__(self, cell: Cell) -> Finished | None:
+        """Run ``cell``; None if it was too late to begin.
+
+        Raises:
+            TrainingError: settings or data that cannot be used.
+        """
+        if self.until is not None and time.time() >= self.until:
+            return None
+        source, camera, settings = self.source(cell.settings.data), Camera(), cell.settings
+        watch = Stopwatch(self.device)
+        outcome = run_job(
+            settings,
+            source,
+            camera,
+            device=self.device,
+            checkpoint=cell_folder(self.work, cell) / CHECKPOINT,
+            observers=[watch, *self.observe(cell)],
+        )
+        model, history, best = outcome.fit.model, outcome.fit.history, outcome.fit.best
+        seconds, clock = watch.read(history)
+        result = CellResult(
+            settings=settings,
+            fingerprint=settings.fingerprint(source),
+            labels=source.labels,
+            test_set=outcome.accuracy.test_set,
+            test_accuracy=outcome.accuracy.value,
+            validation_accuracy=best.validation_accuracy,
+            best_epoch=best.number,
+            epochs=tuple(
+                EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
+            ),
+            confusion=tuple(map(tuple, outcome.confusion.tolist())),
+            seconds=seconds,
+            clock=clock,
+            inference_seconds=time_label(model.classifier, model.encoder.setup.outputs),
+            device=self.device.type,
+            origin=Origin.here(),
+            provenance=provenance(settings.model_dump(mode="json"), source.digests()),
+        )
+        # A device averages over its pixels: a point reading is for comparison alone.
+        on_device = isinstance(model.encoder, Mask) and settings.reading == "area"
+        return Finished(
+            result,
+            make_pictures(model, settings, split(source.training()).validation),
+            as_bundle([outcome], source, camera) if on_device else None,
+        )
+
+
+def run_cells(
+    cells: Sequence[Cell], runner: CellRunner, workers: Workers
+) -> Iterator[tuple[CellResult, bool]]:
+    """Results of ``cells``, those that were finished before first; True if it was run now.
+
+    Raises:
+        TrainingError: settings or data that cannot be used, or a cell in the work folder that was
+            made with others.
+    """
+    left = []
+    for cell in cells:
+        fingerprint = cell.settings.fingerprint(runner.source(cell.settings.data))
+        result = load_result(runner.work, cell, fingerprint)
+        if result is None:
+            left.append(cell)
+        else:
+            yield result, False
+    for _, finished in workers.run(runner, left):
+        if finished is not None:
+            save_finished(runner.work, finished)
+            yield finished.result, True

@@ -1,0 +1,56 @@
+"""How long a fit takes, whatever else the machine does meanwhile."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+
+from veilcam_training.trainer.loop import Epoch
+
+Clock = Literal["processor", "elapsed"]
+"""Time that the processor spent on this process, or time that went by."""
+
+
+class Stopwatch:
+    """Starts when it is made, and watches the epochs of a fit.
+
+    On a CPU it takes the processor's time, so that neighbours do not count; a GPU works beside the
+    processor, there it takes the time that goes by.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        self._clock: Clock = "processor" if device.type == "cpu" else "elapsed"
+        self._started = self._first = self._ended = self._now()
+        self._first_share = 0.0
+        self._epochs = 0
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """Take the time after the first step: what was prepared before it is done once only."""
+        del epoch
+        if self._first_share == 0:
+            self._first, self._first_share = self._now(), done / steps
+
+    def epoch(self, epoch: Epoch) -> None:
+        """Take the time at the end of an epoch."""
+        del epoch
+        self._ended = self._now()
+        self._epochs += 1
+
+    def read(self, history: Sequence[Epoch]) -> tuple[float, Clock]:
+        """Seconds of all epochs in ``history`` and of what was prepared, and by which clock.
+
+        An earlier process may have done the first epochs: they are taken to be as long as those
+        that were watched. If it did them all, only the time that went by in them is known.
+        """
+        if self._epochs == 0:
+            return sum(epoch.seconds for epoch in history), "elapsed"
+        whole, steady = self._ended - self._started, self._ended - self._first
+        share = self._epochs - self._first_share
+        each = steady / share if share > 0 else whole  # of one step alone
+        return whole + each * (len(history) - self._epochs), self._clock
+
+    def _now(self) -> float:
+        return time.process_time() if self._clock == "processor" else time.monotonic()

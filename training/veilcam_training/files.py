@@ -1,0 +1,119 @@
+"""Places that a command writes to: each is tried before the work, not after it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import NamedTemporaryFile, TemporaryDirectory
+
+from veilcam_training.errors import TrainingError
+
+DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write ``content`` behind its SHA-256; ``path`` holds what it held before, or all of it.
+
+    A folder that is missing is made for its owner alone.
+    """
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _remove_stale(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as stream:
+        stream.write(hashlib.sha256(content).digest())
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def read_private(path: Path) -> bytes | None:
+    """What :func:`write_private` wrote to ``path``, or None where there is no file.
+
+    Raises:
+        TrainingError: it cannot be read, is damaged or truncated, or is no such file.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise unreadable(path, str(error.strerror)) from None
+    digest, content = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
+        raise unreadable(path, "damaged, truncated, or of an earlier version")
+    return content
+
+
+def unreadable(path: Path, reason: str) -> TrainingError:
+    """What is said of a file that a run cannot be taken up from."""
+    return TrainingError(f"{path} cannot be read ({reason}): remove it to start again")
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove what writers left who were killed; one that had our number is dead, too."""
+    for file in path.parent.iterdir():
+        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d{{1,9}})", file.name)
+        if match is not None and not _is_other_process(int(match[1])):
+            file.unlink(missing_ok=True)
+
+
+def _is_other_process(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # it lives, and is another user's
+        return True
+    return number != os.getpid()
+
+
+def check_file(option: str, path: Path, ending: str) -> None:
+    """Refuse a place where no file can be written; nothing is left there.
+
+    Raises:
+        TrainingError: a name with another ending, a folder, or a place that cannot be written to.
+    """
+    if path.suffix != ending:
+        raise TrainingError(f"{option} {path} is not valid: use a name that ends in {ending}")
+    with _tried(option, path):
+        if path.is_dir():
+            raise TrainingError(f"{option} {path} is not valid: that is a folder, use another name")
+        if not path.parent.is_dir():
+            raise TrainingError(
+                f"{option} {path} is not valid: make the folder {path.parent} first"
+            )
+        # Written, as permissions do not tell: in /proc even root can make nothing.
+        NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.").close()
+
+
+def check_folder(option: str, path: Path) -> None:
+    """Refuse a place where no folder can be made or written to; nothing is left there.
+
+    Raises:
+        TrainingError: a file, or a place that cannot be written to.
+    """
+    whole = Path(os.path.abspath(path))
+    there = next(folder for folder in (whole, *whole.parents) if os.path.lexists(folder))
+    with _tried(option, path), TemporaryDirectory(dir=there, prefix=".veilcam.") as trial:
+        (Path(trial) / whole.relative_to(there)).mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
+def _tried(option: str, path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise TrainingError(
+            f"{option} {path} cannot be written to ({error.strerror}): use another place"
+        ) from None

@@ -1,0 +1,1 @@
+"""Classifiers, and encoder and classifier in one module."""

@@ -1,0 +1,72 @@
+"""How well a model does on images that it was not fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import cross_entropy
+
+from veilcam_training.data import Images
+from veilcam_training.errors import TrainingError
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.seeding import stream
+
+BATCH = 1000
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """``accuracy`` in [0, 1], mean cross entropy ``loss`` [nats], and every predicted label."""
+
+    accuracy: float
+    loss: float
+    predictions: Tensor
+    """int64 (count,)."""
+
+
+def confusion(labels: Tensor, predictions: Tensor, classes: int) -> Tensor:
+    """How often each class, a row, was taken for each class, a column.
+
+    Args:
+        labels: int64 (count,), the true classes.
+        predictions: int64 (count,).
+        classes: how many there are.
+
+    Returns:
+        int64 (classes, classes).
+    """
+    pairs = labels * classes + predictions
+    return torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
+
+
+@torch.no_grad()
+def evaluate(model: LenslessClassifier, images: Images, seed: int, purpose: str) -> Evaluation:
+    """Classify ``images``, each shown in one way and behind one draw of the noise.
+
+    Args:
+        model: on the device of the images.
+        images: to classify.
+        seed: of the draws.
+        purpose: what the evaluation is for; each has its own draws, the same every time.
+
+    Raises:
+        TrainingError: there are no images.
+    """
+    if len(images) == 0:
+        raise TrainingError("there are no images to evaluate with: use a set that holds some")
+    was_training = model.training
+    model.eval()
+    draws = stream(seed, purpose, "change")
+    noise = stream(seed, purpose, "noise", device=images.labels.device)
+    loss, predictions = 0.0, []
+    for start in range(0, len(images), BATCH):
+        part = slice(start, start + BATCH)
+        logits = model(images.scenes(part), noise, draws)
+        loss += cross_entropy(logits, images.labels[part], reduction="sum").item()
+        predictions.append(logits.argmax(1))
+    model.train(was_training)
+    predicted = torch.cat(predictions)
+    right = int((predicted == images.labels).sum())
+    return Evaluation(right / len(images), loss / len(images), predicted.cpu())

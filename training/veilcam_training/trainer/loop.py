@@ -1,0 +1,206 @@
+"""Fitting encoder and classifier together."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from veilcam_training.config.recipes import Recipe
+from veilcam_training.data import Split
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.seeding import seeded, stream
+from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
+from veilcam_training.trainer.distributed import ALONE, Ranks
+from veilcam_training.trainer.evaluation import evaluate
+from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
+
+__all__ = ["Epoch", "Fit", "Inputs", "Observer", "fit", "make_optimiser", "train_step"]
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """What one epoch came to; accuracies in [0, 1], on noisy readings."""
+
+    number: int
+    loss: float
+    """Mean over the epoch's steps."""
+    training_accuracy: float
+    """Of each batch before its step, mean over the epoch."""
+    validation_accuracy: float
+    validation_loss: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model, as it was after the epoch that did best on the validation set."""
+
+    model: LenslessClassifier
+    history: tuple[Epoch, ...]
+    best: Epoch
+
+
+class Observer(Protocol):
+    """Someone who is told how far a fit has come."""
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """``done`` of ``steps`` steps of ``epoch`` (from 0) are done."""
+
+    def epoch(self, epoch: Epoch) -> None:
+        """An epoch is over."""
+
+
+def fit(
+    model: LenslessClassifier,
+    split: Split,
+    recipe: Recipe,
+    seed: int,
+    *,
+    checkpoint: Path | None = None,
+    fingerprint: str = "",
+    observers: Sequence[Observer] = (),
+    ranks: Ranks = ALONE,
+) -> Fit:
+    """Fit ``model`` in place.
+
+    The validation part selects the epoch; there is no test set here to look at. With the same
+    model, data, recipe, seed and number of ranks the result is the same, also when the fit was
+    broken off and taken up again from its checkpoint.
+
+    Args:
+        model: freshly made, on the device that is to be used.
+        split: images to fit to and to select with.
+        recipe: how.
+        seed: of the order of the images, the noise and dropout.
+        checkpoint: written after every epoch, and read first if it is there.
+        fingerprint: of all that the result depends on; guards the checkpoint.
+        observers: told about every step and epoch.
+        ranks: processes that fit it together, each with this same call; the first one alone
+            validates and writes, and each has noise and dropout of its own.
+
+    Raises:
+        TrainingError: a checkpoint of another fit, a loss that is no number, or a batch that the
+            ranks cannot share evenly.
+    """
+    state = _State(model, recipe)
+    if checkpoint is not None:
+        saved = ranks.from_first(lambda: load_checkpoint(checkpoint, fingerprint))
+        if saved is not None:
+            state.load(saved)
+    inputs = Inputs(model, split.training, recipe.jitter)
+    network = ranks.wrap(inputs)
+    while not state.is_over:
+        started = time.monotonic()
+        with seeded(seed, "epoch", state.next_epoch, *ranks.purpose):
+            inputs.draws = stream(seed, "change", state.next_epoch, *ranks.purpose)
+            loss, accuracy = _run_epoch(
+                state, network, split.training.labels, seed, ranks=ranks, observers=observers
+            )
+        result = ranks.from_first(lambda: evaluate(model, split.validation, seed, "validation"))
+        epoch = Epoch(
+            state.next_epoch,
+            loss,
+            accuracy,
+            result.accuracy,
+            result.loss,
+            time.monotonic() - started,
+        )
+        state.finish(epoch)
+        if checkpoint is not None and ranks.is_first:
+            save_checkpoint(checkpoint, fingerprint, state.dump())
+        for observer in observers:
+            observer.epoch(epoch)
+    model.load_state_dict(state.best_weights)
+    model.eval()
+    return Fit(model, tuple(state.history), state.best)
+
+
+class _State:
+    """All that changes during a fit."""
+
+    def __init__(self, model: LenslessClassifier, recipe: Recipe) -> None:
+        self.model, self.recipe = model, recipe
+        self.optimiser = make_optimiser(model, recipe)
+        self.history: list[Epoch] = []
+        self.best_weights: dict[str, Tensor] = {}
+
+    @property
+    def next_epoch(self) -> int:
+        return len(self.history)
+
+    @property
+    def is_over(self) -> bool:
+        recipe = self.recipe
+        if self.next_epoch >= recipe.epochs:
+            return True
+        if recipe.patience is None or not self.history:
+            return False
+        return self.next_epoch - 1 - self.best.number >= recipe.patience
+
+    @property
+    def best(self) -> Epoch:
+        return max(self.history, key=lambda e: (e.validation_accuracy, -e.validation_loss))
+
+    def finish(self, epoch: Epoch) -> None:
+        self.history.append(epoch)
+        if self.best is epoch:
+            self.best_weights = copy.deepcopy(self.model.state_dict())
+
+    def dump(self) -> dict[str, Any]:
+        return {
+            "model": self.model.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "best_weights": self.best_weights,
+            "history": [dataclasses.asdict(epoch) for epoch in self.history],
+        }
+
+    def load(self, saved: dict[str, Any]) -> None:
+        self.model.load_state_dict(saved["model"])
+        self.optimiser.load_state_dict(saved["optimiser"])
+        self.best_weights = saved["best_weights"]
+        self.history = [Epoch(**epoch) for epoch in saved["history"]]
+
+
+def _run_epoch(
+    state: _State,
+    network: nn.Module,
+    labels: Tensor,
+    seed: int,
+    *,
+    ranks: Ranks,
+    observers: Sequence[Observer],
+) -> tuple[float, float]:
+    """One pass over the training images; mean loss and accuracy."""
+    recipe, number, count = state.recipe, state.next_epoch, len(labels)
+    noise = stream(seed, "noise", number, *ranks.purpose, device=labels.device)
+    order = torch.randperm(count, generator=stream(seed, "order", number)).to(labels.device)
+    batch = min(recipe.batch, count)
+    steps = count // batch  # what does not fill a batch waits for another epoch's order
+    total, right = 0.0, 0.0
+    state.model.train()
+    for step in range(steps):
+        factor = recipe.rate_factor((number + step / steps) / recipe.epochs)
+        for group in state.optimiser.param_groups:
+            group["lr"] = group["peak"] * factor
+        chosen = ranks.share(order[step * batch : (step + 1) * batch])
+        loss, hits = train_step(
+            state.model,
+            network,
+            chosen,
+            state.optimiser,
+            noise,
+            label_smoothing=recipe.label_smoothing,
+        )
+        total, right = total + loss, right + hits
+        for observer in observers:
+            observer.step(number, step + 1, steps)
+    total, right = ranks.total(total, right)
+    return total / (steps * ranks.size), right / (steps * batch)

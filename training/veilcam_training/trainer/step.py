@@ -1,0 +1,106 @@
+"""One step of fitting: from a few images to a small change of encoder and classifier."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
+
+from veilcam_training.config.recipes import Recipe
+from veilcam_training.data import Images
+from veilcam_training.errors import TrainingError
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.trainer.evaluation import BATCH
+from veilcam_training.transforms.augmentation import Jitter, jitter
+from veilcam_training.transforms.scene import Unchanged
+
+NO_JITTER = Jitter()
+
+
+class Inputs(nn.Module):
+    """Training images as a step takes them: a module from indices to logits and labels.
+
+    Where images are shown as they are to a camera that does not change, every noiseless reading is
+    computed once.
+    """
+
+    def __init__(
+        self, model: LenslessClassifier, images: Images, changes: Jitter = NO_JITTER
+    ) -> None:
+        super().__init__()
+        self._model, self._images, self._jitter = model, images, changes
+        self.draws = torch.Generator()
+        """Of how the images are shown, on the CPU; a fit gives each epoch its own."""
+        constant = isinstance(model.change, Unchanged) and not changes.any
+        self._readings = _encode(model, images) if model.encoder.constant and constant else None
+
+    def forward(self, chosen: Tensor, noise: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Logits for the images at ``chosen``, behind fresh noise, and what they show."""
+        labels = self._images.labels[chosen]
+        if self._readings is not None:
+            return self._model.read(self._readings[chosen], noise), labels
+        images = self._images.scenes(chosen)
+        if self._jitter.any:
+            images = jitter(images, self._jitter, self.draws)
+        logits: Tensor = self._model(images, noise, self.draws)
+        return logits, labels
+
+
+@torch.no_grad()
+def _encode(model: LenslessClassifier, images: Images) -> Tensor:
+    parts = [slice(start, start + BATCH) for start in range(0, len(images), BATCH)]
+    return torch.cat([model.encoder(images.scenes(part)) for part in parts])
+
+
+def make_optimiser(model: LenslessClassifier, recipe: Recipe) -> torch.optim.Optimizer:
+    """Optimiser with a rate for the classifier and one for the encoder.
+
+    Weight decay acts on the matrices of the classifier alone.
+    """
+    matrices = [p for p in model.classifier.parameters() if p.ndim > 1]
+    vectors = [p for p in model.classifier.parameters() if p.ndim <= 1]
+    groups = [
+        {"params": matrices, "peak": recipe.rate, "weight_decay": recipe.weight_decay},
+        {"params": vectors, "peak": recipe.rate, "weight_decay": 0.0},
+        {"params": list(model.encoder.parameters()), "peak": recipe.mask_rate, "weight_decay": 0.0},
+    ]
+    groups = [group for group in groups if group["params"]]
+    if recipe.optimiser == "sgd":
+        return torch.optim.SGD(groups, lr=recipe.rate, momentum=0.9)
+    return torch.optim.AdamW(groups, lr=recipe.rate, fused=True)
+
+
+def train_step(
+    model: LenslessClassifier,
+    network: nn.Module,
+    chosen: Tensor,
+    optimiser: torch.optim.Optimizer,
+    noise: torch.Generator,
+    *,
+    label_smoothing: float = 0.0,
+) -> tuple[float, int]:
+    """One step on the images at ``chosen``; their mean loss and how many were right before it.
+
+    Args:
+        model: what is fitted.
+        network: its :class:`Inputs`, as one process or several train them.
+        chosen: indices of images, int64 (count,).
+        optimiser: of the model.
+        noise: of the sensor.
+        label_smoothing: share of the wanted probability that all classes have in common.
+
+    Raises:
+        TrainingError: the loss is no number; the model is as it was before.
+    """
+    logits, labels = network(chosen, noise)
+    loss = cross_entropy(logits, labels, label_smoothing=label_smoothing)
+    value = loss.item()
+    if not math.isfinite(value):
+        raise TrainingError(f"the loss became {value}: use lower learning rates")
+    optimiser.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    optimiser.step()
+    model.encoder.project()
+    return value, int((logits.detach().argmax(1) == labels).sum())

@@ -1,0 +1,1 @@
+"""How images become scenes: placed, warped, augmented."""

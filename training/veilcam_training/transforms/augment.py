@@ -1,0 +1,40 @@
+"""Random small changes of training images."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn.functional import affine_grid, grid_sample
+
+from veilcam_training.config.fresh import Augmentation
+
+
+def augment(scenes: Tensor, settings: Augmentation, generator: torch.Generator) -> Tensor:
+    """Each scene rotated, scaled, sheared and shifted by its own random amounts.
+
+    Args:
+        scenes: (batch, rows, columns).
+        settings: the largest amounts.
+        generator: source of the random numbers.
+
+    Returns:
+        The same shape, by bilinear interpolation; what comes from outside is black.
+    """
+    count, rows, columns = scenes.shape
+    random = 2 * torch.rand(6, count, generator=generator) - 1
+    angle = random[0] * math.radians(settings.rotation)
+    scale = 1 + random[1] * settings.scale
+    shear = random[2] * settings.shear
+    matrix = torch.zeros(count, 2, 3)
+    matrix[:, 0, 0] = angle.cos() / scale
+    matrix[:, 0, 1] = (shear - angle.sin()) / scale
+    matrix[:, 1, 0] = angle.sin() / scale
+    matrix[:, 1, 1] = angle.cos() / scale
+    if settings.mirror:
+        matrix[:, 0] *= random[5].sign()[:, None]
+    matrix[:, 0, 2] = random[3] * settings.shift * 2 / columns
+    matrix[:, 1, 2] = random[4] * settings.shift * 2 / rows
+    grid = affine_grid(matrix, [count, 1, rows, columns], align_corners=False)
+    return grid_sample(scenes[:, None], grid, align_corners=False)[:, 0]
