@@ -44,16 +44,16 @@ import typer
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
+from veilcam_server.api.problems import code_of
+from veilcam_server.bundles.loader import Opener
+from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import load_digits
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import InferenceError, KeyringInvalidError, KeyringUnfitError
-from veilcam_server.fresh import FreshSource
-from veilcam_server.keyring_opening import Opener
-from veilcam_server.masks import MaskSource
-from veilcam_server.pairs import load_pairs
-from veilcam_server.problems import code_of
-from veilcam_server.serve import build_service
-from veilcam_server.service import Service
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.masks.source import MaskSource
+from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (

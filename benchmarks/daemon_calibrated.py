@@ -27,7 +27,7 @@ from veilcam_client import Camera
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, Digits, load_digits
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_training.experiments.records import record_figures
 
 BUILT = {

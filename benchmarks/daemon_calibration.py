@@ -37,7 +37,6 @@ from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration import (
     Calibrated,
-    CalibratedSensor,
     CalibrationError,
     CalibrationScene,
     Effort,
@@ -45,11 +44,12 @@ from veilcam_server.calibration import (
     calibrate,
     correction,
 )
-from veilcam_server.calibration.picture import write_picture
+from veilcam_server.calibration.plot import write_picture
 from veilcam_server.demo_data import FRESH, load_digits
-from veilcam_server.devices.protocols import Device, Reading
-from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
-from veilcam_server.fresh import FreshReader, FreshSource
+from veilcam_server.devices.base import Device, Reading
+from veilcam_server.devices.corrected import CalibratedSensor
+from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
+from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.experiments.records import record_figures
 

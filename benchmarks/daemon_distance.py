@@ -29,8 +29,8 @@ from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration import Geometry
 from veilcam_server.calibration.alignment import Sight, align
-from veilcam_server.calibration.scenes import lamp, white
-from veilcam_server.devices.simulated import TOLERANCE
+from veilcam_server.calibration.targets import lamp, white
+from veilcam_server.devices.simulated.device import TOLERANCE
 from veilcam_training.experiments.records import record_figures
 
 GEOMETRY = Geometry(

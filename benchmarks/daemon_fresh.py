@@ -43,17 +43,16 @@ from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.epoch_names import EpochNames
 from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
 from veilcam_optics.simulation.operator import Response
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, Display, Shown
-from veilcam_server.devices.protocols import Levels, Reading
-from veilcam_server.devices.simulated import Conditions, raw_shape, simulated_device
-from veilcam_server.epochs import EpochStore
-from veilcam_server.fence import Fence
-from veilcam_server.fresh import FreshSource
-from veilcam_server.inference import Verdict
-from veilcam_server.masks import Mask, Reader
-from veilcam_server.preparation import Preparation
+from veilcam_server.devices.base import Levels, Reading
+from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
+from veilcam_server.masks.classifier import Verdict
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.source import Mask, Reader
 from veilcam_training.bundle import Bundle, Fresh, build_untrained
 from veilcam_training.bundle.layers import AveragePool, Conv2d, Flatten, Linear, ReLU, Reshape
 from veilcam_training.experiments.records import record_figures

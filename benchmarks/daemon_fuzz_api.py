@@ -47,12 +47,12 @@ from schemathesis.core.result import Ok
 
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_optics.keys.masks import Secret, epoch_levels
-from veilcam_server.audit import DONE, REFUSED
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, KEYRING, load_digits
-from veilcam_server.devices.scene import write_scene
-from veilcam_server.fresh import FreshSource
-from veilcam_server.tokens import TokenStore
+from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.security.audit import DONE, REFUSED
+from veilcam_server.security.tokens import TokenStore
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.experiments.records import record_figures
 

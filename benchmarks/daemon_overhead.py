@@ -36,7 +36,7 @@ from veilcam_client import AsyncCamera
 from veilcam_client.wire.captures import Classification, Timing
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import KEYRING, load_digits
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_training.experiments.records import record_figures
 
 WARM_UP = 5

@@ -38,22 +38,21 @@ from rich.progress import track
 from veilcam_client.wire.captures import EveryCaptures, Form
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.simulation.operator import Response
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.devices import Device, DeviceError
-from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
+from veilcam_server.devices.base import Levels, Reading, Shown
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
-from veilcam_server.devices.protocols import Levels, Reading, Shown
-from veilcam_server.devices.scenes import Scenes
-from veilcam_server.devices.sensor_mode import SensorMode
-from veilcam_server.devices.simulated import Conditions, SimulatedLight
+from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
+from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R, TABS
-from veilcam_server.devices.st7735r_emulator import Crystal, PanelEmulator
-from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import EpochError, FenceError, NotReadyError
-from veilcam_server.fence import Fence
-from veilcam_server.inference import Verdict
-from veilcam_server.masks import Mask
-from veilcam_server.preparation import Preparation
+from veilcam_server.masks.classifier import Verdict
+from veilcam_server.masks.source import Mask
 from veilcam_training.experiments.records import record_figures
 
 CAMERA, EMBEDDING = Camera(), Embedding(8, 8)

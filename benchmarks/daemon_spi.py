@@ -14,8 +14,8 @@ import numpy as np
 import typer
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS
-from veilcam_server.devices.st7735r_emulator import PanelEmulator
 from veilcam_training.experiments.records import record_figures
 
 

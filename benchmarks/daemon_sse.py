@@ -30,7 +30,7 @@ from veilcam_client.wire.captures import EveryCaptures, RotationOff
 from veilcam_client.wire.events import EVENT, Event, Gap, RotationChanged
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import KEYRING, load_digits
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_training.experiments.records import record_figures
 
 PATIENCE = 30.0

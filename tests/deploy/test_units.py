@@ -89,7 +89,7 @@ PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
 if ctypes.CDLL(None).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0) != 0:
     sys.exit(77)
 import torch
-from veilcam_server.serve import configure_torch
+from veilcam_server.daemon import configure_torch
 configure_torch()
 print(torch.nn.Conv2d(1, 8, 5)(torch.ones(1, 1, 24, 32)).shape)
 """

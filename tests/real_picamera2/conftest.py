@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.picamera import open_picamera2
-from veilcam_server.devices.sensor_mode import SensorMode
+from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 
 REAL = find_spec("libcamera") is not None
 # `make test` has no libcamera; `make test-libcamera` has.

@@ -32,7 +32,7 @@ from picamera2 import CompletedRequest, Picamera2
 from picamera2.allocators.allocator import Allocator
 from picamera2.previews import NullPreview
 
-from veilcam_server.devices.sensor_mode import SensorMode
+from veilcam_server.devices.raw import SensorMode
 
 MODE = SensorMode(48, 48, line_time=0.0, frame_duration=0.002)
 """Of the raw frames: as many bytes as NV12 has for the 64 x 48 pixels of virtual.yaml."""

@@ -22,24 +22,22 @@ from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
-from veilcam_server.app import create_app
-from veilcam_server.calibration_workshop import Workshop
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.api.app import create_app
+from veilcam_server.bundles.loader import Identity, Keys, Opener, bundle_info
+from veilcam_server.bundles.manager import Keyrings
+from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
-from veilcam_server.devices.scene import write_scene
-from veilcam_server.epochs import EpochStore
-from veilcam_server.fence import Fence
-from veilcam_server.fresh import FreshSource
-from veilcam_server.gateway import Gateway
-from veilcam_server.identity import Identity, bundle_info
-from veilcam_server.keyring_opening import Keys, Opener
-from veilcam_server.keyring_store import KeyringStore
-from veilcam_server.keyrings import Keyrings
-from veilcam_server.masks import MaskSource
-from veilcam_server.pairs import load_pairs
-from veilcam_server.preparation import Preparation
-from veilcam_server.service import Service
+from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.masks.source import MaskSource
+from veilcam_server.security.admission import Gateway
+from veilcam_server.service.service import Service
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,

@@ -13,14 +13,14 @@ import pytest
 
 from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope
-from veilcam_server import routes
-from veilcam_server.app import create_app
-from veilcam_server.audit import DONE, REFUSED, AuditLog
+from veilcam_server.api.app import create_app
+from veilcam_server.api.routes import captures as routes
 from veilcam_server.errors import RateLimitError, TooManyRequestsError, TooManyStreamsError
-from veilcam_server.gateway import Gateway, open_gateway
-from veilcam_server.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.security.admission import Gateway, open_gateway
+from veilcam_server.security.audit import DONE, REFUSED, AuditLog
+from veilcam_server.security.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
-from veilcam_server.tokens import TokenStore
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
@@ -363,7 +363,7 @@ async def test_the_audit_log_says_who_did_what(
 
 
 async def test_full_files_are_numbered_and_the_oldest_go(tmp_path: Path) -> None:
-    from veilcam_server.audit import read_audit
+    from veilcam_server.security.audit import read_audit
 
     log = AuditLog(tmp_path / "a.jsonl", limit=400, kept=2)
     for number in range(40):

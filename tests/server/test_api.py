@@ -23,9 +23,9 @@ from veilcam_client.wire.captures import (
     Rotation,
     Status,
 )
+from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
-from veilcam_server.problems import PROBLEMS
-from veilcam_server.service import Service
+from veilcam_server.service.service import Service
 
 if TYPE_CHECKING:
     import httpx
@@ -407,7 +407,7 @@ def test_every_problem_code_is_documented_and_no_other() -> None:
 
 
 def test_every_route_is_documented(bench: Bench) -> None:
-    from veilcam_server.app import create_app
+    from veilcam_server.api.app import create_app
 
     service: Service = bench.service(bench.camera())
     paths = create_app(service).openapi()["paths"]

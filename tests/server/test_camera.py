@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationOff
+from veilcam_server.camera.rotation import due_in
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, RotationImpossibleError
-from veilcam_server.pairs import PairReader
-from veilcam_server.rotation import due_in
+from veilcam_server.masks.pairs import PairReader
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench

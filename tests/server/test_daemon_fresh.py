@@ -13,7 +13,7 @@ from types import ModuleType
 
 import pytest
 
-from veilcam_server.epochs import EpochStore
+from veilcam_server.camera.epochs import EpochStore
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "daemon_fresh.py"
 

@@ -16,8 +16,8 @@ from tests.server.scripts import load_script
 
 from veilcam_client.http.sse import Decoder
 from veilcam_client.wire.events import EVENT, Event, Gap, MaskChanged
-from veilcam_server.app import create_app
-from veilcam_server.events import CAPACITY
+from veilcam_server.api.app import create_app
+from veilcam_server.service.events import CAPACITY
 
 if TYPE_CHECKING:
     from starlette.types import Message

@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import GridLight
-from veilcam_server.cli import app
+from veilcam_server.cli.main import app
 from veilcam_server.demo.observer import KeyObserver, PairObserver
 from veilcam_server.demo.report import draw_mask
 from veilcam_server.demo.tally import EPOCHS_SHOWN, Sample, Tally
 from veilcam_server.demo_data import load_digits
 from veilcam_server.errors import StartError
-from veilcam_server.fresh import FreshSource
+from veilcam_server.masks.fresh import FreshSource
 
 if TYPE_CHECKING:
     from veilcam_optics.keys.masks import Secret

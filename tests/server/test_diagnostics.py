@@ -10,9 +10,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from veilcam_client.wire.captures import EveryCaptures
 from veilcam_client.wire.diagnostics import Diagnostics
-from veilcam_server.audit import AuditLog
 from veilcam_server.devices import DisplayError, SensorError
-from veilcam_server.gateway import Gateway, open_gateway
+from veilcam_server.security.admission import Gateway, open_gateway
+from veilcam_server.security.audit import AuditLog
 from veilcam_server.settings import Settings
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 from veilcam_server import doctor as package
-from veilcam_server.cli import app
+from veilcam_server.cli.main import app
 from veilcam_server.devices import DeviceMissingError
 from veilcam_server.doctor import Finding, Machine, Plan, examine
-from veilcam_server.wiring import Wiring
+from veilcam_server.settings import Wiring
 
 runner = CliRunner()
 PROGRAMS = {

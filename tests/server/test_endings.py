@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from veilcam_client import Camera, DeviceError
+from veilcam_server.camera.self_test import OpticalSelfTest
+from veilcam_server.daemon import build_service, serve
 from veilcam_server.devices import Device, DisplayError, SensorError, SensorLostError
 from veilcam_server.devices.imx477 import IMX477
-from veilcam_server.devices.simulated import planned_light, simulated_device
+from veilcam_server.devices.simulated.device import planned_light, simulated_device
+from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.st7735r import ST7735R
-from veilcam_server.devices.st7735r_emulator import PanelEmulator
 from veilcam_server.errors import SelfTestError, StartError, StoppedError
-from veilcam_server.self_test import OpticalSelfTest
-from veilcam_server.serve import build_service, serve
 from veilcam_server.settings import Settings
 
 planned_once = cache(planned_light)
@@ -39,8 +39,8 @@ class Watched:
             self.device = make(*arguments, **more)
             return self.device
 
-        monkeypatch.setattr("veilcam_server.open_device.simulated_device", made)
-        monkeypatch.setattr("veilcam_server.open_device.planned_light", planned_once)
+        monkeypatch.setattr("veilcam_server.devices.registry.simulated_device", made)
+        monkeypatch.setattr("veilcam_server.devices.registry.planned_light", planned_once)
         for kind, name in ((IMX477, "close"), (ST7735R, "blank"), (ST7735R, "close")):
             self._note(monkeypatch, kind, name)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_server.epochs import EpochStore
+from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.errors import StartError
 
 
@@ -52,7 +52,7 @@ def test_the_mark_of_the_mask_shown_last_is_kept(tmp_path: Path) -> None:
 def test_the_counter_survives_a_process_that_is_killed(tmp_path: Path) -> None:
     script = (
         "import os, pathlib, sys\n"
-        "from veilcam_server.epochs import EpochStore\n"
+        "from veilcam_server.camera.epochs import EpochStore\n"
         "store = EpochStore(pathlib.Path(sys.argv[1]), lambda: 0.0)\n"
         "for _ in range(5): print(store.next(), flush=True)\n"
         "os.kill(os.getpid(), 9)\n"

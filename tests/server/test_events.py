@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from veilcam_client.wire.events import Event, Gap, MaskChanged
-from veilcam_server.events import EventLog
+from veilcam_server.service.events import EventLog
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator

@@ -25,7 +25,7 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import SensorError
 from veilcam_server.errors import StartError
-from veilcam_server.fresh import FreshReader, FreshSource
+from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, build_classifier, classifier_inputs
 
 if TYPE_CHECKING:

@@ -19,11 +19,11 @@ import pytest
 import structlog
 import uvicorn
 
-from veilcam_server.app import create_app
-from veilcam_server.audit import DONE, REFUSED, AuditLog
-from veilcam_server.gateway import Gateway
-from veilcam_server.limits import RateLimit
-from veilcam_server.tokens import TokenStore
+from veilcam_server.api.app import create_app
+from veilcam_server.security.admission import Gateway
+from veilcam_server.security.audit import DONE, REFUSED, AuditLog
+from veilcam_server.security.limits import RateLimit
+from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench
@@ -167,7 +167,7 @@ def test_secrets_are_found(benchmark: ModuleType, bundle: Bundle, store: TokenSt
 def test_masks_and_decoders_of_fresh_epochs_are_found(
     benchmark: ModuleType, fresh_bundle: Bundle, secret: Any
 ) -> None:
-    from veilcam_server.fresh import FreshSource
+    from veilcam_server.masks.fresh import FreshSource
 
     planted = benchmark.Planted()
     benchmark.plant_fresh(planted, fresh_bundle, secret, range(70, 75))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from veilcam_server.errors import InferenceError
-from veilcam_server.inference import Classifier
+from veilcam_server.masks.classifier import Classifier
 from veilcam_training.bundle import BundleError
 from veilcam_training.bundle.layers import Linear
 
@@ -48,7 +48,7 @@ def test_a_reading_without_probabilities_is_an_error() -> None:
 async def test_the_api_says_so(running: Running, bench: Bench) -> None:
     for pair in bench.bundle.pairs:
         pair.weights["0.weight"].fill_(3e38)
-    from veilcam_server.pairs import load_pairs
+    from veilcam_server.masks.pairs import load_pairs
 
     bench.source = load_pairs(bench.bundle)
     async with running() as client:

@@ -15,13 +15,13 @@ from veilcam_client.wire.bundles import Keyring, Keyrings
 from veilcam_client.wire.captures import Classification, EveryCaptures, Problem, Status
 from veilcam_client.wire.events import Event, Fault, KeyringChanged
 from veilcam_optics.camera.geometry import Embedding
-from veilcam_server import keyring_store
+from veilcam_server.bundles import store as keyring_store
+from veilcam_server.bundles.loader import Opener, last_good
+from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
-from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import KeyringInvalidError, KeyringStoreError
-from veilcam_server.keyring_opening import Opener, last_good
-from veilcam_server.keyring_store import KeyringStore
-from veilcam_server.pairs import load_pairs
+from veilcam_server.masks.pairs import load_pairs
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
 if TYPE_CHECKING:

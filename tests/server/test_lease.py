@@ -11,11 +11,11 @@ import pytest
 from veilcam_client.wire.lease import Lease as LeaseAnswer
 from veilcam_client.wire.lease import NewLease
 from veilcam_client.wire.tokens import Scope
-from veilcam_server.audit import DONE, AuditLog, read_audit
 from veilcam_server.errors import LeasedError
-from veilcam_server.gateway import Gateway
-from veilcam_server.lease import Lease
-from veilcam_server.tokens import TokenStore
+from veilcam_server.security.admission import Gateway
+from veilcam_server.security.audit import DONE, AuditLog, read_audit
+from veilcam_server.security.lease import Lease
+from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
     import httpx

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_server import listeners
 from veilcam_server.errors import StartError
-from veilcam_server.listeners import open_listeners
 from veilcam_server.settings import Settings
+from veilcam_server.system import listeners
+from veilcam_server.system.listeners import open_listeners
 
 
 def test_what_listens_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:

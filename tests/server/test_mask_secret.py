@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from veilcam_optics.keys.masks import Secret
-from veilcam_server.cli import app
+from veilcam_server.cli.main import app
 from veilcam_server.errors import StartError
-from veilcam_server.mask_secret import find_secret, write_secret
+from veilcam_server.masks.secret import find_secret, write_secret
 
 runner = CliRunner()
 

@@ -20,16 +20,15 @@ from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
 from veilcam_optics.propagation.sampling import area_average
-from veilcam_server.cli import app
+from veilcam_server.cli.main import app
+from veilcam_server.daemon import build_service
 from veilcam_server.devices import DeviceError, DeviceMissingError
-from veilcam_server.devices.binning import Raw
-from veilcam_server.devices.fake_picamera2 import FakePicamera2
-from veilcam_server.devices.sensor_mode import HALF
+from veilcam_server.devices.raw import HALF, Raw
+from veilcam_server.devices.registry import open_device
+from veilcam_server.devices.simulated.panel import Faults, PanelEmulator
+from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.st7735r import TABS
-from veilcam_server.devices.st7735r_emulator import Faults, PanelEmulator
 from veilcam_server.errors import StartError
-from veilcam_server.open_device import open_device
-from veilcam_server.serve import build_service
 from veilcam_server.settings import Settings
 
 if TYPE_CHECKING:
@@ -293,8 +292,8 @@ def test_every_command_takes_the_same_wiring(
     def note(settings: Settings, *_: object, **__: object) -> None:
         asked.append(settings)
 
-    monkeypatch.setattr("veilcam_server.serve.serve", note)
-    monkeypatch.setattr("veilcam_server.calibration_session.calibrate_device", note)
+    monkeypatch.setattr("veilcam_server.daemon.serve", note)
+    monkeypatch.setattr("veilcam_server.calibration.session.calibrate_device", note)
     options = ["--bundle", str(bundle_file)]
     for name, value in WIRING.items():
         option = f"--{name.replace('_', '-')}"

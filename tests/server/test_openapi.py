@@ -10,9 +10,9 @@ import pytest
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 
 from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
-from veilcam_server.app import create_app
-from veilcam_server.dependencies import ALWAYS
-from veilcam_server.openapi import document
+from veilcam_server.api.app import create_app
+from veilcam_server.api.dependencies import ALWAYS
+from veilcam_server.api.openapi import document
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from veilcam_server.demo_data import KEYRING, load_digits
-from veilcam_server.devices.simulated import Conditions, planned_light, simulated_device
-from veilcam_server.pairs import PairSource, load_pairs
+from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
+from veilcam_server.masks.pairs import PairSource, load_pairs
 from veilcam_training.bundle import Bundle, read_bundle
 
 DIGITS = 20

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationPolicy
-from veilcam_server import preparation as preparation_module
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.camera import epochs as preparation_module
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.devices import DisplayError
-from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import NotReadyError
-from veilcam_server.masks import Mask, MaskSource
-from veilcam_server.pairs import load_pairs
-from veilcam_server.preparation import Preparation
+from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.masks.source import Mask, MaskSource
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running

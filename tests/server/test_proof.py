@@ -9,14 +9,13 @@ import pytest
 from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.captures import EveryCaptures
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.self_test import Proof
 from veilcam_server.devices import Device, DisplayError, SensorError
-from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
-from veilcam_server.fence import Fence
-from veilcam_server.preparation import Preparation
-from veilcam_server.proof import Proof
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench

@@ -19,13 +19,13 @@ from veilcam_client.cli.format import event_in_words
 from veilcam_client.errors import ApiError
 from veilcam_client.recording import record
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
-from veilcam_server.app import create_app
+from veilcam_server.api.app import create_app
+from veilcam_server.cli.terminal import one_line
+from veilcam_server.daemon import build_service
 from veilcam_server.errors import StartError
-from veilcam_server.gateway import Gateway
-from veilcam_server.serve import build_service
-from veilcam_server.service import Service
+from veilcam_server.security.admission import Gateway
+from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
-from veilcam_server.terminal import one_line
 
 COUNT = 3
 

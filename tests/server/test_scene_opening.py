@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import torch
 
+from veilcam_server.daemon import build_service
 from veilcam_server.devices import SensorError
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scene_files import open_scenes
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
-from veilcam_server.scene_opening import open_scenes
-from veilcam_server.serve import build_service
 from veilcam_server.settings import Settings
 from veilcam_training.data.idx import idx_bytes
 

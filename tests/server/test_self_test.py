@@ -17,22 +17,21 @@ from tests.server.devices.clock import Clock
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.self_test import CAPTURES, OpticalSelfTest
 from veilcam_server.devices import Device, DisplayError, SensorError
-from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
+from veilcam_server.devices.base import Exposure, Levels, Sensor
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
-from veilcam_server.devices.protocols import Exposure, Levels, Sensor
-from veilcam_server.devices.scenes import Scenes
-from veilcam_server.devices.sensor_mode import SensorMode
-from veilcam_server.devices.simulated import Conditions, SimulatedLight
+from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
+from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
+from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R, TABS
-from veilcam_server.devices.st7735r_emulator import Crystal, Faults, PanelEmulator
-from veilcam_server.epochs import EpochStore
 from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
-from veilcam_server.fence import Fence
-from veilcam_server.masks import Mask
-from veilcam_server.preparation import Preparation
-from veilcam_server.self_test import CAPTURES, OpticalSelfTest
+from veilcam_server.masks.source import Mask
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
 FENCE = Fence(settle=0.05)

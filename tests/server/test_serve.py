@@ -33,13 +33,13 @@ from veilcam_client.cli.main import app as client_cli
 from veilcam_client.wire.events import Classified, MaskChanged
 from veilcam_optics.keys.epoch_names import EpochNames
 from veilcam_optics.keys.masks import Secret
-from veilcam_server.cli import app
+from veilcam_server.bundles.loader import release_form, rotation_policy
+from veilcam_server.cli.main import app
+from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import DIGITS, load_digits
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
-from veilcam_server.serve import build_service
 from veilcam_server.settings import Settings
-from veilcam_server.sources import release_form, rotation_policy
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from veilcam_client.wire.captures import EveryCaptures
-from veilcam_server.cli import app
+from veilcam_server.cli.main import app
+from veilcam_server.cli.terminal import one_line
 from veilcam_server.demo_data import KEYRING
 from veilcam_server.settings import Settings, default_state_dir
-from veilcam_server.terminal import one_line
 
 runner = CliRunner()
 

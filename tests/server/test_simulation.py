@@ -16,11 +16,11 @@ from PIL import Image
 
 from veilcam_client import AsyncCamera, LeasedError
 from veilcam_client.errors import ApiError
-from veilcam_server.app import create_app
-from veilcam_server.gateway import Gateway
-from veilcam_server.serve import build_service
+from veilcam_server.api.app import create_app
+from veilcam_server.api.routes.simulation import MAX_PICTURE, PATH
+from veilcam_server.daemon import build_service
+from veilcam_server.security.admission import Gateway
 from veilcam_server.settings import Settings
-from veilcam_server.simulation_routes import MAX_PICTURE, PATH
 
 EXPOSURE = 0.2
 

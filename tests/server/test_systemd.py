@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from veilcam_server.systemd import notify, watchdog_period
+from veilcam_server.system.systemd import notify, watchdog_period
 
 
 @pytest.mark.parametrize("abstract", [False, True])
@@ -51,7 +51,7 @@ def test_the_watchdog_is_for_one_process(monkeypatch: pytest.MonkeyPatch) -> Non
 TAKE = """
 import os, sys
 from veilcam_server.errors import StartError
-from veilcam_server.systemd import take_sockets
+from veilcam_server.system.systemd import take_sockets
 os.environ["LISTEN_PID"] = sys.argv[1] or str(os.getpid())
 try:
     for taken in take_sockets():

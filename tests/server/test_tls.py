@@ -16,8 +16,8 @@ from tests.server.test_serve import daemon
 
 from veilcam_client import Camera, ConnectError, ForbiddenError, UnauthorizedError
 from veilcam_server.errors import StartError
-from veilcam_server.tls import server_context
-from veilcam_server.tokens import TokenStore
+from veilcam_server.security.tls import server_context
+from veilcam_server.security.tokens import TokenStore
 
 
 def write_pair(directory: Path, passphrase: bytes | None = None) -> tuple[Path, Path]:

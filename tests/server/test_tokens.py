@@ -13,11 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
-from veilcam_server.access import Caller
-from veilcam_server.cli import app
+from veilcam_server.cli.main import app
 from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
-from veilcam_server.gateway import Gateway
-from veilcam_server.tokens import TokenStore
+from veilcam_server.security.admission import Gateway
+from veilcam_server.security.caller import Caller
+from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
     import httpx

@@ -13,10 +13,10 @@ from structlog.testing import capture_logs
 from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.captures import EveryCaptures
+from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices import Device, SensorLostError
 from veilcam_server.errors import NotReadyError, UndecidedError
-from veilcam_server.health import Health, stamped
-from veilcam_server.upkeep import Upkeep
+from veilcam_server.service.scheduler import Upkeep
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
@@ -74,7 +74,7 @@ async def test_pauses_grow_from_one_failure_to_the_next(
         await sleep(0)
 
     with monkeypatch.context() as patch:
-        patch.setattr("veilcam_server.upkeep.asyncio.sleep", note)
+        patch.setattr("veilcam_server.service.scheduler.asyncio.sleep", note)
         async with upkeep(bench, camera, first_pause=1.0).running():
             while camera.state[0] != "ready" or bench.test.runs < 10:
                 await sleep(0.002)

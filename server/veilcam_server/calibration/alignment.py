@@ -12,9 +12,8 @@ from torch import Tensor
 
 from veilcam_optics.decoding import Calibration
 from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
-from veilcam_server.calibration.bench import Values
-from veilcam_server.calibration.geometry import Geometry
 from veilcam_server.calibration.response import uncertainties
+from veilcam_server.calibration.rig import Geometry, Values
 
 NAMES = ("shift_y", "shift_x", "rotation", "distance_error")
 _UNITS = np.array([1e-6, 1e-6, 1e-3, 1e-5])

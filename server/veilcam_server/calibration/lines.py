@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_server.calibration.bench import Bench, Values
 from veilcam_server.calibration.errors import CalibrationError
-from veilcam_server.calibration.geometry import Geometry
+from veilcam_server.calibration.rig import Bench, Geometry, Values
 
 _DEAD = 0.5
 """A line with less than this share of the light that its neighbours let through is dead."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from veilcam_server.calibration.bench import Bench, Values
 from veilcam_server.calibration.errors import CalibrationError
+from veilcam_server.calibration.rig import Bench, Values
 
 STEPS = 16
 _MISFIT = 0.03

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from veilcam_server.calibration.bench import Bench, Moment
 from veilcam_server.calibration.errors import CalibrationError
+from veilcam_server.calibration.rig import Bench, Moment
 
 SETTLED = 0.02
 """Largest distance from the end, over the step, that counts as settled."""

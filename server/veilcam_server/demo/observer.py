@@ -15,7 +15,7 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.keys.epoch_names import EpochNames
 from veilcam_optics.keys.masks import Secret, epoch_levels
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_server.devices.protocols import Levels, Reading
+from veilcam_server.devices.base import Levels, Reading
 from veilcam_training.bundle import Bundle
 
 

@@ -17,9 +17,9 @@ from veilcam_server.demo.observer import KeyObserver, Observer, PairObserver
 from veilcam_server.demo.report import Row, write_report
 from veilcam_server.demo.tally import Sample, Tally
 from veilcam_server.demo_data import Digits, load_digits
-from veilcam_server.devices.scene import write_scene
+from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
-from veilcam_server.mask_secret import find_secret, write_secret
+from veilcam_server.masks.secret import find_secret, write_secret
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 REPORT_ROWS = 6

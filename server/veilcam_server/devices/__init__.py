@@ -6,6 +6,7 @@ A configuration that names a device which is not there is refused; nothing falls
 one.
 """
 
+from veilcam_server.devices.base import Device, Display, Exposure, Sensor, Shown
 from veilcam_server.devices.errors import (
     DeviceError,
     DeviceMissingError,
@@ -14,8 +15,7 @@ from veilcam_server.devices.errors import (
     SensorLostError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.protocols import Device, Display, Exposure, Sensor, Shown
-from veilcam_server.devices.scenes import Scenes
+from veilcam_server.devices.simulated.scenes import Scenes
 
 __all__ = [
     "Device",

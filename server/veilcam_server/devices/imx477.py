@@ -18,17 +18,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.binning import Binning
+from veilcam_server.devices.base import Exposure, Reading
 from veilcam_server.devices.errors import (
     DeviceError,
     SensorError,
     SensorLostError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.frame import GAIN, Frame
 from veilcam_server.devices.picamera import Picamera
-from veilcam_server.devices.protocols import Exposure, Reading
-from veilcam_server.devices.sensor_mode import HALF, RawFormat, SensorMode
+from veilcam_server.devices.raw import GAIN, HALF, Binning, Frame, RawFormat, SensorMode
 
 _NANO, _MICRO = 1_000_000_000, 1_000_000
 _SATURATED = 1e-3

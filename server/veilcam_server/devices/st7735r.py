@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_server.devices.base import Levels, Shown
 from veilcam_server.devices.errors import DisplayError
-from veilcam_server.devices.protocols import Levels, Shown
 
 PIXEL_COLUMNS, PIXEL_ROWS, COLOURS = 128, 160, 3
 FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS

@@ -13,8 +13,8 @@ from veilcam_server.devices.st7735r import MOST_PER_SECOND
 from veilcam_server.doctor.finding import Finding
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import StartError
-from veilcam_server.mask_secret import find_secret
-from veilcam_server.wiring import GPIO_CHIPS, Wiring
+from veilcam_server.masks.secret import find_secret
+from veilcam_server.settings import GPIO_CHIPS, Wiring
 from veilcam_training.bundle import BundleError, read_bundle
 
 PI_PACKAGES = "pip install 'veilcam[server,pi]' in the daemon's environment"

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from veilcam_server.devices.linux_bus import gpio_chips, line_user
 from veilcam_server.devices.picamera import open_picamera2
+from veilcam_server.devices.spi import gpio_chips, line_user
 
 
 def _installed(module: str) -> bool:

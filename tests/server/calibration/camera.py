@@ -11,9 +11,9 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.effects import Dials, Model
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_server.calibration import Calibrated, CalibrationScene, Effort, Geometry, calibrate
-from veilcam_server.calibration.patterns import Patterns
-from veilcam_server.devices.protocols import Device
-from veilcam_server.devices.simulated import Conditions, raw_shape, simulated_device
+from veilcam_server.calibration.rig import Patterns
+from veilcam_server.devices.base import Device
+from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
 
 GEOMETRY = Geometry(
     Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)

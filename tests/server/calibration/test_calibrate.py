@@ -10,13 +10,9 @@ import torch
 
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
-from veilcam_server.calibration import (
-    CalibratedSensor,
-    CalibrationError,
-    CalibrationScene,
-    correction,
-)
+from veilcam_server.calibration import CalibrationError, CalibrationScene, correction
 from veilcam_server.calibration.settling import SETTLED
+from veilcam_server.devices.corrected import CalibratedSensor
 
 from .camera import EFFORT, GEOMETRY, QUIET, SCAN, SETTLE, Built
 

@@ -21,16 +21,16 @@ from veilcam_client.wire.calibration import (
 )
 from veilcam_client.wire.captures import Capture, Status
 from veilcam_client.wire.tokens import Scope
+from veilcam_server.bundles.loader import Opener
 from veilcam_server.calibration import CalibrationError, CalibrationScene, SigningKey, sign_record
-from veilcam_server.calibration.scenes import dark, lamp, white
-from veilcam_server.calibration_run import CancelledError, Run
-from veilcam_server.calibration_workshop import Workshop
+from veilcam_server.calibration.progress import CancelledError, Run
+from veilcam_server.calibration.targets import dark, lamp, white
+from veilcam_server.calibration.workshop import Workshop
 from veilcam_server.devices import Device, DisplayError
 from veilcam_server.errors import SceneNotWantedError
-from veilcam_server.gateway import Gateway
-from veilcam_server.keyring_opening import Opener
-from veilcam_server.pairs import load_pairs
-from veilcam_server.tokens import TokenStore
+from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.security.admission import Gateway
+from veilcam_server.security.tokens import TokenStore
 from veilcam_training.bundle import read_bundle
 
 from .test_record import make_record

@@ -18,8 +18,6 @@ from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
 from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.decoding import AS_DRAWN, read_frame
 from veilcam_optics.keys.masks import Secret
-from veilcam_server import calibration_session
-from veilcam_server.calibrated import open_calibration
 from veilcam_server.calibration import (
     Calibrated,
     CalibrationScene,
@@ -28,13 +26,15 @@ from veilcam_server.calibration import (
     correction,
     read_record,
 )
-from veilcam_server.calibration.scenes import dark, lamp, white
-from veilcam_server.calibration_session import _by_hand
-from veilcam_server.cli import app
-from veilcam_server.devices.protocols import Device
-from veilcam_server.devices.scene import FileScene
+from veilcam_server.calibration import session as calibration_session
+from veilcam_server.calibration.loading import open_calibration
+from veilcam_server.calibration.session import _by_hand
+from veilcam_server.calibration.targets import dark, lamp, white
+from veilcam_server.cli.main import app
+from veilcam_server.devices.base import Device
+from veilcam_server.devices.simulated.scenes import FileScene
 from veilcam_server.errors import StartError
-from veilcam_server.fresh import FreshReader, FreshSource
+from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, read_bundle
 

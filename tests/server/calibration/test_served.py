@@ -15,7 +15,7 @@ from veilcam_client import Camera
 from veilcam_client.cli.main import app as client
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_server.cli import app as server
+from veilcam_server.cli.main import app as server
 from veilcam_server.demo.daemon import running
 from veilcam_training.bundle import Bundle, Fresh, write_bundle
 from veilcam_training.bundle.layers import Linear

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from veilcam_client.wire.calibration import CalibrationRun
-from veilcam_server import calibration_workshop
 from veilcam_server.calibration import Calibrated, CalibrationError, SigningKey, read_record
-from veilcam_server.calibration.scenes import dark, white
-from veilcam_server.calibration_run import Run
-from veilcam_server.calibration_workshop import Workshop
-from veilcam_server.devices.protocols import Device
+from veilcam_server.calibration import workshop as calibration_workshop
+from veilcam_server.calibration.progress import Run
+from veilcam_server.calibration.targets import dark, white
+from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.devices.base import Device
 from veilcam_training.bundle import Bundle
 
 from .camera import Built

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from veilcam_optics.propagation.sampling import area_average
-from veilcam_server.devices.binning import Binning
+from veilcam_server.devices.raw import Binning
 
 RNG = np.random.default_rng(2)
 

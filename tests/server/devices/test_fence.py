@@ -20,21 +20,18 @@ import torch
 from veilcam_client.wire.captures import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.simulation.operator import Response
-from veilcam_server.camera import MaskedCamera
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Captured, Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.devices import Device, Exposure, SensorError
-from veilcam_server.devices.binning import Raw
-from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
-from veilcam_server.devices.scenes import Scenes
-from veilcam_server.devices.sensor_mode import SensorMode
-from veilcam_server.devices.simulated import Conditions, SimulatedLight
+from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
+from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R, TABS
-from veilcam_server.devices.st7735r_emulator import Crystal, PanelEmulator
-from veilcam_server.epochs import EpochStore
-from veilcam_server.fence import Fence
-from veilcam_server.pairs import load_pairs
-from veilcam_server.preparation import Preparation
-from veilcam_server.showing import Captured
+from veilcam_server.masks.pairs import load_pairs
 from veilcam_training.bundle import Bundle, Pair
 from veilcam_training.bundle.layers import Linear
 

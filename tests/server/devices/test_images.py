@@ -11,8 +11,8 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from veilcam_server.devices.images import MAX_PIXELS, PictureError, decode, fitted
-from veilcam_server.devices.scene import FileScene
+from veilcam_server.devices.simulated.images import MAX_PIXELS, PictureError, decode, fitted
+from veilcam_server.devices.simulated.scenes import FileScene
 
 WHITE = np.full((4, 4), 255, np.uint8)
 

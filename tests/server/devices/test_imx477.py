@@ -22,11 +22,10 @@ from veilcam_server.devices import (
     SensorLostError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.binning import Raw
-from veilcam_server.devices.fake_picamera2 import CameraFaults, FakePicamera2
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2
-from veilcam_server.devices.sensor_mode import HALF, SensorMode
+from veilcam_server.devices.raw import HALF, Raw, SensorMode
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 
 from .clock import Clock
 

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from veilcam_server.devices import DeviceMissingError, DisplayError, linux_bus
-from veilcam_server.devices.linux_bus import LinuxLines, LinuxSpi
+from veilcam_server.devices import DeviceMissingError, DisplayError
+from veilcam_server.devices import spi as linux_bus
+from veilcam_server.devices.spi import LinuxLines, LinuxSpi
 from veilcam_server.devices.st7735r import MOST_PER_SECOND
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_server.devices.images import PictureError
-from veilcam_server.devices.scene import StillScene
-from veilcam_server.devices.scenes import Scenes
+from veilcam_server.devices.simulated.images import PictureError
+from veilcam_server.devices.simulated.scenes import Scenes, StillScene
 
 from .clock import Clock
 

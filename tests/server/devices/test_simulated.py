@@ -19,16 +19,15 @@ from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
-from veilcam_server.devices.protocols import Reading
-from veilcam_server.devices.scene import FileScene, write_scene
-from veilcam_server.devices.scenes import REMEMBERED
-from veilcam_server.devices.simulated import (
+from veilcam_server.devices.base import Reading
+from veilcam_server.devices.simulated.device import (
     Conditions,
     Light,
     planned_light,
     raw_shape,
     simulated_device,
 )
+from veilcam_server.devices.simulated.scenes import REMEMBERED, FileScene, write_scene
 
 from .clock import Clock
 

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
 from veilcam_server.devices.st7735r import TABS
-from veilcam_server.devices.st7735r_emulator import Crystal, Faults, PanelEmulator
 
 from .clock import Clock
 

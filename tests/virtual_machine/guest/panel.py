@@ -14,10 +14,10 @@ from unittest.mock import patch
 import numpy as np
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_server.devices import simulated
-from veilcam_server.devices.linux_bus import LinuxLines, LinuxSpi
+from veilcam_server.devices.simulated import device as simulated
+from veilcam_server.devices.simulated.panel import PanelEmulator
+from veilcam_server.devices.spi import LinuxLines, LinuxSpi
 from veilcam_server.devices.st7735r import ST7735R, TABS
-from veilcam_server.devices.st7735r_emulator import PanelEmulator
 
 from .prepare import DATA, LABEL, RESET, SHARED, SPI
 
@@ -115,7 +115,7 @@ def write(log: Path) -> str:
 
 def serve() -> None:
     """Run the daemon with a panel on the bus beside the emulated one."""
-    from veilcam_server import cli
+    from veilcam_server.cli import main as cli
 
     def on_both(spi: PanelEmulator, _: object, **more: object) -> ST7735R:
         bus = Both(spi)

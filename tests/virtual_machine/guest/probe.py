@@ -126,7 +126,7 @@ def _credential() -> None:
 def _convolve() -> None:
     import torch
 
-    from veilcam_server.serve import configure_torch
+    from veilcam_server.daemon import configure_torch
 
     configure_torch()
     torch.nn.Conv2d(1, 8, 5)(torch.ones(1, 1, 24, 32))

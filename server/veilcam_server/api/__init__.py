@@ -1,0 +1,1 @@
+"""REST API: HTTP in, HTTP out."""

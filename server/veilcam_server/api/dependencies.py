@@ -1,0 +1,91 @@
+"""What routes have in common: the service, idempotency keys, and problems in OpenAPI."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from fastapi import Depends, Header, Request
+from fastapi.openapi.constants import REF_PREFIX
+
+from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_server.api.problems import PROBLEMS
+from veilcam_server.security.admission import Gateway
+from veilcam_server.security.caller import CallerDep
+from veilcam_server.security.idempotency import IdempotencyKeys
+from veilcam_server.service.service import Service
+
+ResultT = TypeVar("ResultT")
+
+ALWAYS = (
+    "bad_request",
+    "unauthorized",
+    "forbidden",
+    "host_refused",
+    "rate_limited",
+    "too_many_requests",
+    "internal_error",
+    "tokens_unavailable",
+)
+"""What every route can answer with."""
+BODY = ("body_too_large", "invalid_request", "idempotency_key_reused")
+"""What a route with a body can answer with besides."""
+
+
+def problems(*codes: str) -> dict[int | str, dict[str, object]]:
+    """OpenAPI entries for the problems of a route, those of every route included."""
+    wanted = (*ALWAYS, *codes)
+    answers: dict[int | str, dict[str, object]] = {}
+    for status in sorted({PROBLEMS[code].status for code in wanted}):
+        names = ", ".join(code for code in wanted if PROBLEMS[code].status == status)
+        answers[status] = {
+            "description": names,
+            # The model itself, and an example of each code, are added to the whole document.
+            "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": f"{REF_PREFIX}Problem"}}},
+        }
+    return answers
+
+
+# Not plain functions: FastAPI would run those on a thread pool, two hops for every request.
+async def _service(request: Request) -> Service:
+    service: Service = request.app.state.service
+    return service
+
+
+async def _gateway(request: Request) -> Gateway:
+    gateway: Gateway = request.app.state.gateway
+    return gateway
+
+
+@dataclass(frozen=True, slots=True)
+class Once:
+    """Does the work of a request once for its ``Idempotency-Key``."""
+
+    keys: IdempotencyKeys
+    key: str | None
+    fingerprint: bytes
+
+    async def __call__(self, work: Callable[[], Coroutine[Any, Any, ResultT]]) -> ResultT:
+        """Return the result of ``work``; raises :class:`IdempotencyError` besides what it does."""
+        return await self.keys.once(self.key, self.fingerprint, work)
+
+
+async def _once(
+    request: Request,
+    caller: CallerDep,
+    idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,128}$")] = None,
+) -> Once:
+    head = f"{request.method} {request.url.path}\n".encode()
+    return Once(
+        request.app.state.idempotency,
+        # A caller's own: nobody is answered with what another one was told.
+        None if idempotency_key is None else f"{caller.id} {idempotency_key}",
+        hashlib.sha256(head + await request.body()).digest(),
+    )
+
+
+ServiceDep = Annotated[Service, Depends(_service)]
+GatewayDep = Annotated[Gateway, Depends(_gateway)]
+OnceDep = Annotated[Once, Depends(_once)]

@@ -1,0 +1,82 @@
+"""Metrics for Prometheus. No label holds what was seen, nor the name of a mask's showing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import get_args
+
+from prometheus_client import CollectorRegistry, Histogram, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+
+from veilcam_client.wire.captures import State
+from veilcam_server.security.audit import AuditLog
+from veilcam_server.service.service import Service
+
+BUCKETS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+"""Of the time that an answer takes [s]."""
+_EVENTS = {
+    "capture": ("veilcam_captures", "Embeddings taken."),
+    "classification": ("veilcam_classifications", "Embeddings classified."),
+    "mask": ("veilcam_masks_shown", "Masks shown."),
+}
+
+
+class Metrics:
+    """Of one daemon, in a registry of its own.
+
+    Args:
+        service: whose events are counted.
+        audit: whose losses are counted; None where there is none.
+    """
+
+    def __init__(self, service: Service, audit: AuditLog | None) -> None:
+        self._registry = CollectorRegistry()
+        self._seconds = Histogram(
+            "veilcam_request_seconds",
+            "Time from a request to the start of its answer.",
+            ("method", "route", "status"),
+            registry=self._registry,
+            buckets=BUCKETS,
+        )
+        self._registry.register(_Daemon(service, audit))
+        ProcessCollector(registry=self._registry)
+
+    def observe(self, method: str, route: str, status: int, seconds: float) -> None:
+        """Count one answer.
+
+        Args:
+            method: of the request.
+            route: template of its path.
+            status: of the answer.
+            seconds: from the request to the start of the answer.
+        """
+        self._seconds.labels(method, route, str(status)).observe(seconds)
+
+    def text(self) -> bytes:
+        """All of them, in the text format 1.0.0 of Prometheus."""
+        return generate_latest(self._registry)
+
+
+class _Daemon(Collector):
+    def __init__(self, service: Service, audit: AuditLog | None) -> None:
+        self._service, self._audit = service, audit
+
+    def collect(self) -> Iterator[Metric]:
+        status, history = self._service.status(), self._service.history
+        for kind, (name, what) in _EVENTS.items():
+            yield CounterMetricFamily(name, what, value=history.events[kind])
+        faults = CounterMetricFamily("veilcam_faults", "Failures.", labels=("code",))
+        for code, count in sorted(history.faults.items()):
+            faults.add_metric((code,), count)
+        yield faults
+        states = GaugeMetricFamily("veilcam_state", "1 for the present state.", labels=("state",))
+        for state in get_args(State):
+            states.add_metric((state,), float(state == status.state))
+        yield states
+        yield GaugeMetricFamily(
+            "veilcam_queue_waiting", "Captures that wait.", value=status.queue.waiting
+        )
+        lost = 0 if self._audit is None else self._audit.lost
+        yield CounterMetricFamily("veilcam_audit_lost", "Audit lines not written.", value=lost)

@@ -1,0 +1,147 @@
+"""Around every request: its id, who asks, body limit, audit, log line, and the last resort."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import time
+import traceback
+from collections.abc import Mapping
+from contextlib import ExitStack
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from veilcam_server.api.metrics import Metrics
+from veilcam_server.api.problems import code_of, error_response, problem_response
+from veilcam_server.security.admission import Gateway
+
+_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+MAX_PATH = 128
+"""Longest path that the audit log repeats."""
+
+log = structlog.get_logger()
+
+
+class RequestContext:
+    """Pure ASGI, so that event streams pass through unbuffered."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        gateway: Gateway,
+        metrics: Metrics,
+        max_body: int,
+        max_uploads: Mapping[tuple[str, str], int],
+    ) -> None:
+        self._app, self._gateway, self._metrics = app, gateway, metrics
+        self._max_body, self._max_uploads = max_body, max_uploads
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        asked = headers.get("x-request-id", "")
+        request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
+        state = scope.setdefault("state", {})
+        state.update(request_id=request_id, caller=None, problem=None, noted={})
+        peer = scope["client"][0] if scope.get("client") else "local socket"
+        begun, status = time.monotonic(), 0
+
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                answer = MutableHeaders(scope=message)
+                answer["X-Request-Id"] = request_id
+                answer["Cache-Control"] = "no-store"
+                self._audit(scope, status, peer)
+                self._metrics.observe(*_names(scope), status, time.monotonic() - begun)
+            await send(message)
+
+        try:
+            with ExitStack() as stack:
+                try:
+                    state["caller"] = stack.enter_context(self._gateway.admitted(headers, peer))
+                except Exception as error:
+                    state["problem"] = code_of(error)
+                    if state["problem"] is None:
+                        raise
+                    response = error_response(error, instance=scope["path"], request_id=request_id)
+                    await response(scope, receive, send_with_id)
+                    return
+                await self._app(scope, self._limited(scope, receive), send_with_id)
+        except Exception as error:
+            # The text of an error that nobody foresaw may hold anything, so it is not logged.
+            log.error(
+                "defect",
+                request_id=request_id,
+                error=type(error).__name__,
+                where=[
+                    f"{frame.filename}:{frame.lineno} {frame.name}"
+                    for frame in traceback.extract_tb(error.__traceback__)
+                ],
+            )
+            if status:
+                raise
+            state["problem"] = "internal_error"
+            response = problem_response(
+                code="internal_error",
+                detail="the daemon has a defect: its log tells more under this request id",
+                instance=scope["path"],
+                request_id=request_id,
+            )
+            await response(scope, receive, send_with_id)
+        finally:
+            log.info(
+                "request",
+                request_id=request_id,
+                method=scope["method"],
+                path=scope["path"],
+                status=status,
+                ms=round(1e3 * (time.monotonic() - begun), 1),
+            )
+
+    def _audit(self, scope: Scope, status: int, peer: str) -> None:
+        """Note everything but what was only read; who watches the events learns what is seen."""
+        path, state = scope["path"], scope["state"]
+        only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
+        if only_read and status < 400:
+            return
+        self._gateway.note(
+            state["caller"],
+            f"{scope['method']} {path[:MAX_PATH]}",
+            code=state["problem"],
+            status=status,
+            request=state["request_id"],
+            peer=peer,
+            **state["noted"],
+        )
+
+    def _limited(self, scope: Scope, receive: Receive) -> Receive:
+        """Stop reading a body that is too large, whatever length it claims to have."""
+        limit = self._max_uploads.get((scope["method"], scope["path"]), self._max_body)
+        received = 0
+
+        async def receive_some() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > limit:
+                raise HTTPException(413, f"this request has at most {limit} bytes")
+            return message
+
+        return receive_some
+
+
+def _names(scope: Scope) -> tuple[str, str]:
+    """Method and template of the route, or a word for both: no stranger's words become labels."""
+    route = scope.get("route")
+    if not isinstance(route, Route):
+        return "other", "none"
+    return scope["method"] if scope["method"] in (route.methods or ()) else "other", route.path

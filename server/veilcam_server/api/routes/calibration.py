@@ -1,0 +1,69 @@
+"""REST API of the calibration."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from veilcam_client.wire.calibration import (
+    CalibrationRequest,
+    CalibrationRun,
+    CalibrationStatus,
+    ScenePresented,
+)
+from veilcam_server.api.dependencies import BODY, OnceDep, ServiceDep, problems
+from veilcam_server.api.routes.lease import unleased
+from veilcam_server.security.caller import requires
+
+router = APIRouter(prefix="/v1/calibration", redirect_slashes=False)
+
+_CALIBRATES = (requires("calibrate"), unleased())
+
+
+@router.get("", dependencies=[requires("read:status")], responses=problems())
+async def calibration(service: ServiceDep) -> CalibrationStatus:
+    """What the camera found out about itself and who vouches for it, and how finding out goes on.
+
+    There is no mask in it.
+    """
+    return service.calibrator.status
+
+
+@router.post(
+    "",
+    status_code=202,
+    dependencies=_CALIBRATES,
+    responses=problems(*BODY, "leased", "calibrating", "calibration_impossible", "not_ready"),
+)
+async def start(
+    service: ServiceDep, once: OnceDep, question: CalibrationRequest | None = None
+) -> CalibrationRun:
+    """Measure the camera with itself; it takes no captures meanwhile.
+
+    What is found is used from then on, and after a restart. Nothing changes if it fails.
+    """
+    repeats = (question or CalibrationRequest()).repeats
+    return await once(lambda: service.calibrator.start(repeats))
+
+
+@router.post(
+    "/scene",
+    dependencies=_CALIBRATES,
+    responses=problems(*BODY, "leased", "not_calibrating", "scene_not_wanted"),
+)
+async def presented(service: ServiceDep, once: OnceDep, question: ScenePresented) -> CalibrationRun:
+    """Say that the scene that the calibration waits for is there."""
+
+    async def work() -> CalibrationRun:
+        return service.calibrator.presented(question.scene)
+
+    return await once(work)
+
+
+@router.delete(
+    "",
+    dependencies=_CALIBRATES,
+    responses=problems("invalid_request", "leased", "not_calibrating"),
+)
+async def cancel(service: ServiceDep) -> CalibrationRun:
+    """End the calibration that is under way; answered once the camera is back."""
+    return await service.calibrator.cancel()

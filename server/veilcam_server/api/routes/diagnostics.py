@@ -1,0 +1,63 @@
+"""REST API of what the daemon tells of itself: metrics, diagnostics, and the API as a document."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+from typing import Any
+
+from fastapi import APIRouter, FastAPI, Request
+from fastapi.responses import Response
+from prometheus_client import CONTENT_TYPE_LATEST
+
+from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_server.api.dependencies import GatewayDep, ServiceDep, problems
+from veilcam_server.api.metrics import Metrics
+from veilcam_server.api.openapi import document
+from veilcam_server.security.caller import requires
+
+PACKAGES = ("veilcam", "fastapi", "numpy", "pydantic", "starlette", "torch", "uvicorn")
+"""Whose versions matter."""
+
+router = APIRouter(prefix="/v1", redirect_slashes=False)
+
+
+@router.get(
+    "/metrics",
+    dependencies=[requires("metrics")],
+    response_class=Response,
+    responses={
+        200: {"content": {"text/plain": {"schema": {"type": "string"}}}},
+        **problems(),
+    },
+)
+async def metrics(request: Request) -> Response:
+    """Captures, faults, state and latencies for Prometheus."""
+    kept: Metrics = request.app.state.metrics
+    return Response(kept.text(), media_type=CONTENT_TYPE_LATEST)
+
+
+@router.get("/diagnostics", dependencies=[requires("read:status")], responses=problems())
+async def diagnostics(service: ServiceDep, gateway: GatewayDep) -> Diagnostics:
+    """Versions, settings without paths and labels, and the last states and faults."""
+    history = service.history
+    return Diagnostics(
+        versions={
+            "python": platform.python_version(),
+            "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+            **{name: version(name) for name in PACKAGES},
+        },
+        settings=gateway.settings,
+        states=tuple(history.last_states),
+        faults=tuple(history.last_faults),
+        events=dict(history.events),
+        fault_counts=dict(history.faults),
+        audit_lost=0 if gateway.audit is None else gateway.audit.lost,
+    )
+
+
+@router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())
+async def openapi(request: Request) -> dict[str, Any]:
+    """This document."""
+    app: FastAPI = request.app
+    return document(app)

@@ -1,0 +1,66 @@
+"""REST API of tokens. Their methods touch the disk, hence plain functions on the thread pool."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path
+from fastapi.concurrency import run_in_threadpool
+
+from veilcam_client.wire.tokens import NewToken, Token, TokenRequest, Tokens
+from veilcam_server.api.dependencies import BODY, GatewayDep, OnceDep, problems
+from veilcam_server.errors import ForbiddenError, TokensOffError
+from veilcam_server.security.caller import Caller, CallerDep, requires
+from veilcam_server.security.tokens import TokenStore
+
+
+async def _store(gateway: GatewayDep) -> TokenStore:
+    if gateway.tokens is None:
+        raise TokensOffError
+    return gateway.tokens
+
+
+StoreDep = Annotated[TokenStore, Depends(_store)]
+TokenId = Annotated[str, Path(pattern=r"^[0-9a-f]{12}$", examples=["0123456789ab"])]
+
+router = APIRouter(
+    prefix="/v1/tokens", dependencies=[requires("admin:tokens")], redirect_slashes=False
+)
+
+
+@router.get("", responses=problems("tokens_off"))
+def tokens(store: StoreDep) -> Tokens:
+    """Every token without its secret, revoked and expired ones included."""
+    return Tokens(tokens=store.tokens())
+
+
+@router.post("", status_code=201, responses=problems(*BODY, "tokens_off"))
+async def create(
+    store: StoreDep,
+    caller: CallerDep,
+    once: OnceDep,
+    question: TokenRequest,
+) -> NewToken:
+    """Make a token. It allows no more than the caller's own, and lasts no longer."""
+
+    async def work() -> NewToken:
+        return await run_in_threadpool(
+            store.create, question.label, question.scopes, question.seconds
+        )
+
+    _require_no_more(question, caller, store)
+    return await once(work)
+
+
+@router.delete("/{token_id}", responses=problems("invalid_request", "unknown_token", "tokens_off"))
+def revoke(store: StoreDep, token_id: TokenId) -> Token:
+    """Let a token do nothing any more, from the next request on."""
+    return store.revoke(token_id)
+
+
+def _require_no_more(question: TokenRequest, caller: Caller, store: TokenStore) -> None:
+    for scope in question.scopes:
+        caller.require(scope)
+    left = store.lifetime(caller)
+    if left is not None and (question.seconds is None or question.seconds > left):
+        raise ForbiddenError(f"this token ends in {left:.0f} s and makes none that lasts longer")

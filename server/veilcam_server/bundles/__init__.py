@@ -1,0 +1,1 @@
+"""Installed bundles, and the one in use."""

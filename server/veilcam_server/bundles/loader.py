@@ -1,0 +1,184 @@
+"""From a bundle to what serves its masks, where it fits the camera that is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import (
+    BundleInfo,
+    Device,
+    EveryCaptures,
+    Release,
+    RotationOff,
+    RotationPolicy,
+)
+from veilcam_optics.decoding import AS_DRAWN, Calibration
+from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.errors import (
+    KeyringInvalidError,
+    KeyringUnfitError,
+    StartError,
+    UnknownKeyringError,
+)
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.masks.secret import find_secret
+from veilcam_server.masks.source import MaskSource
+from veilcam_server.settings import Settings
+from veilcam_training.bundle import Bundle, BundleError, read_bundle
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What the daemon tells of itself; of all this only the bundle changes while it runs."""
+
+    device: Device
+    bundle: BundleInfo
+    experiment: str | None = None
+    calibration: SignedCalibration | None = None
+
+
+def bundle_info(bundle: Bundle) -> BundleInfo:
+    """What may be told of a bundle."""
+    return BundleInfo(
+        digest=bundle.digest,
+        task=bundle.task,
+        mode=bundle.mode,
+        labels=bundle.labels,
+        embedding_shape=bundle.embedding.shape,
+        pairs=len(bundle.pairs),
+    )
+
+
+def open_source(
+    settings: Settings, bundle: Bundle, calibration: Calibration = AS_DRAWN
+) -> MaskSource:
+    """Return what gives masks and their readers.
+
+    Args:
+        settings: checked.
+        bundle: to serve.
+        calibration: what decoders are prepared for. Stored pairs have none: what they read was
+            learned for the camera as drawn.
+
+    Raises:
+        StartError: the bundle cannot be served as it is, or the secret is missing.
+    """
+    if bundle.mode == "fresh":
+        return FreshSource(
+            bundle,
+            find_secret(settings.mask_secret),
+            device=settings.device_label,
+            form=release_form(settings, bundle),
+            wrong_decoder=settings.wrong_classifier,
+            calibration=calibration,
+        )
+    for option, value in (
+        ("--mask-secret", settings.mask_secret),
+        ("--device-label", settings.device_label),
+    ):
+        if value is not None:
+            raise StartError(f"{option} is for fresh masks: this bundle holds pairs")
+    return load_pairs(bundle, wrong_classifier=settings.wrong_classifier)
+
+
+def release_form(settings: Settings, bundle: Bundle) -> Release:
+    """Return the form in which embeddings leave.
+
+    Unless it is said, embeddings of fresh masks leave white, which tells nothing without the key;
+    those of stored pairs stay inside, but for a simulated camera, which sees nobody.
+
+    Raises:
+        StartError: a form that needs scene statistics, and the bundle has none.
+    """
+    if settings.release is not None:
+        if bundle.mode == "pairs" and settings.release in ("flat", "white"):
+            raise StartError(
+                f"--release {settings.release} needs the scene statistics of a bundle of mode "
+                "'fresh': use none or raw"
+            )
+        return settings.release
+    if bundle.mode == "fresh":
+        return "white"
+    return "raw" if settings.device == "simulated" else "none"
+
+
+def rotation_policy(settings: Settings, bundle: Bundle) -> RotationPolicy:
+    """Return when masks change; unless it is said, fresh ones after every capture, pairs never."""
+    if settings.rotation is not None:
+        return settings.rotation
+    return EveryCaptures(captures=1) if bundle.mode == "fresh" else RotationOff()
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """A keyring that can be used."""
+
+    info: BundleInfo
+    source: MaskSource = field(repr=False)
+
+
+class Opener:
+    """Opens keyrings for a camera that stands as it is.
+
+    Args:
+        configured: the bundle that the daemon was started with.
+        open_source: makes a bundle's source of masks, or raises :class:`StartError`.
+    """
+
+    def __init__(self, configured: Bundle, open_source: Callable[[Bundle], MaskSource]) -> None:
+        self._configured, self._open_source = configured, open_source
+
+    def read(self, path: Path) -> Bundle:
+        """Read a bundle that fits this camera.
+
+        Raises:
+            KeyringInvalidError: it cannot be read, or it is not a whole bundle.
+            KeyringUnfitError: it is for another camera, or of another mode.
+        """
+        try:
+            bundle = read_bundle(path)
+        except BundleError as error:
+            # Where the daemon keeps its files is nobody's business.
+            reason = str(error).removeprefix(f"{path}: ")
+            raise KeyringInvalidError(f"this keyring cannot be used: {reason}") from None
+        for name in ("mode", "camera", "scene", "embedding", "channels"):
+            if getattr(bundle, name) != getattr(self._configured, name):
+                raise KeyringUnfitError(
+                    f"this keyring is for another {name}: start the daemon with it, as --bundle"
+                )
+        return bundle
+
+    def open(self, path: Path, digest: str) -> Keys:
+        """Open the keyring of this digest; raises as :meth:`read`."""
+        bundle = self.read(path)
+        if bundle.digest != digest:
+            raise KeyringInvalidError("this keyring was changed on the disk: install it again")
+        return self.keys(bundle)
+
+    def keys(self, bundle: Bundle) -> Keys:
+        """What serves the masks of a bundle; raises :class:`KeyringUnfitError`."""
+        try:
+            return Keys(bundle_info(bundle), self._open_source(bundle))
+        except (StartError, BundleError) as error:
+            raise KeyringUnfitError(str(error)) from None
+
+
+def last_good(store: KeyringStore, opener: Opener) -> tuple[Keys | None, Sequence[str]]:
+    """The keyring that was in use last and still can be; None for the configured one.
+
+    Returns:
+        That, and a line on each that cannot be used.
+    """
+    faults: list[str] = []
+    for digest in store.candidates():
+        if digest == store.configured:
+            break
+        try:
+            return opener.open(store.path(digest), digest), faults
+        except (UnknownKeyringError, KeyringInvalidError, KeyringUnfitError) as error:
+            faults.append(f"keyring {digest[:12]} is not in use any more: {error}")
+    return None, faults

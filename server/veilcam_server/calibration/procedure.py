@@ -1,0 +1,89 @@
+"""The whole of a calibration: three scenes, and what follows from each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from veilcam_client.wire.calibration import CalibrationRecord
+from veilcam_optics.transfer.operator import Reach
+from veilcam_server.calibration.fit import fit
+from veilcam_server.calibration.measurements import Effort, observe
+from veilcam_server.calibration.result import Findings, make_record
+from veilcam_server.calibration.rig import Bench, Geometry
+from veilcam_server.calibration.targets import CalibrationScene
+from veilcam_server.camera.capture import Fence
+from veilcam_server.devices.base import Device
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Calibrated:
+    """The record, and the curves that it was made from."""
+
+    record: CalibrationRecord
+    findings: Findings
+
+
+def calibrate(
+    device: Device,
+    geometry: Geometry,
+    present: Callable[[CalibrationScene], None],
+    *,
+    longest: float,
+    exposure: float,
+    tab: str | None = None,
+    reach: Reach = Reach(),  # noqa: B008 - immutable
+    timeout: float = 5.0,
+    effort: Effort = Effort(),  # noqa: B008 - immutable
+    advance: Callable[[], None] = lambda: None,
+    check: Callable[[], None] = lambda: None,
+    fitting: Callable[[], None] = lambda: None,
+    clock: Callable[[], float] = time.monotonic,
+) -> Calibrated:
+    """Measure a camera with itself. The panel is opaque afterwards, come what may.
+
+    Args:
+        device: panel and sensor; it is not closed here.
+        geometry: the camera as drawn.
+        present: brings a scene before the camera and returns once it is there.
+        longest: what the panel's settling may take [s].
+        exposure: of readings, for the record [s].
+        tab: of the panel, for the record.
+        reach: which sub-pixels decoders let interfere.
+        timeout: longest wait for one reading [s].
+        effort: how much is read.
+        advance: called after each of ``effort.captures(geometry)`` exposures.
+        check: called after each of them and before each evaluation of a fit; what it raises ends
+            the calibration.
+        fitting: called once everything is read; the panel is opaque from then on.
+        clock: monotonic time [s].
+
+    Raises:
+        CalibrationError: the camera, its light or the fit is not good enough, and what to do.
+        DeviceError, FenceError: panel or sensor failed.
+    """
+
+    def bench(settle: float) -> Bench:
+        return Bench(
+            device,
+            geometry.camera,
+            geometry.embedding.shape,
+            fence=Fence(settle, timeout),
+            repeats=effort.repeats,
+            advance=advanced,
+            clock=clock,
+        )
+
+    def advanced() -> None:
+        advance()
+        check()
+
+    try:
+        seen = observe(bench, geometry, present, longest=longest, reach=reach, effort=effort)
+    finally:
+        device.display.blank()
+    fitting()
+    found = fit(seen, geometry, reach=reach, patterns=effort.patterns, check=check)
+    record = make_record(found, device, exposure=exposure, tab=tab, geometry=geometry.digest)
+    return Calibrated(record, found)

@@ -1,0 +1,156 @@
+"""A device in front of something known: show a pattern, read it, mind the fence."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_server.camera.capture import Fence, check_exposure
+from veilcam_server.devices.base import Device, Levels
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Camera, scene and embedding of a bundle."""
+
+    camera: Camera
+    scene: Scene
+    embedding: Embedding
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over all numbers of the drawing: 64 hexadecimal digits."""
+        drawing = json.dumps(asdict(self), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(drawing.encode()).hexdigest()
+
+
+_BLOCK = 0.4e-3
+"""Side of the squares of coarse patterns [m]: two embedding pixels, so that a fit finds a mask that
+is that far off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patterns:
+    """How many of each kind."""
+
+    coarse: int = 4
+    """Squares, open or opaque: for the first fit."""
+    fine: int = 8
+    """Sub-pixels, open or opaque: for the second."""
+    held_out: int = 3
+    """Sub-pixels of any level, which no fit sees: for the verdict."""
+
+    @property
+    def count(self) -> int:
+        """Readings of one scene; an opaque one is among them."""
+        return 1 + self.coarse + self.fine + self.held_out
+
+    def draw(self, camera: Camera) -> list[Levels]:
+        """Opaque, coarse, fine, held out; the same ones every time."""
+        random = np.random.default_rng(1)
+        top, (rows, columns) = camera.panel.levels - 1, camera.mask_shape
+        high, wide = (
+            max(1, round(_BLOCK / pitch)) for pitch in (camera.panel.pitch_y, camera.panel.pitch_x)
+        )
+
+        def squares() -> Levels:
+            blocks = random.integers(0, 2, (-(-rows // high), -(-columns // wide)), np.uint8)
+            return (top * blocks).repeat(high, 0).repeat(wide, 1)[:rows, :columns]
+
+        return [
+            np.zeros((rows, columns), np.uint8),
+            *(squares() for _ in range(self.coarse)),
+            *(top * random.integers(0, 2, (rows, columns), np.uint8) for _ in range(self.fine)),
+            *(random.integers(0, top + 1, (rows, columns), np.uint8) for _ in range(self.held_out)),
+        ]
+
+
+Values = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Mean of one reading, and when its light was collected, since the panel's last byte [s]."""
+
+    started: float
+    ended: float
+    mean: float
+
+
+class Bench:
+    """Shows patterns and reads. Patterns are no masks: they never come from a key.
+
+    Args:
+        device: panel and sensor; it is not closed here.
+        camera: whose window patterns are for.
+        shape: of an embedding.
+        fence: that every reading keeps to, except where settling itself is measured.
+        repeats: exposures for one reading, which is their mean.
+        advance: called after every exposure.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        camera: Camera,
+        shape: tuple[int, int],
+        *,
+        fence: Fence,
+        repeats: int = 1,
+        advance: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._device, self._camera, self._shape = device, camera, shape
+        self._fence, self._repeats = fence, repeats
+        self._advance, self._clock = advance, clock
+
+    @property
+    def full_scale(self) -> float:
+        """Reading of saturated pixels."""
+        return self._device.sensor.full_scale
+
+    def uniform(self, level: int) -> Levels:
+        """The same level everywhere in the window."""
+        return np.full(self._camera.mask_shape, level, np.uint8)
+
+    @property
+    def opaque(self) -> Levels:
+        """Everything as dark as it gets."""
+        return self.uniform(0)
+
+    @property
+    def open(self) -> Levels:
+        """Everything as bright as it gets."""
+        return self.uniform(self._camera.panel.levels - 1)
+
+    def read(self, levels: Levels) -> Values:
+        """Show a pattern, let it settle, and read.
+
+        Raises:
+            DeviceError: panel or sensor failed.
+            FenceError: the reading cannot be trusted.
+        """
+        not_before = self._device.display.show(levels).completed_at + self._fence.settle
+        readings = [self._expose(not_before)[0] for _ in range(self._repeats)]
+        mean: Values = np.mean(readings, axis=0)
+        return mean
+
+    def after(self, levels: Levels, delay: float) -> Moment:
+        """Show a pattern and read ``delay`` [s] later, settled or not."""
+        completed = self._device.display.show(levels).completed_at
+        reading, started, ended = self._expose(completed + delay)
+        return Moment(started - completed, ended - completed, float(reading.mean()))
+
+    def _expose(self, not_before: float) -> tuple[Values, float, float]:
+        exposure = self._device.sensor.capture(not_before, self._fence.timeout)
+        check_exposure(exposure, not_before=not_before, ended=self._clock(), shape=self._shape)
+        self._advance()
+        return exposure.embedding.astype(np.float64), exposure.started_at, exposure.ended_at

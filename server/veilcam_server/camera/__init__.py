@@ -1,0 +1,1 @@
+"""The engine: one panel, one sensor, one lock."""

@@ -1,0 +1,128 @@
+"""What is on the panel, and what was read behind it."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from dataclasses import dataclass, field
+from datetime import datetime
+
+import numpy as np
+
+from veilcam_client.wire.captures import Replay
+from veilcam_server.devices.base import Exposure, Reading
+from veilcam_server.errors import FenceError
+from veilcam_server.masks.source import Mask, Reader
+
+
+@dataclass(frozen=True, slots=True)
+class Fence:
+    """How a reading is kept from mixing two masks."""
+
+    settle: float = 0.1
+    """Given to the panel after a write; measured once per panel, 100 ms to start from [s]."""
+    timeout: float = 5.0
+    """Longest wait for one reading [s]."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.settle) and self.settle >= 0):
+            raise ValueError(f"settle = {self.settle} s is not valid: use a number >= 0")
+        if not (math.isfinite(self.timeout) and self.timeout > 0):
+            raise ValueError(f"timeout = {self.timeout} s is not valid: use a number > 0")
+
+
+def check_exposure(
+    exposure: Exposure, *, not_before: float, ended: float, shape: tuple[int, ...]
+) -> None:
+    """Refuse a reading that cannot be trusted.
+
+    Args:
+        exposure: as the sensor gave it.
+        not_before: when the mask had settled, monotonic [s].
+        ended: when the sensor returned.
+        shape: of an embedding.
+
+    Raises:
+        FenceError: exposed before or after that, of another shape, or not finite.
+    """
+    if not not_before <= exposure.started_at <= exposure.ended_at <= ended:
+        raise FenceError(
+            f"the exposure began {exposure.started_at - not_before:+.4f} s after the mask had "
+            "settled and was thrown away: try again"
+        )
+    if exposure.embedding.shape != shape:
+        raise FenceError(
+            f"the sensor gave a reading of shape {exposure.embedding.shape}, "
+            f"not {shape}: check that the bundle fits this device"
+        )
+    if not bool(np.isfinite(exposure.embedding).all()):
+        raise FenceError("the sensor gave a reading that is not finite: try again")
+
+
+_RANDOM = secrets.SystemRandom()
+
+
+@dataclass(eq=False, slots=True)
+class Showing:
+    """The mask on the panel: mask, epoch and time belong together and are replaced together."""
+
+    mask: Mask = field(repr=False)
+    epoch: str
+    """Name of the epoch."""
+    since: float
+    """When it was first shown, monotonic [s]."""
+    completed_at: float
+    """When it was last written; later than ``since`` when it was put back after a failure."""
+    chance: float = field(default_factory=_RANDOM.random)
+    """How much of a policy's jitter it gets."""
+    captures: int = 0
+    overdue: int = 0
+    """Captures taken while it was due and the next was not ready."""
+    late: bool = False
+    """Whether a capture was due before the next mask was ready."""
+
+    def reuse(self, limit: int, lateness: Lateness) -> bool:
+        """Whether it may serve one more capture although it is due, which is then counted.
+
+        Args:
+            limit: how often it may.
+            lateness: where that is counted, too.
+        """
+        if not self.late:
+            self.late = True
+            lateness.late += 1
+        if self.overdue >= limit:
+            return False
+        self.overdue += 1
+        lateness.reused += 1
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Captured:
+    """One reading, proof of its mask, and the one reader that may read it."""
+
+    embedding: Reading = field(repr=False)
+    taken_at: datetime
+    epoch: str
+    reader: Reader = field(repr=False)
+    started_after_shown: float
+    settle: float
+    duration: float
+    rotation_time: float
+    settle_time: float
+    capture_time: float
+    scene: int | None = None
+    """Number of what a simulated camera looked at."""
+    replay: Replay | None = None
+    """From a recording: nothing was exposed, and the times are the recording's."""
+
+
+@dataclass(slots=True)
+class Lateness:
+    """What it came to that the next mask was not ready."""
+
+    late: int = 0
+    """Masks that a capture found due before the next one was ready."""
+    reused: int = 0
+    """Captures taken under a mask that was due."""

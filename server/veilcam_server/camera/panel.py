@@ -1,0 +1,174 @@
+"""What is on the panel: a mask, once it is proven that the panel hides the scene, or opaque.
+
+When a write fails, the mask shown before is put back; when that fails too, or a self test does, the
+panel is made opaque and no mask counts as shown: state ``safe``, or ``degraded`` where nothing says
+that the panel is at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from veilcam_client.wire.captures import State
+from veilcam_server.camera.capture import Showing
+from veilcam_server.camera.epochs import Preparation, Prepared
+from veilcam_server.camera.self_test import Proof
+from veilcam_server.devices.base import Display
+from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
+from veilcam_server.errors import EpochError, FenceError, NotReadyError, UndecidedError
+from veilcam_server.masks.source import MaskSource
+
+
+class MaskedPanel:
+    """The panel and the state that follows from it. Called by one thread at a time.
+
+    Args:
+        display: that shows masks.
+        preparation: makes epochs ready.
+        proof: that the panel hides the scene.
+    """
+
+    def __init__(self, display: Display, preparation: Preparation, proof: Proof) -> None:
+        self._display, self._preparation, self._proof = display, preparation, proof
+        self._showing: Showing | None = None
+        self._state: State = "starting"
+        self._detail: str | None = None
+        self.on_mask: Callable[[str], None] = _ignore
+        """Takes the name of every new epoch."""
+        self.on_state: Callable[[State, str | None], None] = _ignore
+        """Takes every new state, and why it is not ``ready``."""
+
+    @property
+    def showing(self) -> Showing | None:
+        """The mask that is shown; None: there is none."""
+        return self._showing
+
+    @property
+    def state(self) -> tuple[State, str | None]:
+        """What the camera is doing, and why it is not ready."""
+        return self._state, self._detail
+
+    def proven_for(self) -> float:
+        """Seconds until the panel must be tested; 0: now, or again after a test that failed."""
+        return 0.0 if self._showing is None else self._proof.holds_for()
+
+    def show(self, prepared: Prepared, source: MaskSource | None = None) -> None:
+        """Show a mask, after a test if that is due.
+
+        Args:
+            prepared: the mask and its epoch.
+            source: where it comes from; from then on the next ones do, too.
+
+        Raises:
+            SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
+            EpochError: the mask could not be recorded; nothing has changed.
+            DisplayError: the panel did not take it.
+        """
+        previous = self._showing
+        self._preparation.record(prepared.mask)
+        self._prove()
+        # From here on no mask counts as shown until the panel has confirmed one.
+        self._showing = None
+        try:
+            shown = self._display.show(prepared.mask.levels)
+        except DeviceError as error:
+            self._put_back(previous)
+            raise DisplayError(f"the mask could not be changed: {error}") from error
+        except BaseException:
+            self._put_back(previous)
+            raise
+        self._showing = Showing(
+            prepared.mask, prepared.epoch.name, shown.completed_at, shown.completed_at
+        )
+        if source is not None:
+            self._preparation.serve(source)
+        self._enter("ready", None)
+        self.on_mask(prepared.epoch.name)
+        self._prepare_next()
+
+    def test(self) -> None:
+        """Test the panel if a mask is shown and that is due, and put the mask back.
+
+        Raises:
+            SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
+        """
+        showing = self._showing
+        if showing is not None and self._proof.holds_for() <= 0:
+            self._prove()
+            self._put_back(showing)
+
+    def lend(self) -> None:
+        """Show opaque, and let others show other things; raises :class:`DisplayError`."""
+        self._showing = None
+        self._enter("calibrating", "the camera is being calibrated")
+        self._display.blank()
+
+    def strand(self) -> None:
+        """After something was lent, and no mask could be shown."""
+        if self._state == "calibrating":
+            self._make_opaque(
+                "degraded", "no mask is shown after the calibration: it is tried again"
+            )
+
+    def end(self) -> None:
+        """No mask counts as shown any more."""
+        self._showing = None
+        self._enter("stopping", "the daemon is stopping")
+
+    def _prove(self) -> None:
+        """Test the panel if that is due; it then shows opaque, also after a test that failed."""
+        if self._proof.holds_for() > 0:
+            return
+        self._showing = None
+        if self._state in ("starting", "ready", "calibrating"):
+            self._enter("self-test", "the panel is being tested")
+        try:
+            self._proof.renew()
+        except BaseException as error:
+            # What the panel cannot be blamed for is not called its failure.
+            blameless = isinstance(error, (UndecidedError, SensorError, FenceError))
+            known = isinstance(error, (NotReadyError, DeviceError, FenceError))
+            reason = str(error) if known else "the self test broke off"
+            self._make_opaque("degraded" if blameless else "safe", reason)
+            raise
+
+    def _put_back(self, previous: Showing | None) -> None:
+        """After a failed write, or a test: the mask from before, or else opaque."""
+        if previous is not None:
+            try:
+                shown = self._display.show(previous.mask.levels)
+            except Exception:  # noqa: S110 - whatever it was, opaque comes next
+                pass
+            else:
+                previous.completed_at = shown.completed_at
+                self._showing = previous
+                # Should it not be recorded, another mask than the next is left out: no harm.
+                with suppress(EpochError):
+                    self._preparation.record(previous.mask)
+                self._prepare_next()
+                self._enter("ready", None)
+                return
+        self._make_opaque("safe", "the panel failed and was made opaque: it is tried again")
+
+    def _make_opaque(self, state: State, reason: str) -> None:
+        """Captures stop."""
+        try:
+            self._display.blank()
+        except Exception:
+            state = "safe"
+            reason = "the panel failed and cannot be made opaque: check its power and wiring"
+        self._enter(state, reason)
+
+    def _prepare_next(self) -> None:
+        if self._preparation.renewable:
+            self._preparation.begin()
+
+    def _enter(self, state: State, detail: str | None) -> None:
+        if (state, detail) != (self._state, self._detail):
+            self._state, self._detail = state, detail
+            self.on_state(state, detail)
+
+
+def _ignore(*_: object) -> None:
+    """Nobody listens."""

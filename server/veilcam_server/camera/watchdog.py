@@ -1,0 +1,102 @@
+"""Whether panel and camera still answer: the watchdog is fed only while they do.
+
+A bus or a camera that hangs holds a thread for ever, and the event loop, which still answers, would
+not notice. So everything that is asked of the device is stamped when it begins and when it ends.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+from veilcam_server.devices.base import Device, Display, Exposure, Levels, Sensor, Shown
+
+
+class Health:
+    """Stamps of what is asked of a device.
+
+    Args:
+        longest: time that anything asked of it may take [s].
+        clock: monotonic time [s].
+    """
+
+    def __init__(self, longest: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._longest, self._clock = longest, clock
+        self._begun: dict[object, float] = {}
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def action(self) -> Iterator[None]:
+        """Stamp what is asked of the device within."""
+        action = object()
+        with self._lock:
+            self._begun[action] = self._clock()
+        try:
+            yield
+        finally:
+            with self._lock:
+                del self._begun[action]
+
+    def healthy(self) -> bool:
+        """Whether nothing that was asked of the device takes longer than it may."""
+        now = self._clock()
+        with self._lock:
+            return all(now - begun <= self._longest for begun in self._begun.values())
+
+
+def stamped(device: Device, health: Health) -> Device:
+    """Return ``device``, with everything that is asked of it stamped."""
+    return replace(
+        device,
+        display=_StampedDisplay(device.display, health),
+        sensor=_StampedSensor(device.sensor, health),
+    )
+
+
+class _StampedDisplay:
+    def __init__(self, display: Display, health: Health) -> None:
+        self._display, self._health = display, health
+
+    @property
+    def name(self) -> str:
+        return self._display.name
+
+    @property
+    def resets(self) -> int:
+        return self._display.resets
+
+    def show(self, levels: Levels) -> Shown:
+        with self._health.action():
+            return self._display.show(levels)
+
+    def blank(self) -> None:
+        with self._health.action():
+            self._display.blank()
+
+    def close(self) -> None:
+        with self._health.action():
+            self._display.close()
+
+
+class _StampedSensor:
+    def __init__(self, sensor: Sensor, health: Health) -> None:
+        self._sensor, self._health = sensor, health
+
+    @property
+    def name(self) -> str:
+        return self._sensor.name
+
+    @property
+    def full_scale(self) -> float:
+        return self._sensor.full_scale
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        with self._health.action():
+            return self._sensor.capture(not_before, timeout)
+
+    def close(self) -> None:
+        with self._health.action():
+            self._sensor.close()

@@ -1,0 +1,138 @@
+"""The command line ``veilcamd``."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from veilcam_client import VeilcamError
+from veilcam_server.cli import audit as audit_command
+from veilcam_server.cli import calibrate as calibration_command
+from veilcam_server.cli import doctor as doctor_command
+from veilcam_server.cli import serve as serve_command
+from veilcam_server.cli import tokens as token_command
+from veilcam_server.cli.serve import hold_up
+from veilcam_server.cli.terminal import fail
+from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, load_digits
+from veilcam_server.errors import StartError
+from veilcam_server.settings import SCENE_NAME, default_state_dir
+
+app = typer.Typer(
+    no_args_is_help=True,
+    # Local variables hold masks: they must not end up in a terminal.
+    pretty_exceptions_enable=False,
+)
+app.command()(serve_command.serve)
+app.command()(doctor_command.doctor)
+app.add_typer(token_command.app, name="token")
+app.command("audit")(audit_command.audit)
+app.command()(calibration_command.calibrate)
+
+
+@app.callback()
+def veilcamd() -> None:
+    """The Veilcam daemon: a privacy camera without a lens."""
+
+
+@app.command()
+def secret(
+    file: Annotated[Path, typer.Argument(help="New file; its owner alone may read it.")],
+) -> None:
+    """Make the secret that fresh masks are derived from. Keep a copy where you keep keys."""
+    from veilcam_server.masks.secret import write_secret  # noqa: PLC0415 - it loads torch
+
+    try:
+        write_secret(file)
+    except StartError as error:
+        fail(str(error))
+    typer.echo(f"wrote {file}; give it to the daemon with --mask-secret {file}")
+
+
+@app.command()
+def show(
+    *,
+    scene: Annotated[
+        Path | None,
+        typer.Option(help="File that the simulated camera sees; the one of 'serve' by default."),
+    ] = None,
+    digit: Annotated[
+        int | None, typer.Option(min=0, max=9, help="Any held-out digit of this kind.")
+    ] = None,
+    index: Annotated[int | None, typer.Option(min=0, help="Exactly this held-out digit.")] = None,
+) -> None:
+    """Hold a handwritten digit up in front of a simulated camera."""
+    try:
+        digits = load_digits()
+        if index is not None and index >= len(digits):
+            raise StartError(f"--index {index}: there are {len(digits)} digits, from 0 on")
+        if index is None:
+            fitting = [n for n, label in enumerate(digits.labels) if digit in (None, label)]
+            index = secrets.choice(fitting)
+        path = scene or default_state_dir() / SCENE_NAME
+        hold_up(path, digits, index)
+        typer.echo(f"held up a {digits.labels[index]} (held-out digit {index}) in {path}")
+    except StartError as error:
+        fail(str(error))
+
+
+@app.command()
+def demo(
+    *,
+    captures: Annotated[int, typer.Option(min=1, help="How many digits to show.")] = 200,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Draw every mask from a key; no mask is used again.")
+    ] = False,
+    every: Annotated[
+        int | None, typer.Option(min=1, help="Captures under one mask: 10, with --fresh 1.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Directory for report.png.")] = Path("demo"),
+    bundle: Annotated[
+        Path | None, typer.Option(help="Masks and classifiers, instead of those that come along.")
+    ] = None,
+    digits: Annotated[Path, typer.Option(help="Held-out digits.")] = DIGITS,
+    seed: Annotated[int, typer.Option(min=0, help="Chooses the digits.")] = 0,
+    wrong_classifier: Annotated[
+        bool,
+        typer.Option(
+            "--wrong-classifier",
+            help="Read every mask as if it were another one: accuracy collapses.",
+        ),
+    ] = False,
+    figures: Annotated[
+        Path | None, typer.Option(help="Write the accuracy into this JSON file.")
+    ] = None,
+) -> None:
+    """Classify handwritten digits through changing masks, end to end."""
+    # Imported late: --help need not wait for torch and matplotlib.
+    from rich.console import Console  # noqa: PLC0415
+
+    from veilcam_server.demo.run import Plan, demonstrate  # noqa: PLC0415
+    from veilcam_training.errors import TrainingError  # noqa: PLC0415
+    from veilcam_training.experiments.records import record_figures  # noqa: PLC0415
+
+    bundle = bundle or (FRESH if fresh else KEYRING)
+    every = every or (1 if fresh else 10)
+    try:
+        if fresh and bundle == FRESH and not FRESH.exists():
+            raise StartError("no bundle of fresh masks came along: give one with --bundle")
+        plan = Plan(bundle, fresh, digits, out, captures, every, seed, wrong_classifier)
+        tally = demonstrate(plan, Console())
+        if figures is not None:
+            name = "demo_fresh" if fresh else "demo"
+            name += "_wrong_classifier_accuracy" if wrong_classifier else "_accuracy"
+            record_figures(figures, {name: round(tally.accuracy, 4)})
+        typer.echo(tally.summary())
+    except (StartError, VeilcamError, TrainingError) as error:
+        fail(str(error))
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+
+
+def main() -> None:
+    """Run ``veilcamd``."""
+    app(prog_name="veilcamd")
+    sys.exit(0)

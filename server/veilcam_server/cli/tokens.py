@@ -1,0 +1,109 @@
+"""``veilcamd token``: make, list and revoke tokens, whether a daemon runs or not."""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+
+from veilcam_client.cli.format import token_in_words
+from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
+from veilcam_server.cli.terminal import StateDirOption, fail, one_line
+from veilcam_server.errors import StartError, TokenStoreError, UnknownTokenError
+from veilcam_server.security.audit import DONE, AuditLog
+from veilcam_server.security.tokens import TokenStore
+from veilcam_server.settings import default_state_dir
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Make, list and revoke the tokens of a daemon, also while it runs.",
+)
+
+
+@app.command()
+def create(
+    *,
+    label: Annotated[str, typer.Option(help="For whom or what it is.")],
+    scope: Annotated[
+        list[str],
+        typer.Option(
+            help="What it allows; give it several times. read:status, classify, read:embedding, "
+            "read:embedding:raw, mask:rotate, calibrate, admin:keyring, admin:tokens, metrics."
+        ),
+    ],
+    days: Annotated[
+        float | None,
+        typer.Option(min=0, max=3660, help="How long it is valid; until it is revoked by default."),
+    ] = None,
+    state_dir: StateDirOption = None,
+) -> None:
+    """Make a token and print it. It is shown this once."""
+    seconds = None if days is None else round(86_400 * days)
+    if seconds == 0:
+        fail("--days: a token is valid for a second at least")
+    try:
+        asked = TokenRequest.model_validate(
+            {"label": label, "scopes": tuple(scope), "seconds": seconds}
+        )
+    except ValidationError as error:
+        fail(one_line(error))
+    with _store(state_dir) as (store, audit):
+        made = store.create(asked.label, asked.scopes, asked.seconds)
+        _note(audit, "token create", made)
+    typer.echo(made.secret)
+
+
+@app.command("list")
+def list_tokens(
+    *,
+    state_dir: StateDirOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+) -> None:
+    """Print all tokens without their secrets."""
+    with _store(state_dir) as (store, _):
+        tokens = store.tokens()
+    if json:
+        typer.echo(Tokens(tokens=tokens).model_dump_json())
+        return
+    if not tokens:
+        typer.echo("no tokens: make one with 'veilcamd token create'")
+    for token in tokens:
+        typer.echo(token_in_words(token))
+
+
+@app.command()
+def revoke(
+    token_id: Annotated[
+        str, typer.Argument(metavar="ID", help="As 'veilcamd token list' names it")
+    ],
+    *,
+    state_dir: StateDirOption = None,
+) -> None:
+    """Let a token do nothing any more, from the next request on."""
+    with _store(state_dir) as (store, audit):
+        _note(audit, "token revoke", store.revoke(token_id))
+    typer.echo(f"revoked {token_id}")
+
+
+@contextmanager
+def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, AuditLog]]:
+    directory = state_dir or default_state_dir()
+    try:
+        store, audit = TokenStore(directory), AuditLog(directory / DONE)
+        try:
+            yield store, audit
+        finally:
+            audit.close()
+            store.close()
+    except (StartError, TokenStoreError, UnknownTokenError) as error:
+        fail(str(error))
+
+
+def _note(audit: AuditLog, action: str, token: Token) -> None:
+    audit.write(action, token=token.id, label=token.label, user=getpass.getuser())

@@ -1,0 +1,224 @@
+"""From settings to a daemon that serves: every reason not to start is one :class:`StartError`."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import structlog
+import torch
+import uvicorn
+
+from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import BundleInfo
+from veilcam_client.wire.captures import Device as DeviceInfo
+from veilcam_server.api.app import create_app
+from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
+from veilcam_server.bundles.manager import Keyrings
+from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.calibration.loading import open_calibration
+from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.self_test import OpticalSelfTest
+from veilcam_server.devices.base import Device
+from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
+from veilcam_server.devices.registry import open_device
+from veilcam_server.errors import (
+    EpochError,
+    FenceError,
+    KeyringUnfitError,
+    RotationImpossibleError,
+    SelfTestError,
+    StartError,
+    StoppedError,
+)
+from veilcam_server.security.admission import open_gateway
+from veilcam_server.security.tls import server_context
+from veilcam_server.service.replay import replay_service
+from veilcam_server.service.service import Service
+from veilcam_server.settings import Settings
+from veilcam_server.system.listeners import Listener, open_listeners
+from veilcam_server.system.systemd import notify
+from veilcam_training.bundle import BundleError, read_bundle
+
+log = structlog.get_logger()
+
+
+def build_service(settings: Settings) -> Service:
+    """Read the bundle, open the device and show the first mask; or read a recording.
+
+    Raises:
+        StartError: whatever stands in the way, in one line.
+    """
+    if settings.replay is not None:
+        return replay_service(settings, settings.replay)
+    try:
+        bundle = read_bundle(settings.bundle)
+        form = release_form(settings, bundle)
+        calibration = open_calibration(settings, bundle)
+        workshop = Workshop(settings, bundle)
+        opener = workshop.opener(calibration)
+        store = KeyringStore(settings.state_dir / "keyrings", settings.bundle, bundle.digest)
+        keys, faults = last_good(store, opener)
+        keys = keys or opener.keys(bundle)
+        with ExitStack() as undo:
+            epochs = EpochStore(settings.state_dir)
+            undo.callback(epochs.close)
+            device = open_device(settings, bundle)
+            undo.callback(device.close)
+            preparation = Preparation(keys.source, epochs)
+            undo.callback(preparation.close)
+            camera = MaskedCamera(
+                device,
+                preparation,
+                bundle.embedding.shape,
+                OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
+                fence=Fence(workshop.settle(calibration), settings.capture_timeout),
+                policy=rotation_policy(settings, bundle),
+                test_every=settings.self_test_every,
+                calibration=calibration,
+            )
+            undo.pop_all()
+            undo.callback(camera.stop)
+            _begin(camera)
+            undo.pop_all()
+    except (
+        *(BundleError, KeyringUnfitError, DeviceError, EpochError),
+        RotationImpossibleError,
+    ) as error:
+        raise StartError(str(error)) from error
+    return Service(
+        camera,
+        _identity(settings, keys.info, device, calibration),
+        Keyrings(store, opener, keys, limit=settings.keyring_limit, faults=faults),
+        form=form,
+        queue_limit=settings.queue_limit,
+        heartbeat=settings.heartbeat,
+        scenes=device.scenes if settings.scene_api else None,
+        workshop=workshop,
+    )
+
+
+def _begin(camera: MaskedCamera) -> None:
+    """Test the panel and show the first mask.
+
+    A test that is not passed is no reason to end: in a dark room nothing can be told before there
+    is light. The state says why no capture is taken, and the test is tried again.
+    """
+    try:
+        camera.rotate()
+    except SensorLostError:
+        raise
+    except (SelfTestError, SensorError, FenceError) as error:
+        log.warning("no capture yet", reason=str(error))
+
+
+def _identity(
+    settings: Settings, bundle: BundleInfo, device: Device, calibration: SignedCalibration | None
+) -> Identity:
+    return Identity(
+        device=DeviceInfo(
+            display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
+        ),
+        bundle=bundle,
+        experiment="wrong-classifier" if settings.wrong_classifier else None,
+        calibration=calibration,
+    )
+
+
+class _Server(uvicorn.Server):
+    """Says when it listens, and ends event streams before it waits for its connections."""
+
+    def __init__(
+        self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
+    ) -> None:
+        super().__init__(config)
+        self._service, self._on_listening = service, on_listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_listening()
+
+    def end(self) -> None:
+        """Shut down as if told by a signal."""
+        self.should_exit = True
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        notify("STOPPING=1")
+        self._service.end_streams()
+        await super().shutdown(sockets)
+
+
+def configure_torch() -> None:
+    """Make inference fit for a small machine and a sandbox."""
+    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
+    torch.set_num_threads(1)
+    # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
+    # Torch's own are as fast for one embedding at a time (deploy/README.md).
+    torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
+
+
+def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
+    """Serve until told to stop, then show opaque.
+
+    Args:
+        settings: checked.
+        on_listening: called with every URL once requests are answered.
+
+    Raises:
+        StartError: the daemon cannot start; nothing else on this machine was disturbed.
+    """
+    configure_torch()
+    # The default would end the process at once and leave the mask on the panel.
+    default = signal.signal(signal.SIGTERM, _exit)
+    try:
+        with open_listeners(settings) as listeners:
+            _serve(settings, listeners, on_listening)
+    finally:
+        signal.signal(signal.SIGTERM, default)
+
+
+def _serve(
+    settings: Settings, listeners: list[Listener], on_listening: Callable[[str], None]
+) -> None:
+    urls = [listener.url for listener in listeners]
+
+    def listening() -> None:
+        notify("READY=1")
+        for url in urls:
+            on_listening(url)
+
+    tls = None
+    if settings.tls_certificate is not None and settings.tls_key is not None:
+        tls = server_context(settings.tls_certificate, settings.tls_key)
+    service = build_service(settings)
+    try:
+        with open_gateway(settings) as gateway:
+            config = uvicorn.Config(
+                create_app(service, gateway),
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                timeout_graceful_shutdown=10,
+                ssl_context_factory=None if tls is None else lambda *_: tls,
+            )
+            server = _Server(config, service, listening)
+            what = settings.device if settings.replay is None else "replay"
+            log.info("start", urls=urls, device=what, auth=settings.auth)
+            if settings.auth == "none":
+                log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
+            service.on_lost(server.end)
+            server.run([listener.socket for listener in listeners])
+            if service.lost is not None:
+                raise StoppedError(str(service.lost))
+    finally:
+        service.stop()
+
+
+def _exit(*_: object) -> None:
+    raise SystemExit(0)

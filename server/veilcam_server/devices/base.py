@@ -1,0 +1,123 @@
+"""The seam between the daemon and its hardware: a panel to show masks on, and a sensor.
+
+Whatever stands behind it, simulated or real, keeps to these two protocols. All times are those of
+``time.monotonic()`` [s]; on Linux that is the clock of camera timestamps too.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_server.devices.simulated.scenes import Scenes
+
+Levels = npt.NDArray[np.uint8]
+Reading = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A mask that reached the panel; ``completed_at`` [s] is when its last byte was written."""
+
+    completed_at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """One reading and the time in which all of its light was collected.
+
+    ``started_at`` [s] is when the *first* sensor row began to integrate, ``ended_at`` [s] when the
+    last one stopped: under a rolling shutter that is more than the exposure time.
+    """
+
+    embedding: Reading = field(repr=False)
+    """Binned on the device, shape of the embedding; the raw frame is gone."""
+    started_at: float
+    ended_at: float
+    integration: float = 0.0
+    """How long each row collected light [s]: it may change from one reading to the next."""
+
+
+class Display(Protocol):
+    """A panel in front of the sensor."""
+
+    @property
+    def name(self) -> str:
+        """What it is, e.g. ``ST7735R``."""
+
+    @property
+    def resets(self) -> int:
+        """How often it was set up: what a self test found holds until it is set up anew."""
+
+    def show(self, levels: Levels) -> Shown:
+        """Write a mask and return once its last byte is out.
+
+        Args:
+            levels: shape of the window, 0 (opaque) to ``panel.levels - 1`` (open).
+
+        Raises:
+            DisplayError: the panel did not take it, and what it shows now is unknown.
+        """
+
+    def blank(self) -> None:
+        """Show opaque: the safe state, and the last thing shown before the daemon ends.
+
+        Raises:
+            DisplayError: the panel did not take it, and what it shows now is unknown.
+        """
+
+    def close(self) -> None:
+        """Let go of the bus; the panel goes on showing what it shows."""
+
+
+class Sensor(Protocol):
+    """A camera without a lens."""
+
+    @property
+    def name(self) -> str:
+        """What it is, e.g. ``IMX477``."""
+
+    @property
+    def full_scale(self) -> float:
+        """Reading of saturated pixels."""
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        """Expose once, starting no earlier than ``not_before``, and bin on the device.
+
+        Args:
+            not_before: monotonic time [s] at which the mask is settled.
+            timeout: longest wait for the reading after ``not_before`` [s].
+
+        Raises:
+            SensorTimeoutError: no reading in time.
+            SensorError: no reading.
+        """
+
+    def close(self) -> None:
+        """Stop the sensor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A panel and the sensor behind it."""
+
+    display: Display
+    sensor: Sensor
+    simulated: bool
+    scenes: Scenes | None = None
+    """In front of a simulated one."""
+
+    def close(self) -> None:
+        """End safely: stop the sensor, show opaque, let go of both. The display stays on.
+
+        Raises:
+            DisplayError: the panel could not be made opaque; it was let go all the same.
+        """
+        with ExitStack() as stack:
+            stack.callback(self.display.close)
+            stack.callback(self.display.blank)
+            self.sensor.close()

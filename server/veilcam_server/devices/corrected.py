@@ -1,0 +1,67 @@
+"""A sensor whose readings are those that decoders expect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from veilcam_client.wire.calibration import CalibrationRecord
+from veilcam_server.devices.base import Exposure, Reading, Sensor
+
+
+class CalibratedSensor:
+    """Takes black level and stray light off, and the gain out of every reading.
+
+    Stray light falls evenly on the sensor: a share ``s`` makes ``(1 - s) y + s mean(y)`` of a
+    reading ``y``. The mean stays what it was, so ``y`` can be had back.
+
+    Args:
+        sensor: closed with this.
+        black_level: its reading without light.
+        gain: its reading where a decoder expects 1.
+        stray_light: share of the light that is spread evenly, in [0, 1).
+    """
+
+    def __init__(
+        self, sensor: Sensor, *, black_level: float, gain: float, stray_light: float
+    ) -> None:
+        self._sensor, self._black_level, self._gain = sensor, black_level, gain
+        self._stray_light = stray_light
+
+    @classmethod
+    def of(cls, sensor: Sensor, record: CalibrationRecord) -> Self:
+        """Return ``sensor`` as it was measured."""
+        return cls(
+            sensor,
+            black_level=record.black_level.value,
+            gain=record.gain.value,
+            stray_light=record.stray_light.value,
+        )
+
+    @property
+    def name(self) -> str:
+        """Of the sensor."""
+        return self._sensor.name
+
+    @property
+    def full_scale(self) -> float:
+        """Reading of saturated pixels."""
+        return (self._sensor.full_scale - self._black_level) / self._gain
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        """As the sensor does."""
+        exposure = self._sensor.capture(not_before, timeout)
+        return replace(exposure, embedding=self.corrected(exposure.embedding))
+
+    def corrected(self, reading: Reading) -> Reading:
+        """Return what a decoder expects for a reading of the sensor."""
+        light = (reading.astype(np.float64) - self._black_level) / self._gain
+        straight = (light - self._stray_light * light.mean()) / (1 - self._stray_light)
+        expected: Reading = straight.astype(np.float32)
+        return expected
+
+    def close(self) -> None:
+        """Stop the sensor."""
+        self._sensor.close()

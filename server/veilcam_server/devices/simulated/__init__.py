@@ -1,0 +1,1 @@
+"""A simulated camera: emulated panel, fake sensor, scenes in front of them."""

@@ -1,0 +1,286 @@
+"""A simulated camera: the real drivers on an emulated panel and a fake picamera2.
+
+What is read came through bytes on a bus, the panel's memory, its crystal, light, raw frames of
+12 bits and their binning. The light is a plan's, finer than what decoders assume, and takes the
+grid path of the optics (field, propagation, point spread function, convolution), which is not the
+transfer operator that training uses.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.plan import plan
+from veilcam_optics.propagation.sampling import area_average
+from veilcam_optics.simulation.operator import LightOperator, Response
+from veilcam_server.devices.base import Device, Levels
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
+from veilcam_server.devices.simulated.picamera import FakePicamera2
+from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
+from veilcam_server.devices.st7735r import ST7735R, TABS
+
+_CACHED_MASKS = 8
+"""Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway."""
+_INSTANTS = 5
+"""At how many instants an exposure over a turning crystal is evaluated."""
+_FINER = 4
+"""Raw pixels along each side of an embedding's box; each stands for many of the real sensor."""
+_HEADROOM = 1.1
+"""Reading of saturated pixels, over the brightest one of a white scene through an open panel."""
+
+TOLERANCE = 0.025
+"""Relative error of the simulated light: it has to be right, not the same as the decoder's."""
+
+Number = TypeVar("Number", bound=np.generic)
+
+
+class Light(Protocol):
+    """What the optics do; :class:`veilcam_optics.effects.LightOperator` is one."""
+
+    def response(self, weights: torch.Tensor) -> Response:
+        """Return what a mask makes of the light."""
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        """Return the light of scenes on raw pixels: (batch, rows, columns) of a raw frame."""
+
+
+def raw_shape(embedding: Embedding) -> tuple[int, int]:
+    """Rows and columns of simulated raw frames: finer than the embedding."""
+    return _FINER * embedding.rows, _FINER * embedding.columns
+
+
+def planned_light(
+    camera: Camera,
+    scene: Scene,
+    embedding: Embedding,
+    conditions: optical.Conditions = optical.IDEAL,
+) -> Light:
+    """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
+
+    Args:
+        camera: as it is, its filters' leakage included.
+        scene: in front of it.
+        embedding: that is read.
+        conditions: what a decoder need not know of: misalignment, gamma, contrast floor and others.
+            Noise among them has no effect here: it belongs to the sensor.
+    """
+    chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
+    return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What the simulated hardware is like."""
+
+    settle: float = 0.05
+    """What a sub-pixel takes to turn, once the panel's scan has reached it [s]."""
+    exposure: float = 0.01
+    """[s]"""
+    snr_db: float = 40.0
+    """Of a binned reading."""
+    scan: float = 0.0
+    """Between two refreshes of a panel's line; 12.3 ms on the real one [s]."""
+    warm_up: float = 0.0
+    """Share of the light that is missing at first."""
+    warm_up_time: float = 60.0
+    """After which 37 % of that is still missing [s]."""
+    dead_rows: tuple[int, ...] = ()
+    """Rows of the mask that do not obey."""
+    dead_columns: tuple[int, ...] = ()
+    """Columns of the mask that do not obey."""
+    dead_level: int = 0
+    """What those show, 0 (opaque) to 63 (open)."""
+
+    def __post_init__(self) -> None:
+        for name in ("settle", "exposure", "scan"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} = {value} s is not valid: use a number >= 0")
+        if math.isnan(self.snr_db):
+            raise ValueError("snr_db = nan is not valid: use a number of dB, or inf for no noise")
+        if not 0 <= self.warm_up < 1:
+            raise ValueError(f"warm_up = {self.warm_up} is not valid: use a share from 0 to 1")
+        if not (math.isfinite(self.warm_up_time) and self.warm_up_time > 0):
+            raise ValueError(f"warm_up_time = {self.warm_up_time} s is not valid: use a number > 0")
+
+
+class SimulatedLight:
+    """From a scene through a panel to raw frames: called with begin and end of an exposure [s]."""
+
+    def __init__(
+        self,
+        panel: PanelEmulator,
+        scenes: Scenes,
+        light: Light,
+        *,
+        camera: Camera,
+        embedding: Embedding,
+        conditions: Conditions,
+        mode: SensorMode,
+        full_scale: float,
+        seed: int | None,
+        began_at: float,
+    ) -> None:
+        self._panel, self._scenes, self._light = panel, scenes, light
+        self._camera, self._embedding, self._conditions = camera, embedding, conditions
+        self._mode, self._full_scale, self._began_at = mode, full_scale, began_at
+        self._generator = torch.Generator()
+        if seed is None:
+            self._generator.seed()
+        else:
+            self._generator.manual_seed(seed)
+        self._settled = _Responses(light, camera)
+
+    def __call__(self, begin: float, end: float) -> Raw:
+        """Collect the light of an exposure, and convert it."""
+        scene = torch.from_numpy(self._scenes.at(begin))[None]
+        conditions, mode = self._conditions, self._mode
+        with torch.no_grad():
+            irradiance = self._collected(scene, begin, end)[0].double()
+        missing = math.exp(-max(0.0, begin - self._began_at) / conditions.warm_up_time)
+        irradiance = irradiance * (1 - conditions.warm_up * missing)
+        if conditions.exposure > 0:
+            irradiance = irradiance * ((end - begin) / conditions.exposure)
+        counts = mode.white_level - mode.black_level
+        numbers = mode.black_level + self._noisy(irradiance) * (counts / self._full_scale)
+        raw: Raw = numbers.round().clamp(0, mode.white_level).to(torch.int32).numpy()
+        return raw.astype(np.uint16)
+
+    def _noisy(self, irradiance: torch.Tensor) -> torch.Tensor:
+        """Photon noise, so that the *binned* reading has the ratio asked for."""
+        if self._conditions.snr_db == math.inf:
+            return irradiance
+        binned = area_average(irradiance, *self._embedding.shape)
+        total = float(binned.sum())
+        if total <= 0:
+            return irradiance
+        # As in veilcam_optics.sensor.noise: variance per unit of light, here for `share` pixels a box.
+        share = irradiance.numel() / binned.numel()
+        unit = float(binned.square().sum()) / (total * 10 ** (self._conditions.snr_db / 10))
+        noise = torch.randn(irradiance.shape, generator=self._generator, dtype=irradiance.dtype)
+        return irradiance + (irradiance.clamp(min=0) * (share * unit)).sqrt() * noise
+
+    def _collected(self, scene: torch.Tensor, begin: float, end: float) -> torch.Tensor:
+        """Light on the sensor, mean over the exposure."""
+        if self._panel.settled(begin):
+            levels = self._window(self._panel.framebuffer())
+            return self._light.collect(scene, self._settled.response(levels))
+        top = self._camera.panel.levels - 1
+        seen = []
+        for instant in np.linspace(begin, end, _INSTANTS):
+            weights = torch.from_numpy(self._window(self._panel.visible(float(instant)))) / top
+            seen.append(self._light.collect(scene, self._light.response(weights)))
+        return torch.stack(seen).mean(0)
+
+    def _window(self, shown: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        """The part of the whole panel that is the mask."""
+        window = self._camera.window
+        rows = slice(window.first_row, window.first_row + window.rows)
+        mask = shown[rows, window.first_column : window.first_column + window.columns].copy()
+        conditions = self._conditions
+        mask[list(conditions.dead_rows)] = conditions.dead_level
+        mask[:, list(conditions.dead_columns)] = conditions.dead_level
+        return mask
+
+
+@dataclass
+class _Responses:
+    """Of the masks shown last, by a digest of their levels."""
+
+    light: Light
+    camera: Camera
+    kept: OrderedDict[bytes, Response] = field(default_factory=OrderedDict, repr=False)
+
+    def response(self, levels: Levels) -> Response:
+        key = hashlib.sha256(levels.tobytes()).digest()
+        if key not in self.kept:
+            self.kept[key] = self.light.response(to_weights(levels, self.camera.panel))
+        self.kept.move_to_end(key)
+        while len(self.kept) > _CACHED_MASKS:
+            self.kept.popitem(last=False)
+        return self.kept[key]
+
+
+def simulated_device(
+    light: Light,
+    *deck: SceneSource,
+    camera: Camera,
+    embedding: Embedding,
+    conditions: Conditions,
+    full_scale: float | None = None,
+    seed: int | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Device:
+    """Return a panel and a sensor, and the scenes that they see.
+
+    Args:
+        light: between them, on raw pixels.
+        deck: what is in front of them, one scene after the other, the next after each capture.
+        camera: geometry; its window is the mask.
+        embedding: that is read.
+        conditions: what the hardware is like.
+        full_scale: reading of saturated pixels; by default a little more than that of a white scene
+            through an open panel.
+        seed: fixes the noise.
+        clock: monotonic time [s].
+        sleep: waits so many seconds.
+
+    Raises:
+        SensorError: there is nothing to see yet.
+        DisplayError: the camera's panel is not the one that is emulated.
+    """
+    scenes = Scenes(deck, clock=clock)
+    rows, columns = raw_shape(embedding)
+    mode = SensorMode(rows, columns, line_time=0.0, frame_duration=0.0)
+    if full_scale is None:
+        with torch.no_grad():
+            opened = light.response(torch.ones(camera.mask_shape))
+            white = light.collect(torch.ones((1, *scenes.shape)), opened)
+        full_scale = _HEADROOM * float(white.max())
+    emulator = PanelEmulator(
+        TABS["green"],
+        crystal=Crystal(scan=conditions.scan, settle=conditions.settle),
+        # Nobody need wait for an emulated panel to wake up.
+        reset_time=0.0,
+        clock=clock,
+    )
+    display = ST7735R(
+        emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
+    )
+    frames = SimulatedLight(
+        emulator,
+        scenes,
+        light,
+        camera=camera,
+        embedding=embedding,
+        conditions=conditions,
+        mode=mode,
+        full_scale=full_scale,
+        seed=seed,
+        began_at=clock(),
+    )
+    sensor = IMX477(
+        lambda: FakePicamera2(frames, mode=mode, clock=clock, sleep=sleep),
+        shape=embedding.shape,
+        mode=mode,
+        exposures=ExposureRange(conditions.exposure),
+        full_scale=full_scale,
+        clock=clock,
+    )
+    return Device(display, sensor, simulated=True, scenes=scenes)

@@ -1,0 +1,163 @@
+"""The panel's bus and lines on Linux: thin adapters to spidev and gpiod, from the extra ``pi``."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any, Self
+
+import structlog
+
+from veilcam_server.devices.errors import DeviceMissingError, DisplayError
+from veilcam_server.devices.st7735r import MOST_PER_SECOND
+from veilcam_server.settings import GPIO_CHIPS
+
+log = structlog.get_logger()
+
+
+def _extra(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise DeviceMissingError(
+            f"the package {name} is not installed: run pip install 'veilcam[server,pi]'"
+        ) from None
+
+
+class LinuxSpi:
+    """A ``Spi`` on spidev."""
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+
+    @classmethod
+    def open(cls, path: str, speed: int, *, allow_fast: bool = False) -> Self:
+        """Open a bus.
+
+        Args:
+            path: of the device node, e.g. ``/dev/spidev0.0``.
+            speed: clock of the bus [Hz]; the kernel rounds it down to what the chip can do.
+            allow_fast: whether the clock may be faster than the panel's data sheet allows.
+
+        Raises:
+            DeviceMissingError: no such node, no right to open it, or spidev is not installed.
+            DisplayError: the clock is faster than the panel allows.
+        """
+        if speed > MOST_PER_SECOND:
+            if not allow_fast:
+                raise DisplayError(
+                    f"a bus clock of {speed} Hz is too fast for the panel: "
+                    f"use --spi-hz {MOST_PER_SECOND} or less, or --allow-fast-spi"
+                )
+            log.warning("fast panel bus", speed=speed, most=MOST_PER_SECOND)
+        device = _extra("spidev").SpiDev()
+        try:
+            device.open_path(path)
+            device.mode = 0
+            device.max_speed_hz = speed
+        except OSError as error:
+            device.close()
+            raise DeviceMissingError(
+                f"{path} cannot be opened ({error.strerror}): switch SPI on with raspi-config, "
+                "and be in the group spi"
+            ) from None
+        return cls(device)
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Send all bytes; spidev splits them at its buffer's size."""
+        self._device.writebytes2(buffer)
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._device.close()
+
+
+class LinuxLines:
+    """``Lines`` on libgpiod 2: one request for both."""
+
+    def __init__(self, request: Any, *, data: int, reset: int) -> None:
+        self._request, self._data, self._reset = request, data, reset
+        value = _extra("gpiod").line.Value
+        self._low, self._high = value.INACTIVE, value.ACTIVE
+
+    @classmethod
+    def open(cls, chip: str | None, *, data: int, reset: int) -> Self:
+        """Ask for both lines as outputs: commands, and not in reset.
+
+        Args:
+            chip: label, ``pinctrl-rp1`` on a Raspberry Pi 5 and ``pinctrl-bcm2711`` on a 4; None
+                for whichever of these is there. Its number changes from kernel to kernel.
+            data: line of D/C.
+            reset: line of RST.
+
+        Raises:
+            DeviceMissingError: no such chip, no right to use it, a line is taken, or gpiod is not
+                installed.
+        """
+        gpiod = _extra("gpiod")
+        path = _chip_path(chip)
+        output = gpiod.LineSettings(
+            direction=gpiod.line.Direction.OUTPUT, output_value=gpiod.line.Value.ACTIVE
+        )
+        try:
+            request = gpiod.request_lines(path, consumer="veilcamd", config={(data, reset): output})
+        except (OSError, ValueError) as error:
+            raise DeviceMissingError(
+                f"lines {data} and {reset} of {path} cannot be used ({error}): see with gpioinfo "
+                "who has them, and be in the group gpio"
+            ) from None
+        return cls(request, data=data, reset=reset)
+
+    def data(self, value: bool, /) -> None:
+        """Drive D/C."""
+        self._request.set_value(self._data, self._high if value else self._low)
+
+    def reset(self, value: bool, /) -> None:
+        """Drive RST, which resets when low."""
+        self._request.set_value(self._reset, self._low if value else self._high)
+
+    def close(self) -> None:
+        """Let go of the lines."""
+        self._request.release()
+
+
+def gpio_chips() -> dict[str, Path]:
+    """Return the chips that may be opened, by label.
+
+    Raises:
+        DeviceMissingError: gpiod is not installed.
+    """
+    gpiod = _extra("gpiod")
+    chips: dict[str, Path] = {}
+    for path in sorted(Path("/dev").glob("gpiochip*")):
+        try:
+            with gpiod.Chip(str(path)) as chip:
+                # Of two with one label the first is the one with the header's lines.
+                chips.setdefault(str(chip.get_info().label), path)
+        except OSError:
+            continue
+    return chips
+
+
+def line_user(chip: Path, line: int) -> str | None:
+    """Return who has a line of a chip, None if it is free.
+
+    Raises:
+        OSError, ValueError: the chip cannot be opened, or has no such line.
+    """
+    with _extra("gpiod").Chip(str(chip)) as opened:
+        info = opened.get_line_info(line)
+    return str(info.consumer or "the kernel") if info.used else None
+
+
+def _chip_path(label: str | None) -> str:
+    """Path of the chip with that label; None for that of a Raspberry Pi."""
+    wanted = GPIO_CHIPS if label is None else (label,)
+    chips = gpio_chips()
+    for wish in wanted:
+        if wish in chips:
+            return str(chips[wish])
+    raise DeviceMissingError(
+        f"there is no GPIO chip {' or '.join(wanted)}: give --gpio-chip one of "
+        f"{', '.join(chips) or 'those of gpiodetect'}, and be in the group gpio"
+    )

@@ -1,0 +1,1 @@
+"""Sources of masks, and the classifiers that read behind them."""

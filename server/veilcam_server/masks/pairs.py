@@ -1,0 +1,98 @@
+"""Masks trained beforehand, each with a classifier of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from veilcam_client.wire.captures import Form
+from veilcam_server.devices.base import Reading
+from veilcam_server.errors import StartError
+from veilcam_server.masks.classifier import Classifier, Verdict
+from veilcam_server.masks.source import Mask
+from veilcam_training.bundle import Bundle, Pair
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PairReader:
+    """The classifier that was trained for one mask; embeddings leave raw or not at all."""
+
+    classifier: Classifier = field(repr=False)
+
+    def classify(self, embedding: Reading) -> Verdict:
+        """Classify one embedding of any shape."""
+        return self.classifier.classify(torch.from_numpy(embedding).reshape(1, -1))
+
+    def release(self, embedding: Reading, form: Form) -> Reading:
+        """Return the embedding as it was read."""
+        if form != "raw":
+            raise ValueError(f"a pair has no scene statistics to make {form!r} with: use raw")
+        return embedding
+
+
+class PairSource:
+    """Pairs in an order that cannot be predicted from the network, never one twice in a row."""
+
+    def __init__(self, masks: Sequence[Mask]) -> None:
+        self._masks = tuple(masks)
+        self._random = secrets.SystemRandom()
+
+    @property
+    def renewable(self) -> bool:
+        """Whether there are two pairs or more."""
+        return len(self._masks) > 1
+
+    def name(self, counter: int) -> str:  # noqa: ARG002 - chance alone
+        """Return a random name."""
+        return secrets.token_hex(16)
+
+    def make(self, counter: int, last_mark: str) -> Mask:  # noqa: ARG002 - chance decides
+        """Return any pair but the last one; a lone pair comes again."""
+        others = [mask for mask in self._masks if mask.mark != last_mark]
+        return self._random.choice(others or self._masks)
+
+
+def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
+    """Build every classifier of ``bundle``.
+
+    Args:
+        bundle: of mode ``pairs``, read and checked.
+        wrong_classifier: give every mask the classifier of another pair, to show that labels
+            come from the mask and not in spite of it.
+
+    Raises:
+        StartError: the bundle cannot be served.
+    """
+    if bundle.channels != 1:
+        raise StartError(
+            f"the bundle needs {bundle.channels} colour channels: serve one with gray embeddings"
+        )
+    if wrong_classifier and len(bundle.pairs) < 2:
+        raise StartError("the wrong classifier needs a bundle with two or more pairs")
+    readers = [
+        PairReader(
+            Classifier.load(
+                pair.layers, pair.weights, labels=bundle.labels, inputs=bundle.embedding.size
+            )
+        )
+        for pair in bundle.pairs
+    ]
+    if wrong_classifier:
+        readers = readers[1:] + readers[:1]
+    return PairSource(
+        [
+            Mask(pair.levels, reader, mark)
+            for pair, reader, mark in zip(bundle.pairs, readers, _marks(bundle.pairs), strict=True)
+        ]
+    )
+
+
+def _marks(pairs: Sequence[Pair]) -> list[str]:
+    """A keyed digest of every mask; the key is made of all masks, so it stands in no file."""
+    key = hashlib.sha256(b"".join(pair.levels.tobytes() for pair in pairs)).digest()
+    return [hmac.new(key, pair.levels.tobytes(), "sha256").hexdigest()[:32] for pair in pairs]

@@ -1,0 +1,146 @@
+"""What a request passes before it reaches the service: tokens, limits, and the audit log."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import structlog
+from pydantic import JsonValue
+from starlette.datastructures import Headers
+
+from veilcam_server.errors import HostRefusedError, TokenStoreError, UnauthorizedError
+from veilcam_server.security.audit import DONE, REFUSED, AuditLog
+from veilcam_server.security.caller import ANYONE, Caller
+from veilcam_server.security.lease import Lease
+from veilcam_server.security.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.security.tokens import TokenStore
+from veilcam_server.settings import Settings
+
+log = structlog.get_logger()
+
+_LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d{1,5})?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Gateway:
+    """The same for all requests to one daemon.
+
+    Attributes:
+        tokens: None lets everybody in who reaches the daemon.
+        this_machine: refuse requests whose ``Host`` is not this machine.
+        audit: what callers did; None in tests.
+        refused: what was asked without a valid token.
+        rate: how often one caller may ask.
+        concurrency: how many requests of one caller may be under way.
+        streams: how many event streams may be open.
+        lease: who holds the camera for a while.
+        settings: of the daemon, for its diagnostics: without paths, addresses and labels.
+    """
+
+    tokens: TokenStore | None = None
+    this_machine: bool = True
+    audit: AuditLog | None = None
+    refused: AuditLog | None = None
+    rate: RateLimit = field(default_factory=lambda: RateLimit(1000.0, 1000))
+    concurrency: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64))
+    streams: StreamLimit = field(default_factory=lambda: StreamLimit(64))
+    lease: Lease = field(default_factory=Lease)
+    settings: Mapping[str, JsonValue] = field(default_factory=dict)
+
+    def note(
+        self, caller: Caller | None, action: str, *, code: str | None, **details: str | int
+    ) -> None:
+        """Write to the audit log what was done or refused.
+
+        Args:
+            caller: None where there was no valid token.
+            action: method and path.
+            code: of the problem it was answered with, None where it went well.
+            details: what else is known: status, request id, peer.
+        """
+        # Who asks too often must not push out what others did.
+        if code == "rate_limited":
+            return
+        log = self.refused if caller is None else self.audit
+        if log is None:
+            return
+        who = {} if caller is None else {"caller": caller.id, "label": caller.label}
+        log.write(action, code=code, **who, **details)
+
+    @contextmanager
+    def admitted(self, headers: Headers, peer: str) -> Iterator[Caller]:
+        """Find out who asks, and count the request as under way.
+
+        Args:
+            headers: of the request.
+            peer: address that it comes from.
+
+        Raises:
+            HostRefusedError: for another machine.
+            UnauthorizedError: without a valid token.
+            RateLimitError: too often.
+            TooManyRequestsError: too many at once.
+            TokenStoreError: the tokens cannot be read.
+        """
+        # A page in a browser can make its own name resolve to this machine (DNS rebinding);
+        # the Host header then betrays it.
+        if self.this_machine and not _LOOPBACK.fullmatch(headers.get("host", "")):
+            raise HostRefusedError
+        caller = self._caller(headers, peer)
+        name = caller.id if self.tokens is not None else peer
+        self.rate.take(name)
+        with self.concurrency.held(name):
+            yield caller
+
+    def still_admits(self, headers: Headers) -> bool:
+        """Whether the token of a request that goes on is still valid."""
+        if self.tokens is None:
+            return True
+        try:
+            self.tokens.caller(headers.get("authorization", ""))
+        except (UnauthorizedError, TokenStoreError):
+            return False
+        return True
+
+    def _caller(self, headers: Headers, peer: str) -> Caller:
+        if self.tokens is None:
+            return ANYONE
+        # Two of them would mean two callers.
+        given = headers.getlist("authorization")
+        try:
+            return self.tokens.caller(given[0] if len(given) == 1 else "")
+        except UnauthorizedError:
+            # Only failures count against an address: who guesses there locks nobody out.
+            self.rate.take(f"failures of {peer}")
+            raise
+
+
+@contextmanager
+def open_gateway(settings: Settings) -> Iterator[Gateway]:
+    """Yield what stands in front of a daemon of these settings; raises :class:`StartError`."""
+    audit = AuditLog(settings.state_dir / DONE)
+    refused = AuditLog(settings.state_dir / REFUSED)
+    tokens = TokenStore(settings.state_dir) if settings.auth == "tokens" else None
+    if tokens is not None and not tokens.tokens():
+        log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
+    audit.write("start", auth=settings.auth)
+    try:
+        yield Gateway(
+            tokens,
+            not settings.serves_others,
+            audit,
+            refused,
+            RateLimit(settings.rate_limit, settings.rate_burst),
+            ConcurrencyLimit(settings.concurrency_limit),
+            StreamLimit(settings.stream_limit),
+            settings=settings.redacted(),
+        )
+    finally:
+        audit.write("stop")
+        if tokens is not None:
+            tokens.close()
+        refused.close()
+        audit.close()

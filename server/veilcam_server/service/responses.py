@@ -1,0 +1,94 @@
+"""From what the engine knows to what goes over the wire."""
+
+from __future__ import annotations
+
+import time
+
+from veilcam_client.wire.captures import (
+    Capture,
+    Classification,
+    Embedding,
+    Exposure,
+    Preparation,
+    Rotation,
+    Timing,
+)
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Captured
+from veilcam_server.masks.classifier import Verdict
+
+
+def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: Timing) -> Capture:
+    """One embedding as it may leave."""
+    return Capture(
+        id=name,
+        taken_at=captured.taken_at,
+        epoch=captured.epoch,
+        scene=captured.scene,
+        embedding=embedding,
+        exposure=_exposure(captured),
+        replay=captured.replay,
+        timing=timing,
+    )
+
+
+def classification_answer(
+    name: str, captured: Captured, verdict: Verdict, embedding: Embedding | None, timing: Timing
+) -> Classification:
+    """One label, with the embedding where it was asked for."""
+    return Classification(
+        id=name,
+        taken_at=captured.taken_at,
+        epoch=captured.epoch,
+        scene=captured.scene,
+        label=verdict.label,
+        confidence=verdict.confidence,
+        scores=verdict.scores,
+        embedding=embedding,
+        exposure=_exposure(captured),
+        replay=captured.replay,
+        timing=timing,
+    )
+
+
+def rotation_answer(camera: MaskedCamera) -> Rotation:
+    """The policy, the present epoch, and whether the next one is ready."""
+    epoch, captures = camera.present
+    preparation, lateness = camera.preparation, camera.lateness
+    return Rotation(
+        policy=camera.policy,
+        epoch=epoch,
+        captures=captures,
+        preparation=Preparation(
+            ready=preparation.ready,
+            prepared=preparation.count,
+            last_s=preparation.took,
+            late=lateness.late,
+            reused=lateness.reused,
+        ),
+    )
+
+
+def timing(
+    captured: Captured, queued: float, begun: float, inference: float | None = None
+) -> Timing:
+    """Where the time went since ``begun``, monotonic [s]."""
+    return Timing(
+        queue_s=queued,
+        rotation_s=captured.rotation_time,
+        settle_s=captured.settle_time,
+        capture_s=captured.capture_time,
+        inference_s=inference,
+        total_s=time.monotonic() - begun,
+    )
+
+
+def _exposure(captured: Captured) -> Exposure | None:
+    if captured.replay is not None:
+        # Whoever looks for the proof finds none: what was recorded stands in `replay`.
+        return None
+    return Exposure(
+        started_after_shown_s=captured.started_after_shown,
+        settle_s=captured.settle,
+        duration_s=captured.duration,
+    )

@@ -1,0 +1,134 @@
+"""Where the daemon listens: sockets that systemd opened, or else the one that the settings name."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import socket
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from veilcam_server.errors import StartError
+from veilcam_server.settings import Settings
+from veilcam_server.system.systemd import take_sockets
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """A listening socket, and where it is reached."""
+
+    socket: socket.socket
+    url: str
+
+
+@contextmanager
+def open_listeners(settings: Settings) -> Iterator[list[Listener]]:
+    """Listen as long as the context lasts.
+
+    Sockets passed by systemd come before the settings' own, which is then not opened.
+
+    Raises:
+        StartError: somebody else listens there, or it is not allowed.
+    """
+    with ExitStack() as stack:
+        passed = [stack.enter_context(one) for one in take_sockets()]
+        if passed:
+            for one in passed:
+                _require_private(one, settings)
+            yield [Listener(one, _url(one, settings)) for one in passed]
+            return
+        listener = stack.enter_context(_bind(settings))
+        if settings.socket is not None:
+            # What systemd opened is systemd's to remove.
+            stack.callback(settings.socket.unlink, missing_ok=True)
+        yield [Listener(listener, _url(listener, settings))]
+
+
+def _require_private(passed: socket.socket, settings: Settings) -> None:
+    """A socket unit can name any address; what the settings refuse is refused here too."""
+    address = passed.getsockname()
+    if passed.family == socket.AF_UNIX:
+        if not isinstance(address, str):  # bytes: a name without a file, hence without permissions
+            raise StartError(
+                "systemd passed a socket in the abstract name space, which any user may open: "
+                "use ListenStream= with a path"
+            )
+        if settings.tls_certificate is not None:
+            raise StartError(
+                f"systemd passed {address}, and a unix socket needs no TLS: leave it out of the "
+                "socket unit, or leave --tls-certificate out"
+            )
+        return
+    host = address[0]
+    if not ipaddress.ip_address(host).is_loopback and not settings.serves_others:
+        raise StartError(
+            f"systemd passed a socket on {host}, and other machines are served with TLS and tokens "
+            "only: give --tls-certificate, --tls-key and --auth tokens, or use "
+            "ListenStream=127.0.0.1:PORT, [::1]:PORT or a path"
+        )
+
+
+def _url(listener: socket.socket, settings: Settings) -> str:
+    if listener.family == socket.AF_UNIX:
+        return f"unix://{Path(listener.getsockname()).resolve()}"
+    host, port = listener.getsockname()[:2]
+    scheme = "http" if settings.tls_certificate is None else "https"
+    name = f"[{host}]" if listener.family == socket.AF_INET6 else host
+    return f"{scheme}://{name}:{port}"
+
+
+def _bind(settings: Settings) -> socket.socket:
+    try:
+        if settings.socket is not None:
+            return _bind_unix(settings.socket)
+        return _bind_tcp(settings.host, settings.port)
+    except OSError as error:
+        where, option = (
+            (f"port {settings.port}", "--port")
+            if settings.socket is None
+            else (f"socket {settings.socket}", "--socket")
+        )
+        if error.errno == errno.EADDRINUSE:
+            raise StartError(
+                f"{where} is occupied: stop what listens there, or give another {option}"
+            ) from None
+        raise StartError(
+            f"cannot listen on {where} ({error.strerror or error}): give another {option}"
+        ) from None
+
+
+def _bind_tcp(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # The protocol is named: asyncio turns Nagle's algorithm off only where it is, and with it
+    # on every answer waits 40 ms for an acknowledgement.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(128)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _bind_unix(path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        if path.exists():
+            if not stat.S_ISSOCK(path.stat().st_mode):
+                raise OSError(errno.EEXIST, "there is a file of that name")
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+                if probe.connect_ex(str(path)) == 0:
+                    raise OSError(errno.EADDRINUSE, "occupied")
+            path.unlink()  # left behind by a daemon that was killed
+        listener.bind(str(path))
+        path.chmod(0o600)
+        listener.listen()
+    except BaseException:
+        listener.close()
+        raise
+    return listener
