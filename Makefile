@@ -34,7 +34,7 @@ test: lint types imports pytest
 
 # Not part of test: it needs Debian's package lists and its source of libcamera.
 test-libcamera: $(INSTALLED)
-	$(BIN)/python benchmarks/daemon_libcamera.py
+	$(BIN)/python tests/system/real_picamera2/run.py
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
@@ -51,7 +51,7 @@ pytest: $(INSTALLED)
 
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)
-	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python benchmarks/daemon_virtual_machine.py
+	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py
 
 clean:
 	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -12,11 +12,7 @@ import typer
 from pydantic import ValidationError
 
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.cli import bundles as keyring_command
-from veilcam_client.cli import calibrate as calibration_command
-from veilcam_client.cli import main as lease_command
-from veilcam_client.cli import main as record_command
-from veilcam_client.cli import tokens as token_command
+from veilcam_client.cli import bundles, calibrate, tokens
 from veilcam_client.cli.format import (
     epoch_in_words,
     event_in_words,
@@ -102,11 +98,11 @@ app = typer.Typer(
     "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
     "12 leased, 13 recording.",
 )
-app.command()(calibration_command.calibrate)
-app.command()(lease_command.lease)
-app.add_typer(token_command.app, name="token")
-app.add_typer(keyring_command.app, name="keyring")
-app.command()(record_command.record)
+app.command()(calibrate.calibrate)
+app.command()(lease)
+app.add_typer(tokens.app, name="token")
+app.add_typer(bundles.app, name="keyring")
+app.command()(record)
 
 
 @app.callback()

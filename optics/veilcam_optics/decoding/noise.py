@@ -31,9 +31,10 @@ class ReadingNoise:
         """Expected variance of the noise in each pixel of a reading.
 
         The variance of shot noise is proportional to the reading, its share such that the energy
-        of signal and noise have the ratio ``snr_db`` (see :func:`veilcam_optics.sensor.noise.shot_noise`);
-        reading, energy and total are replaced by what the scene's statistics let one expect. A
-        dark pixel keeps a trace of noise, so that nothing is divided by zero.
+        of signal and noise have the ratio ``snr_db``
+        (see :func:`veilcam_optics.sensor.noise.shot_noise`); reading, energy and total are replaced
+        by what the scene's statistics let one expect. A dark pixel keeps a trace of noise, so that
+        nothing is divided by zero.
 
         Args:
             mean: expected reading, (E,), not negative.

@@ -41,7 +41,7 @@ class Recipe(BaseModel):
     steps_every: Annotated[int, Field(ge=1)] = 20
     """Epochs between two divisions of a ``steps`` schedule."""
     normalisation: Normalisation = "per_pixel"
-    """How a classifier takes a reading, see :data:`veilcam_training.models.classifiers.Normalisation`."""
+    """How a classifier takes a reading, see :mod:`veilcam_training.models.classifiers`."""
     exposure: Exposure = "fixed"
     """Of a reading, see :data:`veilcam_training.models.classifiers.Exposure`."""
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0

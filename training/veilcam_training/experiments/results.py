@@ -56,9 +56,9 @@ class CellResult(BaseModel):
     seconds: float
     """All epochs together."""
     clock: Clock = "elapsed"
-    """Which measured ``seconds``, see :class:`~veilcam_training.experiments.stopwatch.Stopwatch`."""
+    """Which measured ``seconds``, see :mod:`veilcam_training.experiments.stopwatch`."""
     inference_seconds: float
-    """From one reading to its label, see :func:`~veilcam_training.experiments.runner.time_label`."""
+    """From one reading to its label, see ``runner.time_label``."""
     device: str
     origin: Origin
     provenance: dict[str, JsonValue]
@@ -206,7 +206,7 @@ class Summary:
         results: cells that belong to it.
 
     Raises:
-        TrainingError: see :func:`veilcam_training.experiments.results.by_place`.
+        TrainingError: see :func:`by_place`.
     """
 
     def __init__(self, table: Table, results: Sequence[CellResult]) -> None:
@@ -246,7 +246,7 @@ def record_cells(path: Path, results: Sequence[CellResult]) -> None:
     ``robust_<change>`` is that of the classifier which validates best behind a learned mask.
 
     Raises:
-        TrainingError: see :func:`veilcam_training.experiments.results.by_place`; or what is at ``path`` is
+        TrainingError: see :func:`by_place`; or what is at ``path`` is
             no such record.
     """
     by_name = {place.figure: group for place, group in by_place(results).items()}

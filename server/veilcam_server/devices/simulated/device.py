@@ -169,7 +169,7 @@ class SimulatedLight:
         total = float(binned.sum())
         if total <= 0:
             return irradiance
-        # As in veilcam_optics.sensor.noise: variance per unit of light, here for `share` pixels a box.
+        # As in veilcam_optics.sensor.noise: variance per unit of light, here for `share` pixels.
         share = irradiance.numel() / binned.numel()
         unit = float(binned.square().sum()) / (total * 10 ** (self._conditions.snr_db / 10))
         noise = torch.randn(irradiance.shape, generator=self._generator, dtype=irradiance.dtype)

@@ -16,7 +16,7 @@ Line = Annotated[int, Field(ge=0)]
 
 
 class AsBuilt(BaseModel):
-    """Departures; those of the optics as :class:`veilcam_optics.camera.imperfections.Conditions` has them."""
+    """Departures; those of the optics as in :mod:`veilcam_optics.camera.imperfections`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

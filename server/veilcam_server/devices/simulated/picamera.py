@@ -2,7 +2,7 @@
 
 It has what makes a real one hard to use: frames at its own pace, a frame from before in the queue,
 controls that come into force some frames late, padded lines. It also fails on demand. What it has
-in common with the real picamera2 is held by ``tests/real_picamera2``, which both pass.
+in common with the real picamera2 is held by ``tests/system/real_picamera2``, which both pass.
 """
 
 from __future__ import annotations

@@ -1,0 +1,81 @@
+"""Why a calibration of the simulated camera finds the sensor too near: its light comes off a grid.
+
+    python benchmarks/daemon/distance.py --figures benchmarks/results/daemon-calibration.json
+
+A small camera as drawn, without noise: white card and lamp behind six random patterns, the light
+once off grids that get finer, once by the operator that is fitted; then the fit of a calibration.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+import typer
+
+from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.decoding import AS_DRAWN
+from veilcam_optics.effects import Dials, Model
+from veilcam_optics.plan import plan
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import Reach
+from veilcam_server.calibration import Geometry
+from veilcam_server.calibration.alignment import Sight, align
+from veilcam_server.calibration.targets import lamp, white
+from veilcam_server.devices.simulated.device import TOLERANCE
+from veilcam_training.experiments.records import record_figures
+
+GEOMETRY = Geometry(
+    Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)
+)
+FINER = (1, 2, 4)
+"""Grids, by how much finer they are than the simulated camera's."""
+
+
+def distance(model: Model, weights: torch.Tensor) -> float:
+    """What the fit makes of the sensor's distance, which is as drawn [um]."""
+    light, sights = LightOperator(model), []
+    with torch.no_grad():
+        responses = [light.response(each.float()) for each in weights]
+        for scene in (white(GEOMETRY.scene), lamp(GEOMETRY.scene)):
+            image = torch.from_numpy(scene.image)[None]
+            seen = torch.cat([light.collect(image, response) for response in responses])
+            sights.append(Sight(scene.image.astype(np.float64), seen.double().numpy()))
+    found = align(GEOMETRY, weights, sights, AS_DRAWN, reach=Reach())
+    return 1e6 * found.calibration.distance_error
+
+
+def main(
+    figures: Annotated[Path | None, typer.Option(help="Record to write into.")] = None,
+) -> None:
+    """Fit the light of every grid, and that of the operator."""
+    torch.set_num_threads(1)
+    camera, scene, embedding = GEOMETRY.camera, GEOMETRY.scene, GEOMETRY.embedding
+    weights = torch.from_numpy(np.random.default_rng(1).random((6, *camera.mask_shape)))
+    coarse = plan(camera, scene, embedding, TOLERANCE, batch=1, method="grid").model
+    values = {}
+    for finer in FINER:
+        dials = replace(
+            coarse.dials,
+            oversampling=finer * coarse.dials.oversampling,
+            step=coarse.dials.step / finer,
+        )
+        values[f"distance_grid_{finer}_um"] = distance(replace(coarse, dials=dials), weights)
+    exact = Model(camera, scene, embedding, optical.IDEAL, Dials("transfer", reach=Reach(6, 1)))
+    values["distance_transfer_um"] = distance(exact, weights)
+    for name, value in values.items():
+        print(f"{name}: {value:.1f}", flush=True)
+    if figures is not None:
+        record_figures(figures, values)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,167 @@
+"""What the daemon adds to the device's own time, as eight clients see it.
+
+    python benchmarks/daemon/overhead.py --figures benchmarks/results/daemon.json
+
+Run it on a quiet machine: the figures are of milliseconds, and a busy scheduler adds as many.
+
+A real daemon serves a simulated device that settles and exposes in no time, over TCP on loopback.
+Clients, each with a connection of its own, ask for one classification after the other. The
+*overhead* of a request is what its client waited, less what the device was at work meanwhile, for
+this request and for those before it in the queue: ``queue_s + rotation_s + settle_s + capture_s``
+of its timing. Inference, the queue's own delays, threads, JSON, HTTP and the network count as
+overhead. The simulator's light takes a few ms for a capture; that is device time.
+
+It is measured twice: by plain clients (``http.client``), from the request's first byte to the
+answer's last, which is what the daemon costs; and by clients of the SDK, which adds what they cost.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Annotated
+from urllib.parse import urlsplit
+
+import numpy as np
+import typer
+
+from veilcam_client import AsyncCamera
+from veilcam_client.wire.captures import Classification, Timing
+from veilcam_server.demo.daemon import running
+from veilcam_server.demo_data import KEYRING, load_digits
+from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_training.experiments.records import record_figures
+
+WARM_UP = 5
+"""Requests of each client that do not count."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One classification: what its client waited [s], and where the daemon says it went."""
+
+    waited: float
+    timing: Timing
+
+    @property
+    def device(self) -> float:
+        """The device at work, for this request and for those before it [s]."""
+        timing = self.timing
+        return timing.queue_s + timing.rotation_s + timing.settle_s + timing.capture_s
+
+    @property
+    def overhead(self) -> float:
+        """What the daemon, the network and the client add to that [s]."""
+        return self.waited - self.device
+
+
+def ask_plainly(url: str, count: int) -> list[Request]:
+    """Classify ``count`` times, one after the other, as one client that does nothing else."""
+    parts = urlsplit(url)
+    connection = HTTPConnection(str(parts.hostname), parts.port)
+    requests = []
+    try:
+        for _ in range(WARM_UP + count):
+            begun = time.perf_counter()
+            connection.request("POST", "/v1/classifications")
+            body = connection.getresponse().read()
+            waited = time.perf_counter() - begun
+            timing = Classification.model_validate_json(body).timing
+            requests.append(Request(waited, timing))
+    finally:
+        connection.close()
+    return requests[WARM_UP:]
+
+
+def plain_clients(url: str, clients: int, count: int) -> list[Request]:
+    """Ask as many plain clients at the same time, ``count`` requests each."""
+    with ThreadPoolExecutor(clients) as pool:
+        asked = pool.map(lambda _: ask_plainly(url, count), range(clients))
+        return [request for requests in asked for request in requests]
+
+
+async def ask(url: str, count: int) -> list[Request]:
+    """As :func:`ask_plainly`, with the SDK."""
+    requests = []
+    async with AsyncCamera(url) as camera:
+        for _ in range(WARM_UP + count):
+            begun = time.perf_counter()
+            answer = await camera.classify()
+            requests.append(Request(time.perf_counter() - begun, answer.timing))
+    return requests[WARM_UP:]
+
+
+def sdk_clients(url: str, clients: int, count: int) -> list[Request]:
+    """As :func:`plain_clients`, with the SDK."""
+
+    async def ask_all() -> list[list[Request]]:
+        return await asyncio.gather(*(ask(url, count) for _ in range(clients)))
+
+    return [request for requests in asyncio.run(ask_all()) for request in requests]
+
+
+def describe(requests: Sequence[Request]) -> None:
+    """Print median, 95 % and 99 % of every part."""
+
+    def inference(timing: Timing) -> float:
+        return timing.inference_s or 0.0
+
+    parts: dict[str, Callable[[Request], float]] = {
+        "overhead": lambda request: request.overhead,
+        "  of it inference": lambda request: inference(request.timing),
+        "  of it in the daemon": lambda request: request.timing.total_s - request.device,
+        "device": lambda request: request.device,
+        "  of it queue": lambda request: request.timing.queue_s,
+        "  of it capture": lambda request: request.timing.capture_s,
+        "client waited": lambda request: request.waited,
+    }
+    print(f"{'[ms]':24}{'median':>9}{'95 %':>9}{'99 %':>9}")
+    for name, part in parts.items():
+        found = np.percentile([1e3 * part(request) for request in requests], (50, 95, 99))
+        print(f"{name:24}" + "".join(f"{value:9.2f}" for value in found))
+
+
+def main(
+    *,
+    clients: Annotated[int, typer.Option(min=1, help="At the same time.")] = 8,
+    count: Annotated[int, typer.Option(min=1, help="Requests of each client.")] = 500,
+    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+) -> None:
+    """Measure what a classification costs beyond the device's own time."""
+    # All clients are one peer, and ask as often as they can.
+    os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
+    with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
+        directory = Path(temporary)
+        scene = directory / "scene.npy"
+        write_scene(scene, load_digits().images[0])
+        # One more than there are clients: none is turned away, whatever the order of things.
+        options = ("--settle", "0", "--exposure", "0", "--queue-limit", str(clients + 1))
+        values: dict[str, float] = {}
+        with running(KEYRING, scene, directory, *options) as url:
+            for name, measure in {"": plain_clients, "sdk_": sdk_clients}.items():
+                begun = time.perf_counter()
+                requests = measure(url, clients, count)
+                rate = clients * (WARM_UP + count) / (time.perf_counter() - begun)
+                load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+                print(
+                    f"{len(requests)} requests of {clients} {'SDK' if name else 'plain'} clients, "
+                    f"{rate:.0f} a second; load {load}"
+                )
+                describe(requests)
+                overheads = [1e3 * request.overhead for request in requests]
+                median, last = np.percentile(overheads, (50, 99))
+                values[f"overhead_{name}median_ms"] = round(float(median), 3)
+                values[f"overhead_{name}p99_ms"] = round(float(last), 3)
+    if figures is not None:
+        record_figures(figures, values)
+
+
+if __name__ == "__main__":
+    typer.run(main)

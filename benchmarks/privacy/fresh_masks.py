@@ -1,0 +1,337 @@
+"""What fresh masks cost and what they keep: accuracy, time, release forms. One command a figure.
+
+``python benchmarks/privacy/fresh_masks.py accuracy mnist_24x32 --data data/mnist
+--work runs/mnist_24x32 --figures benchmarks/results/fresh-masks.json``
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import typer
+from rich.console import Console
+from torch import Tensor
+
+from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.camera.masks import quantise, random_mask, to_weights
+from veilcam_optics.decoding import Precision, SceneDecoding
+from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
+from veilcam_training.attacks.keyless import KeylessCamera
+from veilcam_training.bundle import (
+    build_classifier,
+    build_untrained,
+    classifier_inputs,
+    read_bundle,
+    write_bundle,
+)
+from veilcam_training.config.fresh import TASKS, find_settings
+from veilcam_training.data import Images, Split, open_source, split
+from veilcam_training.encoders.fresh import CHANNELS, FreshCamera, scene_statistics
+from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
+from veilcam_training.experiments.records import record_figures
+from veilcam_training.models.fresh import make_fresh_layers, multiplications
+from veilcam_training.trainer.callbacks import FitProgress, make_progress
+from veilcam_training.trainer.fresh_loop import fit_fresh
+from veilcam_training.trainer.loop import Epoch
+
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
+
+Data = Annotated[Path, typer.Option(help="Folder that holds the data set's files.")]
+Figures = Annotated[Path | None, typer.Option(help="Record to write figures into.")]
+
+
+class Log:
+    """Prints every epoch, for runs whose output goes to a file."""
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """Say nothing."""
+
+    def epoch(self, epoch: Epoch) -> None:
+        """One line."""
+        print(
+            f"epoch {epoch.number + 1}  loss {epoch.loss:.4f}  "
+            f"validation {100 * epoch.validation_accuracy:.2f} %  {epoch.seconds:.0f} s",
+            flush=True,
+        )
+
+
+@app.command()
+def accuracy(
+    task: Annotated[str, typer.Argument(help=f"One of {', '.join(TASKS)}.")],
+    *,
+    data: Data,
+    work: Annotated[
+        Path | None, typer.Option(help="Folder for a checkpoint: resumes what is in it.")
+    ] = None,
+    masks: Annotated[
+        int | None, typer.Option(min=1, help="Masks to test on; one a capture by default.")
+    ] = None,
+    figures: Figures = None,
+) -> None:
+    """Fit one classifier for all masks and test it once, on masks that it has never seen."""
+    settings, camera = find_settings(task), Camera()
+    source = open_source(settings.data, data)
+    with make_progress(Console()) as progress:
+        outcome = run_fresh(
+            settings,
+            source,
+            camera,
+            masks=masks,
+            work=work,
+            observers=[FitProgress(progress, task, settings.epochs), Log()],
+        )
+    percent = 100 * outcome.test.accuracy
+    print(
+        f"{task}: test {percent:.2f} % on {outcome.test.masks} unseen masks, "
+        f"{100 * outcome.wrong_key.accuracy:.2f} % with the wrong key, "
+        f"validation {100 * outcome.fit.best.validation_accuracy:.2f} %, "
+        f"{outcome.fit.distribution.bits:.0f} bits a mask"
+    )
+    if work is not None:
+        write_bundle(
+            work / f"{task}.veilcam", as_fresh_bundle(outcome, source, camera, device="camera")
+        )
+    if figures is not None:
+        record_figures(
+            figures,
+            {
+                f"fresh_{task}": round(percent, 2),
+                f"fresh_{task}_wrong_key": round(100 * outcome.wrong_key.accuracy, 2),
+                f"fresh_{task}_mask_bits": round(outcome.fit.distribution.bits),
+            },
+        )
+
+
+@app.command()
+def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
+    """Time one epoch's preparation, and decoding with classification of one capture, 24x32."""
+    fresh, images = _camera(data)
+    weights = _masks(rounds)
+    layers = make_fresh_layers("CNN32", CHANNELS, fresh.scene, 10, centred=True)
+    inputs = CHANNELS * fresh.scene.rows * fresh.scene.columns
+    classifier = build_untrained(layers).eval()
+    with torch.no_grad():
+        prepare = _milliseconds(fresh.decoding.prepare, weights)
+        decoder = fresh.decoding.prepare(weights[0])
+        readings = list(fresh.decoding.operator.embed(images.scenes(slice(0, rounds)), weights[0]))
+        classify = _milliseconds(
+            lambda reading: classifier(classifier_inputs(decoder, reading[None])), readings
+        )
+    macs = multiplications(layers, inputs)
+    print(
+        f"prepare {prepare:.1f} ms, decode and classify {classify:.2f} ms, {macs / 1e6:.1f} M MACs"
+    )
+    if figures is not None:
+        record_figures(
+            figures,
+            {
+                "prepare_ms": round(prepare, 2),
+                "decode_classify_ms": round(classify, 3),
+                "classifier_macs": macs,
+            },
+        )
+
+
+@app.command()
+def clusters(*, data: Data, masks: int = 10, captures: int = 200, figures: Figures = None) -> None:
+    """Cluster released embeddings without a key; chance has an adjusted Rand index of 0."""
+    fresh, images = _camera(data)
+    generator = torch.Generator().manual_seed(7)
+    released: dict[ReleaseForm, list[Tensor]] = {
+        ReleaseForm.RAW: [],
+        ReleaseForm.FLAT: [],
+        ReleaseForm.WHITE: [],
+    }
+    for index in range(masks):
+        levels = fresh.draw_levels("clusters", index)
+        weights = to_weights(levels, fresh.camera.panel)
+        mask = fresh.prepare(weights, fresh.panels("clusters"), generator)
+        part = slice(index * captures, (index + 1) * captures)
+        readings = mask.read(images.scenes(part), generator)
+        whitening = Whitening(mask.decoder, levels)
+        for form, parts in released.items():
+            out = release(readings, form, mask.decoder, whitening)
+            if out is not None:
+                parts.append(out.flatten(1))
+    labels = torch.arange(masks).repeat_interleave(captures)
+    values: dict[str, float] = {}
+    for form, parts in released.items():
+        points = torch.cat(parts)
+        unit = points / points.norm(dim=1, keepdim=True)
+        indices = {
+            "k-means": adjusted_rand_index(labels, k_means(points, masks, generator)),
+            "k-means of directions": adjusted_rand_index(labels, k_means(unit, masks, generator)),
+            "subspaces": adjusted_rand_index(labels, subspace_clusters(points, masks, generator)),
+            "subspaces of squares": adjusted_rand_index(
+                labels, subspace_clusters(points.square(), masks, generator)
+            ),
+        }
+        print(form.value, {name: round(value, 4) for name, value in indices.items()}, flush=True)
+        values[f"cluster_ari_{form.value}"] = round(max(map(abs, indices.values())), 4)
+    if figures is not None:
+        record_figures(figures, values)
+
+
+@app.command()
+def keyless(
+    form: Annotated[str, typer.Argument(help="raw, flat or white.")],
+    *,
+    data: Data,
+    exponent: Annotated[float, typer.Option(help="Of the masks' distribution.")] = 1.0,
+    epochs: int = 6,
+    images: int = 20_000,
+    figures: Figures = None,
+) -> None:
+    """Classify released embeddings without a key: what a form does not hide. Chance is 10 %."""
+    settings = find_settings("mnist_24x32", exponent=exponent, epochs=epochs, augmentation=None)
+    source, camera = open_source(settings.data, data), Camera()
+    parts = split(source.training())
+    parts = Split(parts.training.take(torch.arange(images)), parts.validation)
+    known = scene_statistics(settings, camera, source.scene, parts.training)
+    attacked = KeylessCamera(settings, camera, source.scene, known, ReleaseForm(form))
+    seen = Scene(attacked.embedding.rows, attacked.embedding.columns)
+    layers = make_fresh_layers("CNN32", 1, seen, 10, centred=True)
+    result = fit_fresh(attacked, layers, parts, observers=[Log()])
+    percent = 100 * result.best.validation_accuracy
+    print(f"{form}, exponent {exponent:g}: {percent:.2f} % of validation images, unseen masks")
+    if figures is not None:
+        name = f"keyless_accuracy_{form}" + ("" if exponent == 1 else f"_exponent{exponent:g}")
+        record_figures(figures, {name: round(percent, 2)})
+
+
+@app.command()
+def dials(
+    bundle: Annotated[Path, typer.Argument(help="Bundle of mode fresh, 24x32.")],
+    *,
+    data: Data,
+    picture: Annotated[Path, typer.Option(help="Chart to write, .png or .svg.")],
+    images: int = 2000,
+    masks: int = 40,
+    figures: Figures = None,
+) -> None:
+    """Chart errors against preparation time over rank, precision and interfering terms.
+
+    The camera that reads has all the terms; on the validation images, behind masks never seen.
+    """
+    import matplotlib as mpl  # noqa: PLC0415 - the other commands do without
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt  # noqa: PLC0415
+    from matplotlib import ticker  # noqa: PLC0415
+
+    contents = read_bundle(bundle)
+    fresh = contents.fresh
+    if fresh is None:
+        raise typer.BadParameter("use a bundle of mode fresh")
+    classifier = build_classifier(fresh.layers, fresh.weights)
+    source = open_source(contents.task, data)
+    shown = split(source.training()).validation.take(torch.arange(images))
+    weights = _masks(masks)
+    truth = TransferOperator(
+        contents.camera, contents.scene, contents.embedding, reach=Reach(6, 1), dtype=torch.float64
+    )
+    random = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        readings = [
+            shot_noise(truth.embed(shown.scenes(part).double(), mask.double()), 40.0, random)
+            for part, mask in zip(torch.arange(images).tensor_split(masks), weights, strict=True)
+        ]
+    figure, axes = plt.subplots(figsize=(7, 4.5))
+    values: dict[str, float] = {}
+    for name, precision, reach in (
+        ("float32", Precision.SINGLE, Reach(0, 0)),
+        ("mixed", Precision.MIXED, Reach(0, 0)),
+        ("mixed, interference of 3 rows", Precision.MIXED, Reach(3, 0)),
+        ("mixed, interference of 3 rows and 1 column", Precision.MIXED, Reach(3, 1)),
+        ("float64", Precision.DOUBLE, Reach(0, 0)),
+    ):
+        operator = TransferOperator(
+            contents.camera,
+            contents.scene,
+            contents.embedding,
+            reach=reach,
+            dtype=precision.products,
+        )
+        times, accuracies = [], []
+        ranks = [rank for rank in (32, 64, 128, 256, 384) if rank <= fresh.statistics.rank]
+        for rank in ranks:
+            decoding = SceneDecoding(
+                operator, fresh.statistics.truncate(rank), fresh.noise, precision=precision
+            )
+            with torch.no_grad():
+                milliseconds = _milliseconds(decoding.prepare, weights[:15])
+                logits = [
+                    classifier(classifier_inputs(decoding.prepare(mask), part).float())
+                    for mask, part in zip(weights, readings, strict=True)
+                ]
+            accuracy = float((torch.cat(logits).argmax(1) == shown.labels).double().mean())
+            print(f"{name} rank {rank}: {milliseconds:.1f} ms, {100 * accuracy:.2f} %", flush=True)
+            times.append(milliseconds)
+            accuracies.append(100 * accuracy)
+            key = name.replace(",", "").replace(" ", "_")
+            values[f"dial_{key}_rank{rank}_ms"] = round(milliseconds, 2)
+            values[f"dial_{key}_rank{rank}_accuracy"] = round(100 * accuracy, 2)
+        axes.plot(times, [100 - value for value in accuracies], "o-", label=name)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+        axis.set_minor_locator(ticker.NullLocator())
+    axes.grid(alpha=0.3)
+    axes.set_xlabel("preparation of one mask [ms], one core")
+    axes.set_ylabel("errors behind unseen masks [%]")
+    axes.set_title("Dials of the decoder, 24 x 32; from left to right: rank 32, 64, 128, 256, 384")
+    axes.legend()
+    figure.tight_layout()
+    figure.savefig(picture, dpi=120)
+    if figures is not None:
+        record_figures(figures, values)
+
+
+def _camera(data: Path) -> tuple[FreshCamera, Images]:
+    """The camera of task mnist_24x32, and validation images to show it."""
+    settings, camera = find_settings("mnist_24x32"), Camera()
+    source = open_source(settings.data, data)
+    images = split(source.training())
+    known = scene_statistics(settings, camera, source.scene, images.training)
+    return FreshCamera(settings, camera, source.scene, known), images.validation
+
+
+def _masks(count: int) -> list[Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    camera = Camera()
+    return [quantise(random_mask(camera, generator), camera.panel) for _ in range(count)]
+
+
+def _milliseconds(run: Callable[[Tensor], object], arguments: list[Tensor]) -> float:
+    """Median time of one call on one core; the first calls warm up.
+
+    It is the time of the processor: whatever else keeps the machine busy does not count.
+    """
+    for argument in arguments[:3]:
+        run(argument)
+    seconds = []
+    for argument in arguments:
+        started = time.process_time()
+        run(argument)
+        seconds.append(time.process_time() - started)
+    return 1e3 * statistics.median(seconds)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    app()

@@ -1,0 +1,165 @@
+"""``veilcamd calibrate``, and the daemon that starts afterwards."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+from tests.server.calibration.camera import Built
+from tests.server.calibration.test_record import make_record, settings_for
+from typer.testing import CliRunner
+
+from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
+from veilcam_optics.camera.geometry import Scene
+from veilcam_optics.decoding import AS_DRAWN, read_frame
+from veilcam_optics.keys.masks import Secret
+from veilcam_server.calibration import (
+    Calibrated,
+    CalibrationScene,
+    Geometry,
+    SigningKey,
+    correction,
+    read_record,
+)
+from veilcam_server.calibration import session as calibration_session
+from veilcam_server.calibration.loading import open_calibration
+from veilcam_server.calibration.session import _by_hand
+from veilcam_server.calibration.targets import dark, lamp, white
+from veilcam_server.cli.main import app
+from veilcam_server.devices.base import Device
+from veilcam_server.devices.simulated.scenes import FileScene
+from veilcam_server.errors import StartError
+from veilcam_server.masks.fresh import FreshReader, FreshSource
+from veilcam_server.settings import Settings
+from veilcam_training.bundle import Bundle, read_bundle
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+Present: TypeAlias = Callable[[CalibrationScene], None]
+COMMAND = ["calibrate", "--simulate", "--settle", "0.02", "--exposure", "0.001", "--repeats", "1"]
+
+
+def test_the_command_keeps_what_was_found(
+    fresh_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The measurement itself is tested elsewhere: here it is that of another camera."""
+    built = Built()
+    found = built.calibrate()
+    held_up: list[float] = []
+
+    def opened(settings: Settings, bundle: Bundle) -> Device:
+        assert FileScene(Path(settings.scenes[0]), bundle.scene.shape).read().max() == 0
+        return built.device
+
+    def measured(device: Device, geometry: Geometry, present: Present, **told: Any) -> Calibrated:
+        assert device is built.device
+        assert told["longest"] == pytest.approx(0.06)
+        for scene in (white(geometry.scene), dark(geometry.scene)):
+            present(scene)
+            assert device.scenes is not None
+            held_up.append(float(device.scenes.read().mean()))
+        told["advance"]()
+        changes = {"exposure_s": told["exposure"], "geometry": geometry.digest}
+        return replace(found, record=found.record.model_copy(update=changes))
+
+    monkeypatch.setattr(calibration_session, "open_device", opened)
+    monkeypatch.setattr(calibration_session, "calibrate", measured)
+    state, frame = tmp_path / "state", tmp_path / "frame.safetensors"
+    options = ["--bundle", str(fresh_file), "--state-dir", str(state), "--frame", str(frame)]
+    result = CliRunner().invoke(app, [*COMMAND, *options])
+    assert result.exit_code == 0, result.output
+    assert held_up == [1.0, 0.0]
+    for words in ("shift along y [um]", "drifted by", str(state / "calibration.json")):
+        assert words in result.output
+    assert (state / "calibration.png").read_bytes().startswith(b"\x89PNG")
+    signed = read_record(state / "calibration.json", SigningKey.open(state))
+    assert signed.record.gain == found.record.gain
+    assert read_frame(frame).calibration == correction(signed.record)
+    settings = settings_for(state, bundle=fresh_file, settle=0.02, exposure=0.001)
+    assert open_calibration(settings, read_bundle(fresh_file)) == signed
+
+
+def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Path) -> None:
+    def refused(*options: str) -> str:
+        result = CliRunner().invoke(app, ["calibrate", "--simulate", *options])
+        assert result.exit_code == 1
+        assert len(result.stderr.splitlines()) == 1
+        return result.stderr
+
+    before = set(tmp_path.iterdir())
+    state = ("--state-dir", str(tmp_path))
+    assert "--settle" in refused(*state, "--settle", "-1")
+    assert set(tmp_path.iterdir()) == before
+    assert "no such file" in refused(*state, "--bundle", "missing.veilcam")
+    assert "--frame is for fresh masks" in refused(*state, "--frame", str(tmp_path / "frame"))
+    (tmp_path / "calibration-key").write_text("")
+    assert "is no key" in refused(*state, "--bundle", str(fresh_file))
+    assert set(tmp_path.iterdir()) - before == {tmp_path / "calibration-key"}
+
+
+def test_a_person_is_told_what_to_hold_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene()
+    asked: list[str] = []
+    console = Console(file=io.StringIO(), width=200)
+    monkeypatch.setattr(console, "input", asked.append)
+    present = _by_hand(console)
+    for wanted in (dark(scene), white(scene), lamp(scene)):
+        present(wanted)
+    assert isinstance(console.file, io.StringIO)
+    told = console.file.getvalue()
+    for words in (
+        "Cover the camera",
+        "12 cm wide and 12 cm high",
+        "40 cm in front",
+        "17.1 x 17.1 mm",
+    ):
+        assert words in told
+    assert len(asked) == 3
+
+
+def test_the_lamp_is_in_the_middle() -> None:
+    for shape in ((28, 28), (7, 9), (3, 2)):
+        image = lamp(Scene(*shape)).image
+        assert np.array_equal(image, image[::-1, ::-1])
+        assert 0 < image.mean() < 1
+
+
+def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle, secret: Secret) -> None:
+    found = correction(make_record())
+    drawn, built = (
+        FreshSource(fresh_bundle, secret, calibration=calibration).make(1, "")
+        for calibration in (AS_DRAWN, found)
+    )
+    assert np.array_equal(drawn.levels, built.levels)
+    assert isinstance(drawn.reader, FreshReader)
+    assert isinstance(built.reader, FreshReader)
+    assert fresh_bundle.fresh is not None
+    frame = fresh_bundle.fresh.frame(
+        fresh_bundle.camera, fresh_bundle.scene, fresh_bundle.embedding
+    )
+    expected = replace(frame, calibration=found)
+    decoder = expected.decoding().prepare(expected.shown(built.levels))
+    assert torch.equal(built.reader.decoder.estimator, decoder.estimator)
+    assert not torch.allclose(drawn.reader.decoder.estimator, decoder.estimator, rtol=0.01)
+    with pytest.raises(StartError, match="rows"):
+        FreshSource(fresh_bundle, secret, calibration=replace(found, dead_rows=(9,)))
+
+
+@pytest.mark.anyio
+async def test_the_record_is_served(running: Running, bench: Bench) -> None:
+    async with running() as client:
+        answer = await client.get("/v1/calibration")
+        assert answer.json() == {"signed": None, "run": None}
+    signed = SignedCalibration(record=make_record(), public_key="a" * 64, signature="b" * 128)
+    bench.calibration = signed
+    async with running() as client:
+        answer = await client.get("/v1/calibration")
+        assert CalibrationStatus.model_validate_json(answer.content).signed == signed

@@ -1,0 +1,497 @@
+"""Every route of the API under made-up requests, by callers of every kind; nothing secret leaves.
+
+    python tests/stress/api_fuzz.py --figures benchmarks/results/daemon.json
+
+Schemathesis makes requests from the daemon's own OpenAPI document, valid ones and others. A real
+daemon gets them over TCP, from callers with each single scope, with all, with none, and with tokens
+that are revoked or missing; once with stored masks and raw embeddings, once with fresh masks and
+white ones. No answer may be a 5xx but a documented 503, nor have a status, a media type or a shape
+that the document does not name.
+
+Then every byte that left is searched for what must not leave: levels of masks, weights of
+classifiers and decoders, the mask secret, and tokens. They are searched as raw bytes, in
+hexadecimal and base64, and as numbers in text, levels also as fractions. What left is every header
+and body, the log, the metrics, the events and the audit files.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import base64
+import hashlib
+import json
+import re
+import sqlite3
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import hypothesis
+import numpy as np
+import numpy.typing as npt
+import requests
+import schemathesis
+import torch
+import typer
+from hypothesis.errors import Unsatisfiable
+from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
+from rich.progress import track
+from schemathesis.core.result import Ok
+
+from veilcam_client.wire.tokens import SCOPES
+from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_server.demo.daemon import running
+from veilcam_server.demo_data import FRESH, KEYRING, load_digits
+from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.security.audit import DONE, REFUSED
+from veilcam_server.security.tokens import TokenStore
+from veilcam_training.bundle import Bundle, read_bundle
+from veilcam_training.experiments.records import record_figures
+
+WINDOW = 12
+"""So many bytes or levels in a row are a leak; a run of twice as many is found surely."""
+DISTINCT = 5
+"""Windows of fewer values than this, such as dark areas of a mask, tell nothing."""
+NUMBERS = 3
+"""So many weights in a row, to five digits, are a leak."""
+EVENTS, LISTENED = 2048, 1.0
+"""Of an event stream so much is read [bytes], and for so long [s]."""
+DECODERS = 3
+"""Of so many epochs the decoders are searched, which are large; the masks of all."""
+MORE = 5
+"""So many times as many requests come from the caller with every scope."""
+PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
+
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_HEX = re.compile(rb"[0-9a-fA-F]{24,}")
+_UNIQUE = re.compile(
+    rb"(?im)(^(x-request-id|date): .*$|\b(request_id|request|at|timestamp|ms)\b[^,}]*)"
+)
+"""Of headers and log lines: what makes each different and holds nothing."""
+_BASE64 = re.compile(rb"[A-Za-z0-9+/_-]{16,}")
+
+
+class Planted:
+    """What must not leave, in the forms that it could leave in."""
+
+    def __init__(self) -> None:
+        self._bytes: dict[bytes, str] = {}
+        self._numbers: dict[tuple[str, ...], str] = {}
+
+    def add_bytes(self, name: str, content: bytes, step: int = WINDOW) -> None:
+        """Bytes, or numbers that fit in one."""
+        for start in range(0, len(content) - WINDOW + 1, step):
+            window = content[start : start + WINDOW]
+            if len(set(window)) >= DISTINCT:
+                self._bytes[window] = name
+
+    def add_levels(self, name: str, levels: npt.NDArray[np.uint8]) -> None:
+        """A mask, row by row and column by column."""
+        self.add_bytes(name, levels.tobytes())
+        self.add_bytes(name, np.ascontiguousarray(levels.T).tobytes())
+
+    def add_weights(self, name: str, values: npt.NDArray[Any]) -> None:
+        """Trained or derived numbers, of which the first 20,000 are searched."""
+        flat = values.astype(np.float64).ravel()[:20_000]
+        self.add_bytes(name, flat.astype(np.float32).tobytes(), 4)
+        self.add_bytes(name, flat.tobytes(), 8)
+        short = [_short(value) for value in flat.tolist()]
+        for start in range(len(short) - NUMBERS + 1):
+            row = tuple(short[start : start + NUMBERS])
+            if len(set(row)) == NUMBERS and not any(float(each).is_integer() for each in row):
+                self._numbers[row] = name
+
+    def found_in(self, content: bytes) -> set[str]:
+        """Names of what is in ``content``."""
+        found = set()
+        for form in _forms(content):
+            for start in range(len(form) - WINDOW + 1):
+                name = self._bytes.get(form[start : start + WINDOW])
+                if name is not None:
+                    found.add(name)
+        short = [_short(float(each)) for each in _numbers(content)]
+        for start in range(len(short) - NUMBERS + 1):
+            name = self._numbers.get(tuple(short[start : start + NUMBERS]))
+            if name is not None:
+                found.add(name)
+        return found
+
+
+def _short(value: float) -> str:
+    return f"{value:.4e}"
+
+
+def _numbers(content: bytes) -> list[str]:
+    return _NUMBER.findall(content.decode("latin-1").lower())
+
+
+def _forms(content: bytes) -> Iterator[bytes]:
+    """The content itself, and whatever could be written in it as text."""
+    yield content
+    for match in _HEX.findall(content):
+        for start in (0, 1):
+            digits = match[start:]
+            yield bytes.fromhex(digits[: len(digits) // 2 * 2].decode())
+    for match in _BASE64.findall(content):
+        standard = match.translate(bytes.maketrans(b"-_", b"+/"))
+        for start in range(4):
+            digits = standard[start:]
+            yield base64.b64decode(digits[: len(digits) // 4 * 4])
+    run = bytearray()
+    for number in _numbers(content):
+        level = _level(float(number))
+        if level is None:
+            yield bytes(run)
+            run.clear()
+        else:
+            run.append(level)
+    yield bytes(run)
+
+
+def _level(value: float) -> int | None:
+    """A byte, or a level written as a fraction of the brightest."""
+    if value.is_integer():
+        return int(value) if 0 <= value < 256 else None
+    if not 0 <= value <= 1:
+        return None
+    level = round(63 * value)
+    return level if abs(63 * value - level) < 1e-3 else None
+
+
+@dataclass
+class Findings:
+    """What came back."""
+
+    requests: int = 0
+    statuses: Counter[int] = field(default_factory=Counter)
+    defects: list[str] = field(default_factory=list)
+    """5xx other than a documented 503."""
+    undocumented: list[str] = field(default_factory=list)
+    """Statuses, media types and shapes that the document does not name."""
+    left: dict[bytes, str] = field(default_factory=dict)
+    """Everything that left, and where it was seen first."""
+    made: set[str] = field(default_factory=set)
+    """Tokens that were made meanwhile; each left once, in the answer that made it."""
+
+    def leaks(self, planted: Planted) -> list[str]:
+        """Where something was found that must not leave."""
+        found = []
+        for content, place in track(self.left.items(), "searching"):
+            found += [f"{place}: {name}" for name in planted.found_in(content)]
+            found += [f"{place}: a token" for token in self.made if token[16:].encode() in content]
+        return found
+
+
+class Fuzz:
+    """Asks one daemon, and checks every answer against its document.
+
+    Args:
+        url: of the daemon.
+        callers: Authorization headers by name, None for none; one is ``everything``.
+        examples: requests of each kind for each operation; five times as many where every scope
+            is there, which hides nothing behind a 403.
+        seed: that they are made from.
+    """
+
+    def __init__(
+        self, url: str, callers: Mapping[str, str | None], examples: int, seed: int
+    ) -> None:
+        self.findings = Findings()
+        self._url, self._callers = url, callers
+        self._session = requests.Session()
+        self._session.trust_env = False
+        headers = {"Authorization": callers["everything"] or ""}
+        answer = self._session.get(f"{url}/v1/openapi.json", headers=headers)
+        answer.raise_for_status()
+        self._document: dict[str, Any] = answer.json()
+        schema = schemathesis.openapi.from_dict(self._document)
+        operations = [each.ok() for each in schema.get_all_operations() if isinstance(each, Ok)]
+        assert len(operations) == sum(map(len, self._document["paths"].values()))
+        self._cases = {
+            (each.method.upper(), each.path): _cases(each, MORE * examples, seed)
+            for each in operations
+        }
+
+    def run(self, bundle: bytes | None = None) -> None:
+        """Send everything, as every caller; upload ``bundle`` as well."""
+        for name in track(self._callers, "asking"):
+            for (method, path), cases in self._cases.items():
+                for case in cases if name == "everything" else cases[::MORE]:
+                    self._send(name, method, path, case.as_transport_kwargs(base_url=self._url))
+            if bundle is not None:
+                path = "/v1/keyrings"
+                self._send(name, "POST", path, {"url": self._url + path, "data": bundle})
+                digest = hashlib.sha256(bundle).hexdigest()
+                url = f"{self._url}{path}/{digest}/activate"
+                self._send(name, "POST", f"{path}/{{digest}}/activate", {"url": url})
+        for name in ("everything", "nobody"):
+            for path, operations in self._document["paths"].items():
+                url = self._url + re.sub(r"\{\w+\}", "0", path)
+                for method in PROBES:
+                    if method.lower() not in operations:
+                        self._send(name, method, None, {"url": url})
+
+    def _send(self, name: str, method: str, path: str | None, request: dict[str, Any]) -> None:
+        headers = {
+            key: value
+            for key, value in (request.pop("headers", None) or {}).items()
+            if key.lower() != "authorization"
+        }
+        authorization = self._callers[name]
+        if authorization is not None:
+            headers["Authorization"] = authorization
+        request = {**request, "method": method, "headers": headers, "stream": True}
+        with self._session.request(**request, timeout=60) as answer:
+            content = _read(answer) if _streams(path) and answer.ok else answer.content
+        findings = self.findings
+        findings.requests += 1
+        findings.statuses[answer.status_code] += 1
+        place = f"{method} {path or request['url']} as {name}: {answer.status_code}"
+        complaint = self._complaint(method, path, answer, content)
+        if answer.status_code >= 500 and (answer.status_code != 503 or complaint):
+            findings.defects.append(place)
+        elif complaint:
+            findings.undocumented.append(f"{place}, {complaint}")
+        if path == "/v1/tokens" and answer.status_code == 201:
+            findings.made.add(answer.json()["secret"])
+            content = b""
+        head = "".join(f"{key}: {value}\n" for key, value in answer.headers.items())
+        findings.left.setdefault(content, place)
+        findings.left.setdefault(_UNIQUE.sub(b"", head.encode()), f"headers of {place}")
+
+    def _complaint(
+        self, method: str, path: str | None, answer: requests.Response, content: bytes
+    ) -> str | None:
+        """What the document does not say of this answer."""
+        media_type = answer.headers.get("content-type", "").partition(";")[0]
+        if path is None:
+            right = answer.status_code in (401, 403, 404, 405, 422)
+            return None if right and media_type == "application/problem+json" else media_type
+        documented = self._document["paths"][path][method.lower()]["responses"]
+        if str(answer.status_code) not in documented:
+            return "a status that is not documented"
+        offered = documented[str(answer.status_code)]["content"]
+        if media_type not in offered:
+            return f"media type {media_type!r}"
+        if not media_type.endswith("json"):
+            return None
+        schema = {
+            "allOf": [offered[media_type]["schema"]],
+            "components": self._document["components"],
+        }
+        error = next(Draft202012Validator(schema).iter_errors(json.loads(content)), None)
+        return None if error is None else f"another shape: {error.message[:200]}"
+
+
+def _streams(path: str | None) -> bool:
+    return path == "/v1/events"
+
+
+def _read(answer: requests.Response) -> bytes:
+    """The beginning of a stream without an end, whose heartbeats break every silence."""
+    content, begun = b"", time.monotonic()
+    for chunk in answer.iter_content(256):
+        content += chunk
+        if len(content) >= EVENTS or time.monotonic() - begun > LISTENED:
+            break
+    return content
+
+
+def _cases(operation: Any, examples: int, seed: int) -> list[schemathesis.Case[Any]]:
+    """Requests that the document allows, and such that it does not."""
+    found: list[schemathesis.Case[Any]] = []
+    for mode in (schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE):
+
+        @hypothesis.seed(seed)
+        @hypothesis.settings(
+            max_examples=examples,
+            database=None,
+            deadline=None,
+            suppress_health_check=list(hypothesis.HealthCheck),
+            phases=[hypothesis.Phase.generate],
+        )
+        @hypothesis.given(operation.as_strategy(generation_mode=mode))
+        def collect(case: schemathesis.Case[Any]) -> None:
+            found.append(case)
+
+        try:
+            collect()
+        except Unsatisfiable:
+            continue  # nothing about this operation can be wrong
+    return found
+
+
+def make_callers(store: TokenStore) -> tuple[dict[str, str | None], list[str]]:
+    """Callers with each scope, with all, and with none; and the tokens they have."""
+    made = {scope: store.create(f"only {scope}", (scope,), None) for scope in SCOPES}
+    everything, revoked = (store.create(name, SCOPES, None) for name in ("everything", "revoked"))
+    store.revoke(revoked.id)
+    callers: dict[str, str | None] = {
+        "everything": f"Bearer {everything.secret}",
+        "nobody": None,
+        "revoked": f"Bearer {revoked.secret}",
+        **{f"only {scope}": f"Bearer {token.secret}" for scope, token in made.items()},
+    }
+    return callers, [token.secret for token in (*made.values(), everything, revoked)]
+
+
+def plant(bundle: Bundle, tokens: Sequence[str]) -> Planted:
+    """What a daemon with this bundle and these tokens must not let out."""
+    planted = Planted()
+    for index, pair in enumerate(bundle.pairs):
+        planted.add_levels(f"mask {index}", pair.levels)
+        for name, weights in pair.weights.items():
+            planted.add_weights(f"weights of pair {index}, {name}", weights.numpy())
+    if bundle.fresh is not None:
+        for name, weights in bundle.fresh.weights.items():
+            planted.add_weights(f"weights, {name}", weights.numpy())
+    for token in tokens:
+        planted.add_bytes("a token", bytes.fromhex(token[16:]), 1)
+        planted.add_bytes("a token", token[16:].encode(), 1)
+    return planted
+
+
+def plant_fresh(planted: Planted, bundle: Bundle, secret: Secret, epochs: range) -> None:
+    """The secret, and what was derived from it."""
+    planted.add_bytes("the mask secret", secret.reveal(), 1)
+    source, fresh = FreshSource(bundle, secret, form="white"), bundle.fresh
+    assert fresh is not None
+    for number, counter in enumerate(track(epochs, "deriving masks")):
+        if number < DECODERS:
+            mask = source.make(counter, "")
+            planted.add_levels(f"mask of epoch {counter}", mask.levels)
+            for name, values in _tensors(mask.reader):
+                planted.add_weights(f"{name} of epoch {counter}", values)
+        else:
+            levels = epoch_levels(
+                secret,
+                fresh.device,
+                counter,
+                camera=bundle.camera,
+                distribution=fresh.distribution,
+            )
+            planted.add_levels(f"mask of epoch {counter}", levels)
+
+
+def _tensors(holder: object, name: str = "decoder", depth: int = 3) -> Iterator[tuple[str, Any]]:
+    """All arrays of an object and of its parts."""
+    for slot in [*getattr(holder, "__slots__", ()), *getattr(holder, "__dict__", ())]:
+        value = getattr(holder, slot, None)
+        if (
+            isinstance(value, torch.Tensor)
+            and value.is_floating_point()
+            and value.numel() > NUMBERS
+        ):
+            yield f"{name}.{slot}", value.numpy()
+        elif depth and type(value).__module__.startswith("veilcam"):
+            yield from _tensors(value, f"{name}.{slot}", depth - 1)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One daemon to ask, and what it must keep."""
+
+    bundle: Path
+    release: str
+    secret: Secret | None = None
+
+
+def ask_daemon(
+    setting: Setting, directory: Path, examples: int, seed: int
+) -> tuple[Findings, list[str]]:
+    """Start a daemon, ask it everything, stop it, and search what left; returns what leaked."""
+    directory.mkdir()
+    state, scene = directory / "state", directory / "scene.npy"
+    write_scene(scene, load_digits().images[seed % 100])
+    options = ["--auth", "tokens", "--release", setting.release]
+    options += ["--settle", "0", "--exposure", "0", "--log-level", "debug", "--scene-api"]
+    if setting.secret is not None:
+        secret_file = directory / "secret"
+        secret_file.touch(mode=0o600)
+        secret_file.write_text(setting.secret.reveal().hex())
+        options += ["--mask-secret", str(secret_file)]
+    bundle = read_bundle(setting.bundle)
+    store = TokenStore(state)
+    callers, tokens = make_callers(store)
+    with running(setting.bundle, scene, directory, *options) as url:
+        fuzz = Fuzz(url, callers, examples, seed)
+        fuzz.run(setting.bundle.read_bytes())
+        # Once more while the sensor sees nothing: faults are told of as well.
+        scene.unlink()
+        fuzz.run()
+        prepared = _prepared(url, callers)
+    store.close()
+    planted = plant(bundle, tokens)
+    if setting.secret is not None:
+        with sqlite3.connect(state / "epochs.sqlite3") as database:
+            last = int(database.execute("SELECT counter FROM epoch").fetchone()[0])
+        plant_fresh(planted, bundle, setting.secret, range(last - prepared, last + 1))
+    for path in (directory / "veilcamd.log", *state.glob(f"{DONE}*"), *state.glob(f"{REFUSED}*")):
+        for number, line in enumerate(path.read_bytes().splitlines(), start=1):
+            fuzz.findings.left.setdefault(_UNIQUE.sub(b"", line), f"{path.name}, line {number}")
+    return fuzz.findings, fuzz.findings.leaks(planted)
+
+
+def _prepared(url: str, callers: Mapping[str, str | None]) -> int:
+    """How many epochs there were."""
+    headers = {"Authorization": callers["everything"] or ""}
+    answer = requests.get(f"{url}/v1/rotation", headers=headers, timeout=60)
+    return int(answer.json()["preparation"]["prepared"])
+
+
+def main(
+    *,
+    examples: Annotated[
+        int, typer.Option(min=1, help="Requests of each kind, operation and caller.")
+    ] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="That requests are made from.")] = 1,
+    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+) -> None:
+    """Ask the daemon everything, and search what it says for what it must not."""
+    # What is asked here in a second, nobody asks in an hour.
+    os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
+    os.environ["VEILCAM_HEARTBEAT"] = "0.2"
+    settings = (Setting(KEYRING, "raw"), Setting(FRESH, "white", Secret.generate()))
+    defects, undocumented, leaks = list[str](), list[str](), list[str]()
+    with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
+        for number, setting in enumerate(settings):
+            begun = time.perf_counter()
+            findings, leaked = ask_daemon(setting, Path(temporary) / str(number), examples, seed)
+            defects += findings.defects
+            undocumented += findings.undocumented
+            leaks += leaked
+            size = sum(map(len, findings.left)) / 1e6
+            print(
+                f"{setting.bundle.name}, {setting.release}: {findings.requests} requests, "
+                f"{len(findings.left)} different contents of {size:.1f} MB, "
+                f"{time.perf_counter() - begun:.0f} s"
+            )
+            counts = sorted(findings.statuses.items())
+            print("  " + ", ".join(f"{count} x {status}" for status, count in counts))
+    for name, found in (("5xx", defects), ("undocumented", undocumented), ("leaks", leaks)):
+        print(f"{name}: {len(found)}")
+        for line in found[:20]:
+            print(f"  {line}")
+    if figures is not None:
+        record_figures(
+            figures,
+            {
+                "fuzz_5xx": len(defects),
+                "fuzz_leaks": len(leaks),
+                "fuzz_undocumented": len(undocumented),
+            },
+        )
+    if defects or undocumented or leaks:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    typer.run(main)

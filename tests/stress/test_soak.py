@@ -1,0 +1,77 @@
+"""The soak of engine and emulated hardware, made short; and that it would notice a failure."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "tests" / "stress" / "soak.py"
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("daemon_soak", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> None:
+    random.seed(5)
+
+
+def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
+    figures = tmp_path / "figures.json"
+    result = subprocess.run(
+        [
+            *(sys.executable, str(SCRIPT), "--captures", "60", "--kills", "3"),
+            *("--faults", "0.3", "--figures", str(figures)),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    assert record.pop("soak_growth_mb") < 20
+    assert record == {"soak_captures": 60, "soak_mixed": 0, "soak_reused": 0, "soak_lost": 0}
+
+
+def test_faults_become_errors_and_clocks_jump(benchmark: ModuleType, tmp_path: Path) -> None:
+    outcome = benchmark.soak(tmp_path, 80, faults=0.5, restart_every=20)
+    assert outcome.errors > 0
+    assert outcome.captures > 40
+    assert outcome.mixed == outcome.reused == outcome.lost == 0
+
+
+def test_a_fence_without_settling_is_noticed(benchmark: ModuleType, tmp_path: Path) -> None:
+    assert benchmark.soak(tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
+
+
+def test_a_store_that_forgets_is_noticed(
+    benchmark: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counters = [*range(1, 11), *range(1, 31)]
+    monkeypatch.setattr(benchmark.FullDisk, "next", lambda _: counters.pop(0))
+    assert benchmark.soak(tmp_path, 20, faults=0.0).reused > 0
+
+
+def test_an_unknown_exception_counts_as_lost(
+    benchmark: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(benchmark.MaskedCamera, "capture", fail)
+    assert benchmark.soak(tmp_path, 3, faults=0.0).lost == 3
