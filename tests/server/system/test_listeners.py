@@ -57,6 +57,7 @@ def test_a_socket_of_its_own_is_removed(bundle_file: Path, tmp_path: Path) -> No
         (socket.AF_INET, ("0.0.0.0", 0), r"a socket on 0\.0\.0\.0, and other machines"),
         (socket.AF_UNIX, f"\0veilcam-test-{os.getpid()}", "which any user may open"),
     ],
+    ids=["network", "abstract"],
 )
 def test_systemd_may_not_open_the_camera_to_others(
     family: int,

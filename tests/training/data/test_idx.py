@@ -80,7 +80,9 @@ def test_corrupt_files(plain_folder: Path, name: str, data: bytes, reason: str) 
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("data", [gzip.compress(zeros(30, 28, 28))[:-12], b"no gzip"])
+@pytest.mark.parametrize(
+    "data", [gzip.compress(zeros(30, 28, 28))[:-12], b"no gzip"], ids=["cut", "plain"]
+)
 def test_damaged_gzip(plain_folder: Path, data: bytes) -> None:
     (plain_folder / IMAGES).unlink()
     (plain_folder / f"{IMAGES}.gz").write_bytes(data)
