@@ -1,6 +1,6 @@
 """Authorised decoding: with the camera's secret, a released embedding becomes a scene again.
 
-Needs the optics, ``pip install 'veilcam[optics]'``; the rest of the SDK does without.
+Needs the extra ``optics``; the rest of the SDK does without.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class SceneDecoder:
             from veilcam_optics.keys.masks import Secret  # noqa: PLC0415
         except ImportError:
             raise VeilcamError(
-                "decoding needs the optics: pip install 'veilcam[optics]'", code="optics_missing"
+                "decoding needs the extra 'optics': run pip install -e '.[optics]' in the checkout",
+                code="optics_missing",
             ) from None
         self._device = device
         try:

@@ -1,6 +1,6 @@
 """``python -m veilcam_server`` is ``veilcamd``."""
 
-from veilcam_server.cli.main import main
+from veilcam_client.entry_points import veilcamd
 
 if __name__ == "__main__":
-    main()
+    veilcamd()

@@ -58,6 +58,13 @@ class HostRefusedError(Exception):
         super().__init__("this daemon answers to localhost only: use http://localhost:PORT")
 
 
+class CrossSiteError(Exception):
+    """A page of another site makes a browser ask."""
+
+    def __init__(self) -> None:
+        super().__init__("this daemon answers to no page of another site: ask without a browser")
+
+
 class UnauthorizedError(Exception):
     """No valid token came with the request; why it is not valid stays here."""
 

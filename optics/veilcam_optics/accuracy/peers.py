@@ -21,16 +21,18 @@ class Peer:
     name: str
     load: Callable[[], ModuleType]
     """Imports what is needed, or raises ImportError."""
+    remedy: str
+    """How to install it."""
     transfer: Callable[[TransferJob], Iterator[Setting]]
     psf: Callable[[PsfJob], Iterator[Setting]]
     field: Callable[[FieldJob], Iterator[Setting]]
 
     def missing(self) -> str:
-        """Why the library cannot be used; empty where it can."""
+        """Why the library cannot be used, and what to do; empty where it can."""
         try:
             self.load()
         except ImportError as error:
-            return f"{type(error).__name__}: {error}"
+            return f"{type(error).__name__}: {error}: {self.remedy}"
         return ""
 
 
@@ -38,6 +40,7 @@ PEERS = (
     Peer(
         waveprop_peer.NAME,
         lambda: waveprop_peer.load("slm"),
+        "see docs/accuracy.md",
         waveprop_peer.transfer_settings,
         waveprop_peer.psf_settings,
         waveprop_peer.field_settings,
@@ -45,6 +48,7 @@ PEERS = (
     Peer(
         torchoptics_peer.NAME,
         lambda: importlib.import_module("torchoptics"),
+        "run pip install -e '.[peers]' in the checkout",
         torchoptics_peer.transfer_settings,
         torchoptics_peer.psf_settings,
         torchoptics_peer.field_settings,

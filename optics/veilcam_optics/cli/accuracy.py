@@ -71,7 +71,9 @@ def accuracy(
     out.mkdir(parents=True, exist_ok=True)
     for peer in PEERS:
         if reason := peer.missing():
-            console.print(f"[dim]{peer.name} is not in the comparison: {reason}[/dim]")
+            # Brackets in it are no markup.
+            text = f"{peer.name} is not in the comparison: {reason}"
+            console.print(text, style="dim", markup=False, soft_wrap=True)
     results = []
     with _progress(console) as progress:
         for chosen in collect(job, quick=quick):

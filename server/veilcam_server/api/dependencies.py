@@ -23,6 +23,7 @@ ALWAYS = (
     "bad_request",
     "unauthorized",
     "forbidden",
+    "cross_site",
     "host_refused",
     "rate_limited",
     "too_many_requests",

@@ -17,6 +17,7 @@ from veilcam_server.devices.errors import DisplayError, SensorError, SensorTimeo
 from veilcam_server.errors import (
     CalibratingError,
     CalibrationImpossibleError,
+    CrossSiteError,
     EpochError,
     FenceError,
     ForbiddenError,
@@ -64,6 +65,7 @@ PROBLEMS: Mapping[str, ProblemType] = {
     "bad_request": ProblemType(400, "The request cannot be read"),
     "unauthorized": ProblemType(401, "A valid token is wanted"),
     "forbidden": ProblemType(403, "The token does not allow this"),
+    "cross_site": ProblemType(403, "A page of another site asks"),
     "embedding_withheld": ProblemType(403, "Embeddings are not released"),
     "not_found": ProblemType(404, "There is nothing at this path"),
     "unknown_token": ProblemType(404, "There is no such token"),
@@ -108,6 +110,7 @@ PROBLEMS: Mapping[str, ProblemType] = {
 
 _CODES: tuple[tuple[type[Exception], str], ...] = (
     (HostRefusedError, "host_refused"),
+    (CrossSiteError, "cross_site"),
     (UnauthorizedError, "unauthorized"),
     (ForbiddenError, "forbidden"),
     (UnknownTokenError, "unknown_token"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_server.devices.errors import DeviceMissingError
+from veilcam_server.devices.extras import import_extra
 
 
 class Request(Protocol):
@@ -67,20 +67,9 @@ def open_picamera2(number: int = 0) -> Picamera:
     """Open a camera of a Raspberry Pi.
 
     Raises:
-        DeviceMissingError: it is not there or not to be had, or picamera2 is not installed.
+        DeviceMissingError: it is not there or not to be had, or there is no picamera2 to import.
     """
-    try:
-        picamera2 = importlib.import_module("picamera2")
-    except ImportError as error:
-        if error.name == "picamera2":
-            raise DeviceMissingError(
-                "the package picamera2 is not installed: run pip install 'veilcam[server,pi]'"
-            ) from None
-        # pip brings picamera2 alone; these come with the system.
-        raise DeviceMissingError(
-            f"picamera2 needs the module {error.name}: run apt install python3-libcamera "
-            "python3-kms++, and make the environment with --system-site-packages"
-        ) from None
+    picamera2 = import_extra("picamera2")
     try:
         camera: Picamera = picamera2.Picamera2(number)
     except (RuntimeError, IndexError, OSError) as error:

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any, Self
 
 import structlog
 
 from veilcam_server.devices.errors import DeviceMissingError, DisplayError
+from veilcam_server.devices.extras import import_extra
 from veilcam_server.devices.st7735r import MOST_PER_SECOND
 from veilcam_server.settings import GPIO_CHIPS
 
 log = structlog.get_logger()
-
-
-def _extra(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise DeviceMissingError(
-            f"the package {name} is not installed: run pip install 'veilcam[server,pi]'"
-        ) from None
 
 
 class LinuxSpi:
@@ -40,7 +31,7 @@ class LinuxSpi:
             allow_fast: whether the clock may be faster than the panel's data sheet allows.
 
         Raises:
-            DeviceMissingError: no such node, no right to open it, or spidev is not installed.
+            DeviceMissingError: no such node, no right to open it, or no spidev to import.
             DisplayError: the clock is faster than the panel allows.
         """
         if speed > MOST_PER_SECOND:
@@ -50,7 +41,7 @@ class LinuxSpi:
                     f"use --spi-hz {MOST_PER_SECOND} or less, or --allow-fast-spi"
                 )
             log.warning("fast panel bus", speed=speed, most=MOST_PER_SECOND)
-        device = _extra("spidev").SpiDev()
+        device = import_extra("spidev").SpiDev()
         try:
             device.open_path(path)
             device.mode = 0
@@ -77,7 +68,7 @@ class LinuxLines:
 
     def __init__(self, request: Any, *, data: int, reset: int) -> None:
         self._request, self._data, self._reset = request, data, reset
-        value = _extra("gpiod").line.Value
+        value = import_extra("gpiod").line.Value
         self._low, self._high = value.INACTIVE, value.ACTIVE
 
     @classmethod
@@ -91,10 +82,10 @@ class LinuxLines:
             reset: line of RST.
 
         Raises:
-            DeviceMissingError: no such chip, no right to use it, a line is taken, or gpiod is not
-                installed.
+            DeviceMissingError: no such chip, no right to use it, a line is taken, or no gpiod to
+                import.
         """
-        gpiod = _extra("gpiod")
+        gpiod = import_extra("gpiod")
         path = _chip_path(chip)
         output = gpiod.LineSettings(
             direction=gpiod.line.Direction.OUTPUT, output_value=gpiod.line.Value.ACTIVE
@@ -125,9 +116,9 @@ def gpio_chips() -> dict[str, Path]:
     """Return the chips that may be opened, by label.
 
     Raises:
-        DeviceMissingError: gpiod is not installed.
+        DeviceMissingError: there is no gpiod to import.
     """
-    gpiod = _extra("gpiod")
+    gpiod = import_extra("gpiod")
     chips: dict[str, Path] = {}
     for path in sorted(Path("/dev").glob("gpiochip*")):
         try:
@@ -145,7 +136,7 @@ def line_user(chip: Path, line: int) -> str | None:
     Raises:
         OSError, ValueError: the chip cannot be opened, or has no such line.
     """
-    with _extra("gpiod").Chip(str(chip)) as opened:
+    with import_extra("gpiod").Chip(str(chip)) as opened:
         info = opened.get_line_info(line)
     return str(info.consumer or "the kernel") if info.used else None
 

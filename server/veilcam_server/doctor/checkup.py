@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +17,7 @@ from veilcam_server.masks.secret import find_secret
 from veilcam_server.settings import GPIO_CHIPS, Wiring
 from veilcam_training.bundle import BundleError, read_bundle
 
-PI_PACKAGES = "pip install 'veilcam[server,pi]' in the daemon's environment"
-APT_PACKAGES = (
-    "sudo apt install python3-picamera2, and make the environment with --system-site-packages"
-)
+PACKAGES = ("spidev", "gpiod", "libcamera", "picamera2")
 LEAST_SYSTEMD = 250
 """The first with encrypted credentials."""
 LEAST_ROOM = 200 * 2**20
@@ -39,19 +36,35 @@ class Plan:
 
 def examine(machine: Machine, plan: Plan) -> Iterator[Finding]:
     """Yield a finding for every check; nothing is changed, and no mask is shown."""
-    yield _model(machine)
-    yield from (_package(machine, name) for name in ("spidev", "gpiod", "libcamera", "picamera2"))
-    yield _spi(machine, plan.wiring)
-    yield _clock_of_bus(plan.wiring)
-    yield _tab(plan.wiring)
-    yield from _lines(machine, plan.wiring)
-    yield _frame_memory(machine)
-    yield _camera(machine, plan.wiring)
-    yield _state_dir(machine, plan.state_dir)
-    yield _room(machine, plan.state_dir)
-    yield from _bundle(machine, plan)
-    yield _wall_clock(machine)
-    yield _systemd(machine)
+    # Once: a compiled package that failed may do worse when it is imported again.
+    packages = {name: _package(machine, name) for name in PACKAGES}
+    usable = {name for name, finding in packages.items() if finding.outcome == "ok"}
+    probes: tuple[tuple[str, Callable[[], Iterable[Finding]]], ...] = (
+        ("board", lambda: [_model(machine)]),
+        ("packages", packages.values),
+        ("panel bus", lambda: [_spi(machine, plan.wiring)]),
+        ("bus clock", lambda: [_clock_of_bus(plan.wiring)]),
+        ("panel tab", lambda: [_tab(plan.wiring)]),
+        ("GPIO chip", lambda: _lines(machine, plan.wiring, usable)),
+        ("frame memory", lambda: [_frame_memory(machine)]),
+        ("camera", lambda: [_camera(machine, plan.wiring, usable)]),
+        ("state directory", lambda: [_state_dir(machine, plan.state_dir)]),
+        ("disk", lambda: [_room(machine, plan.state_dir)]),
+        ("bundle", lambda: _bundle(machine, plan)),
+        ("wall clock", lambda: [_wall_clock(machine)]),
+        ("systemd", lambda: [_systemd(machine)]),
+    )
+    for name, probe in probes:
+        yield from _guarded(name, probe)
+
+
+def _guarded(name: str, probe: Callable[[], Iterable[Finding]]) -> list[Finding]:
+    """What a probe finds; one that fails, as the drivers' libraries may, keeps back no other."""
+    try:
+        return list(probe())
+    except Exception as error:
+        found = " ".join(f"{type(error).__name__}: {error}".split())
+        return [Finding.bad(name, f"the check failed, {found}", "put right what the error names")]
 
 
 def _model(machine: Machine) -> Finding:
@@ -66,10 +79,11 @@ def _model(machine: Machine) -> Finding:
 
 
 def _package(machine: Machine, name: str) -> Finding:
-    if machine.installed(name):
-        return Finding.ok(name, "installed")
-    remedy = PI_PACKAGES if name in ("spidev", "gpiod") else APT_PACKAGES
-    return Finding.bad(name, "not installed", remedy)
+    try:
+        machine.load(name)
+    except DeviceError as error:
+        return Finding.bad(name, *_halves(error))
+    return Finding.ok(name, "installed")
 
 
 def _spi(machine: Machine, wiring: Wiring) -> Finding:
@@ -111,10 +125,10 @@ def _tab(wiring: Wiring) -> Finding:
     return Finding.ok("panel tab", wiring.panel_tab)
 
 
-def _lines(machine: Machine, wiring: Wiring) -> Iterator[Finding]:
+def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Finding]:
     lines = (("line of D/C", wiring.data_line), ("line of RESET", wiring.reset_line))
     names = ["GPIO chip", *(name for name, _ in lines)]
-    if not machine.installed("gpiod"):
+    if "gpiod" not in usable:
         yield from (Finding.skipped(name, "needs gpiod") for name in names)
         return
     chips = machine.chips()
@@ -157,8 +171,8 @@ def _frame_memory(machine: Machine) -> Finding:
     return Finding.ok("frame memory", "/dev/dma_heap")
 
 
-def _camera(machine: Machine, wiring: Wiring) -> Finding:
-    if not (machine.installed("picamera2") and machine.installed("libcamera")):
+def _camera(machine: Machine, wiring: Wiring, usable: Set[str]) -> Finding:
+    if not {"libcamera", "picamera2"} <= usable:
         return Finding.skipped("camera", "needs libcamera and picamera2")
     try:
         camera = machine.open_camera(wiring.camera_number)

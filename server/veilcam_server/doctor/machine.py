@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -11,12 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from veilcam_server.devices.extras import import_extra
 from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.spi import gpio_chips, line_user
-
-
-def _installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
 
 
 def _may_write(path: Path) -> bool:
@@ -45,8 +41,8 @@ class Machine:
     """Where a doctor looks."""
 
     root: Path = Path("/")
-    installed: Callable[[str], bool] = _installed
-    """Whether a module can be imported."""
+    load: Callable[[str], object] = import_extra
+    """Imports a package; raises :class:`DeviceMissingError`."""
     may_write: Callable[[Path], bool] = _may_write
     """Whether this user may read and write a file."""
     run: Callable[..., str | None] = _run

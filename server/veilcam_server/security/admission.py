@@ -11,7 +11,12 @@ import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
-from veilcam_server.errors import HostRefusedError, TokenStoreError, UnauthorizedError
+from veilcam_server.errors import (
+    CrossSiteError,
+    HostRefusedError,
+    TokenStoreError,
+    UnauthorizedError,
+)
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import ANYONE, Caller
 from veilcam_server.security.lease import Lease
@@ -22,6 +27,7 @@ from veilcam_server.settings import Settings
 log = structlog.get_logger()
 
 _LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d{1,5})?", re.IGNORECASE)
+_DEFAULT_PORTS = {"http": 80, "https": 443}
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +38,7 @@ class Gateway:
         tokens: None lets everybody in who reaches the daemon.
         this_machine: refuse requests whose ``Host`` is not this machine.
         audit: what callers did; None in tests.
-        refused: what was asked without a valid token.
+        refused: what was asked without a valid token, or from another host or site.
         rate: how often one caller may ask.
         concurrency: how many requests of one caller may be under way.
         streams: how many event streams may be open.
@@ -80,6 +86,7 @@ class Gateway:
 
         Raises:
             HostRefusedError: for another machine.
+            CrossSiteError: from a page of another site.
             UnauthorizedError: without a valid token.
             RateLimitError: too often.
             TooManyRequestsError: too many at once.
@@ -89,6 +96,10 @@ class Gateway:
         # the Host header then betrays it.
         if self.this_machine and not _LOOPBACK.fullmatch(headers.get("host", "")):
             raise HostRefusedError
+        # A browser sends what a page of another site tells it to, also where it keeps the answer
+        # from that page. It names the page itself; what is no browser names none.
+        if not _is_same_origin(headers):
+            raise CrossSiteError
         caller = self._caller(headers, peer)
         name = caller.id if self.tokens is not None else peer
         self.rate.take(name)
@@ -116,6 +127,29 @@ class Gateway:
             # Only failures count against an address: who guesses there locks nobody out.
             self.rate.take(f"failures of {peer}")
             raise
+
+
+def _is_same_origin(headers: Headers) -> bool:
+    """Whether no header says that a page of another origin asks."""
+    host = headers.get("host", "")
+    return all(_names_host(origin, host) for origin in headers.getlist("origin")) and all(
+        site in ("same-origin", "none") for site in headers.getlist("sec-fetch-site")
+    )
+
+
+def _names_host(origin: str, host: str) -> bool:
+    """Whether an ``Origin`` has the host and port of ``Host``; ``null`` has none.
+
+    A port left out is the default of the origin's scheme, which may be another than ours: a proxy
+    in front of the daemon may speak TLS.
+    """
+    scheme, _, place = origin.lower().partition("://")
+    port = _DEFAULT_PORTS.get(scheme)
+    return port is not None and _with_port(place, port) == _with_port(host.lower(), port)
+
+
+def _with_port(place: str, port: int) -> str:
+    return place if re.search(r":\d+$", place) else f"{place}:{port}"
 
 
 @contextmanager

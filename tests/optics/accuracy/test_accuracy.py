@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -202,13 +203,15 @@ def test_command_writes_table_json_and_charts(
             return type(job)(job.name, job.title, job.reference, job.settings[:2])
 
     monkeypatch.setattr(command, "FieldJob", Small)
-    monkeypatch.setattr(command, "PEERS", ())
+    monkeypatch.setitem(sys.modules, "torchoptics", None)
+    monkeypatch.setattr(command, "PEERS", [peer for peer in PEERS if peer.name == "torchoptics"])
     out = tmp_path / "results"
     ran = CliRunner().invoke(
         app, ["accuracy", "--quick", "--job", "field", "--out", str(out)], catch_exceptions=False
     )
     assert ran.exit_code == 0
     assert "Free field" in ran.stdout
+    assert "run pip install -e '.[peers]' in the checkout\n" in ran.stdout
     names = {file.name for file in out.iterdir()}
     assert names == {"accuracy.json", "accuracy.png", "accuracy-field.png"}
     assert len(json.loads((out / "accuracy.json").read_text())["jobs"]["field"]["points"]) == 2

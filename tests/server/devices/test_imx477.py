@@ -402,8 +402,11 @@ def test_a_camera_that_cannot_be_opened_says_what_to_do(
 @pytest.mark.parametrize(
     ("missing", "message"),
     [
-        ("picamera2", r"run pip install 'veilcam\[server,pi\]'"),
-        ("libcamera", "the module libcamera: run apt install python3-libcamera"),
+        ("picamera2", r"is not installed: run pip install -e '\.\[server,pi\]'"),
+        (
+            "libcamera",
+            "libcamera is not installed, which picamera2 needs: sudo apt install python3-libcamera",
+        ),
     ],
 )
 def test_what_is_not_installed_is_named(
@@ -412,6 +415,6 @@ def test_what_is_not_installed_is_named(
     def fail(_: str) -> None:
         raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
 
-    monkeypatch.setattr("veilcam_server.devices.picamera.importlib.import_module", fail)
+    monkeypatch.setattr("veilcam_server.devices.extras.importlib.import_module", fail)
     with pytest.raises(DeviceMissingError, match=message):
         open_picamera2()

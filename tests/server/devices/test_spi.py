@@ -203,7 +203,11 @@ def test_who_has_a_line(
 def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "spidev", None)
     monkeypatch.setitem(sys.modules, "gpiod", None)
-    with pytest.raises(DeviceMissingError, match=r"spidev is not installed.*veilcam\[server,pi\]"):
+    with pytest.raises(
+        DeviceMissingError, match=r"spidev is not installed: run pip install -e '\.\[server,pi\]'"
+    ):
         LinuxSpi.open("/dev/spidev0.0", 1_000_000)
-    with pytest.raises(DeviceMissingError, match=r"gpiod is not installed.*veilcam\[server,pi\]"):
+    with pytest.raises(
+        DeviceMissingError, match=r"gpiod is not installed: run pip install -e '\.\[server,pi\]'"
+    ):
         LinuxLines.open("pinctrl-rp1", data=25, reset=24)

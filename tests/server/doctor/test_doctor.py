@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 from veilcam_server import doctor as package
 from veilcam_server.cli.main import app
 from veilcam_server.devices import DeviceMissingError
+from veilcam_server.devices.extras import import_extra
 from veilcam_server.doctor import Finding, Machine, Plan, examine
 from veilcam_server.settings import Wiring
 
@@ -57,6 +59,12 @@ class Bed:
     def remove(self, path: str) -> None:
         (self.root / path.lstrip("/")).unlink()
 
+    def load(self, name: str) -> object:
+        """As the real machine does, but what there is to import is an empty package."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(sys.modules, name, None if name in self.missing else ModuleType(name))
+            return import_extra(name)
+
     def open_camera(self, number: int) -> Any:
         if isinstance(self.camera, Exception):
             raise self.camera
@@ -69,7 +77,7 @@ class Bed:
     def machine(self) -> Machine:
         return Machine(
             root=self.root,
-            installed=lambda name: name not in self.missing,
+            load=self.load,
             may_write=lambda path: "/" + str(path.relative_to(self.root)) not in self.locked,
             run=lambda *command: self.programs.get(command),
             free=lambda _: self.room,
@@ -114,7 +122,7 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
     (lambda bed: bed.missing.append("spidev"), "spidev", "not installed", "pip install"),
     (lambda bed: bed.missing.append("gpiod"), "gpiod", "not installed", "pip install"),
     (lambda bed: bed.missing.append("libcamera"), "libcamera", "not installed", "apt install"),
-    (lambda bed: bed.missing.append("picamera2"), "picamera2", "not installed", "apt install"),
+    (lambda bed: bed.missing.append("picamera2"), "picamera2", "not installed", "pip install"),
     (lambda bed: bed.remove("/dev/spidev0.0"), "panel bus", "there is no", "config.txt: restart"),
     (lambda bed: bed.locked.append("/dev/spidev0.0"), "panel bus", "not yours", "-aG spi"),
     (lambda bed: setattr(bed, "chips", {}), "GPIO chip", "none that you may open", "-aG gpio"),
@@ -169,6 +177,62 @@ def test_what_is_missing_is_named_and_how_to_get_it(
     assert finding.outcome == "bad"
     assert found in finding.found
     assert remedy in str(finding.remedy)
+
+
+BROKEN = {
+    "ValueError": "numpy.dtype size changed, may indicate binary incompatibility.\\nExpected 96",
+    "ImportError": "libcap.so.2: cannot open shared object file",
+    "RuntimeError": "",
+}
+
+
+@pytest.mark.parametrize("name", ["spidev", "gpiod", "libcamera", "picamera2"])
+@pytest.mark.parametrize(("kind", "text"), BROKEN.items())
+def test_a_package_that_fails_at_import_is_named_with_its_error(
+    bed: Bed,
+    plan: Plan,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    *,
+    name: str,
+    kind: str,
+    text: str,
+) -> None:
+    (tmp_path / f"{name}.py").write_text(f'raise {kind}("{text}")\n')
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def load(wanted: str) -> object:
+        return import_extra(name) if wanted == name else bed.load(wanted)
+
+    found = {each.name: each for each in examine(replace(bed.machine, load=load), plan)}
+    assert len(found) == 19
+    assert found[name].outcome == "bad"
+    assert kind in found[name].found
+    assert text.partition("\\n")[0] in found[name].found
+    assert "\n" not in found[name].found
+    remedy = "apt install python3-libcamera" if name == "libcamera" else f"--force-reinstall {name}"
+    assert remedy in str(found[name].remedy)
+    # What needs it waits, and all the rest is looked at.
+    waiting = {each.name for each in found.values() if each.outcome == "skipped"}
+    lines = {"GPIO chip", "line of D/C", "line of RESET"}
+    assert waiting == {"spidev": set(), "gpiod": lines}.get(name, {"camera"})
+    assert found["systemd"].outcome == "ok"
+
+
+def test_a_check_that_fails_keeps_back_no_other(bed: Bed, plan: Plan) -> None:
+    def fail(*_: object) -> Any:
+        raise KeyError("no such\nthing")
+
+    machine = bed.machine
+    well = {each.name for each in examine(machine, plan)}
+    broken = replace(machine, chips=fail, open_camera=fail, free=fail, may_write=fail, run=fail)
+    found = {each.name: each for each in examine(broken, plan)}
+    assert well - set(found) == {"line of D/C", "line of RESET"}
+    for name in ("GPIO chip", "camera", "disk", "panel bus", "state directory", "systemd"):
+        assert found[name].outcome == "bad"
+        assert "KeyError" in found[name].found
+        assert "\n" not in found[name].found
+    assert found["bundle"].outcome == "ok"
 
 
 def test_spi_that_is_off_is_switched_on(bed: Bed, plan: Plan) -> None:

@@ -1,0 +1,41 @@
+"""Entry points of the commands that need an extra, and say which where it is not installed."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+_PACKAGES = ("veilcam_client", "veilcam_optics", "veilcam_training", "veilcam_server")
+
+
+def veilcam_optics() -> None:
+    """Run ``veilcam-optics``."""
+    _run("veilcam-optics", "veilcam_optics.cli.main", "optics")
+
+
+def veilcam_train() -> None:
+    """Run ``veilcam-train``."""
+    _run("veilcam-train", "veilcam_training.cli.main", "training")
+
+
+def veilcamd() -> None:
+    """Run ``veilcamd``."""
+    _run("veilcamd", "veilcam_server.cli.main", "server")
+
+
+def _run(command: str, module: str, extra: str) -> None:
+    """Run ``main`` of a module, found by its name: the client imports none of the other packages.
+
+    What a command imports late is looked for as well. A module that is missing of ours or of
+    Python's own is a defect, which no extra puts right.
+    """
+    try:
+        import_module(module).main()
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if not missing or missing in _PACKAGES or missing in sys.stdlib_module_names:
+            raise
+        sys.exit(
+            f"{command} needs the extra '{extra}' ({missing} is not installed): "
+            f"run pip install -e '.[{extra}]' in the checkout"
+        )

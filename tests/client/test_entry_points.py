@@ -1,0 +1,72 @@
+"""The commands as they are installed, where an extra is not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+SCRIPTS: dict[str, str] = PROJECT["scripts"]
+EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "cryptography", "safetensors", "pooch", "fastapi")
+"""First imports of every extra: without them there is the base install alone."""
+
+
+def run(command: str, *arguments: str, without: Iterable[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command of the project as its script does, where some modules are not installed."""
+    module, _, function = SCRIPTS[command].partition(":")
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({list(without)!r}))\n"
+        f"from {module} import {function}; {function}()"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "missing", "extra"),
+    [
+        ("veilcamd", ["--help"], EXTRAS, "server"),
+        ("veilcamd", ["serve", "--simulate"], ["uvicorn"], "server"),
+        ("veilcam-train", ["--help"], EXTRAS, "training"),
+        ("veilcam-optics", ["--help"], EXTRAS, "optics"),
+    ],
+)
+def test_a_command_names_the_extra_that_it_needs(
+    command: str, arguments: list[str], missing: list[str], extra: str
+) -> None:
+    assert extra in PROJECT["optional-dependencies"]
+    done = run(command, *arguments, without=missing)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{command} needs the extra '{extra}' (")
+    assert any(f"({name} is not installed)" in line for name in missing)
+    assert line.endswith(f": run pip install -e '.[{extra}]' in the checkout")
+
+
+def test_the_client_needs_none() -> None:
+    done = run("veilcam", "--help", without=EXTRAS)
+    assert done.returncode == 0, done.stderr
+    assert "classify" in done.stdout
+
+
+@pytest.mark.parametrize("command", [each for each in SCRIPTS if each != "veilcam"])
+def test_a_command_that_has_its_extra_runs(command: str) -> None:
+    done = run(command, "--help", without=[])
+    assert done.returncode == 0, done.stderr
+    assert "Usage" in done.stdout
+
+
+@pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "sqlite3"])
+def test_what_no_extra_brings_is_a_defect_that_is_not_hidden(missing: str) -> None:
+    done = run("veilcamd", "--help", without=[missing])
+    assert done.returncode == 1
+    assert "Traceback" in done.stderr
+    assert missing in done.stderr.splitlines()[-1]
+    assert "needs the extra" not in done.stderr

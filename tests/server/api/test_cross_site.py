@@ -1,0 +1,226 @@
+"""Requests of a page of another site, sent by a browser: refused everywhere, before all else."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+from starlette.types import Message
+
+from veilcam_client.wire.tokens import SCOPES
+from veilcam_server.api.app import create_app
+from veilcam_server.security.admission import Gateway
+from veilcam_server.security.audit import DONE, REFUSED, AuditLog
+from veilcam_server.security.limits import StreamLimit
+from veilcam_server.security.tokens import TokenStore
+from veilcam_training.bundle import Bundle, write_bundle
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench, Running
+
+pytestmark = pytest.mark.anyio
+
+NAVIGATION = {"Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+FOREIGN: list[list[tuple[str, str]]] = [
+    [("Origin", "https://page.example")],
+    [("Origin", "null")],
+    [("Origin", "")],
+    [("Origin", "localhost")],
+    [("Origin", "file://localhost")],
+    [("Origin", "http://localhost:8787")],
+    [("Origin", "http://localhost.page.example")],
+    [("Origin", "http://localhost"), ("Origin", "https://page.example")],
+    [("Origin", "http://localhost"), ("Sec-Fetch-Site", "cross-site")],
+    [("Origin", "https://page.example"), ("Sec-Fetch-Site", "none")],
+    [("Sec-Fetch-Site", "cross-site")],
+    [("Sec-Fetch-Site", "same-site")],
+    [("Sec-Fetch-Site", "")],
+    [("Sec-Fetch-Site", "same-origin"), ("Sec-Fetch-Site", "cross-site")],
+    [("Sec-Fetch-Site", "cross-site"), *NAVIGATION.items()],
+]
+BODIES: dict[tuple[str, str], Any] = {
+    ("put", "/v1/rotation"): {"mode": "captures", "captures": 7},
+    ("post", "/v1/classifications"): {"include_embedding": True},
+    ("post", "/v1/tokens"): {"label": "lamp", "scopes": ["classify"], "seconds": 60},
+    ("post", "/v1/lease"): {"owner": "a page", "seconds": 60},
+    ("post", "/v1/calibration"): {"repeats": 2},
+    ("post", "/v1/calibration/scene"): {"scene": "lamp"},
+}
+"""What a route wants besides the upload of a bundle; without it nothing would be asked of it."""
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Iterator[Gateway]:
+    """Of a daemon that wants tokens, keeps its audit log, and can open no event stream."""
+    store = TokenStore(tmp_path / "tokens")
+    done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
+    # A stream that is let in would not end: it is let in if it is refused for its number.
+    yield Gateway(store, audit=done, refused=refused, streams=StreamLimit(0))
+    store.close()
+    refused.close()
+    done.close()
+
+
+@pytest.fixture
+def token(gateway: Gateway) -> dict[str, str]:
+    assert gateway.tokens is not None
+    return {"Authorization": f"Bearer {gateway.tokens.create('all', SCOPES, None).secret}"}
+
+
+@pytest.fixture
+def upload(bundle: Bundle, tmp_path: Path) -> bytes:
+    """A bundle that the camera can use, and has not got yet."""
+    path = tmp_path / "other.veilcam"
+    write_bundle(path, dataclasses.replace(bundle, task="other"))
+    return path.read_bytes()
+
+
+async def requests(
+    client: httpx.AsyncClient, token: dict[str, str], bundle: bytes
+) -> list[tuple[str, str, bytes]]:
+    """Method, path and body for every route of the API."""
+    document = (await client.get("/v1/openapi.json", headers=token)).json()
+    return [
+        (
+            method,
+            "/".join("0" * 12 if "{" in part else part for part in path.split("/")),
+            bundle
+            if (method, path) == ("post", "/v1/keyrings")
+            else json.dumps(BODIES[method, path]).encode()
+            if (method, path) in BODIES
+            else b"",
+        )
+        for path, operations in document["paths"].items()
+        for method in operations
+    ]
+
+
+async def state(client: httpx.AsyncClient, token: dict[str, str], bench: Bench) -> dict[str, Any]:
+    """All that a request could have changed, but for how long the epoch has lasted."""
+    paths = ("rotation", "keyrings", "tokens", "lease", "calibration")
+    found = {path: (await client.get(f"/v1/{path}", headers=token)).json() for path in paths}
+    found["rotation"] = {name: found["rotation"][name] for name in ("policy", "epoch")}
+    found["panel"], found["captures"] = len(bench.display.shown), bench.sensor.captures
+    return found
+
+
+@pytest.mark.parametrize("headers", FOREIGN)
+async def test_every_route_refuses_before_it_reads_or_does_anything(
+    running: Running,
+    bench: Bench,
+    *,
+    upload: bytes,
+    gateway: Gateway,
+    token: dict[str, str],
+    tmp_path: Path,
+    headers: list[tuple[str, str]],
+) -> None:
+    read = 0
+
+    async def counted(body: bytes) -> AsyncIterator[bytes]:
+        nonlocal read
+        read += 1
+        yield body
+
+    async with running(gateway=gateway) as client:
+        asked = await requests(client, token, upload)
+        assert {("get", "/v1/events"), ("post", "/v1/keyrings")} <= {each[:2] for each in asked}
+        asked += [("options", "/v1/rotation", b""), ("get", "/", b""), ("get", "/docs", b"")]
+        before = await state(client, token, bench)
+        for method, path, body in asked:
+            for known in (token, {}):
+                answer = await client.request(
+                    method,
+                    path,
+                    headers=[*headers, *known.items(), ("Content-Type", "application/json")],
+                    content=counted(body),
+                )
+                assert answer.status_code == 403, (method, path)
+                assert answer.json()["code"] == "cross_site"
+        assert await state(client, token, bench) == before
+    assert read == 0
+    assert (tmp_path / DONE).read_text() == ""
+    refused = [json.loads(line) for line in (tmp_path / REFUSED).read_text().splitlines()]
+    assert [entry["code"] for entry in refused] == ["cross_site"] * 2 * len(asked)
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Origin": "http://localhost"},
+        {"Origin": "http://localhost:80", "Sec-Fetch-Site": "same-origin"},
+        {"Origin": "https://LOCALHOST:443"},
+        {"Sec-Fetch-Site": "none", **NAVIGATION},
+        {"Host": "127.0.0.1:8787", "Origin": "http://127.0.0.1:8787"},
+        {"Host": "[::1]", "Origin": "http://[::1]"},
+        {"Host": "[::1]:443", "Origin": "https://[::1]"},
+    ],
+)
+async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they_say(
+    running: Running,
+    bench: Bench,
+    *,
+    upload: bytes,
+    gateway: Gateway,
+    token: dict[str, str],
+    headers: dict[str, str],
+) -> None:
+    codes = {}
+    async with running(gateway=gateway) as client:
+        before = await state(client, token, bench)
+        for method, path, body in await requests(client, token, upload):
+            answer = await client.request(
+                method,
+                path,
+                headers={**token, **headers, "Content-Type": "application/json"},
+                content=body,
+            )
+            codes[method, path] = None if answer.is_success else answer.json()["code"]
+        after = await state(client, token, bench)
+    # What this camera cannot do, or has not got, is refused by the route itself.
+    assert set(codes.values()) == {
+        None,
+        "too_many_streams",
+        "unknown_token",
+        "invalid_request",
+        "not_calibrating",
+        "calibration_impossible",
+        "scene_api_off",
+    }
+    assert codes["get", "/v1/events"] == "too_many_streams"
+    assert all(codes[each] is None for each in BODIES if "calibration" not in each[1])
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {"rotation", "keyrings", "tokens", "panel", "captures"}
+
+
+async def test_a_port_that_is_no_default_is_compared(running: Running) -> None:
+    async with running() as client:
+        for host, origin, status in (
+            ("localhost:8787", "http://localhost:8787", 200),
+            ("localhost:8787", "http://localhost", 403),
+            ("localhost:8787", "http://127.0.0.1:8787", 403),
+            ("localhost:443", "http://localhost", 403),
+        ):
+            answer = await client.get("/v1/status", headers={"Host": host, "Origin": origin})
+            assert answer.status_code == status, (host, origin)
+
+
+async def test_there_is_no_web_socket(bench: Bench) -> None:
+    app, sent = create_app(bench.service(bench.camera())), []
+
+    async def receive() -> Message:
+        return {"type": "websocket.connect"}
+
+    async def send(message: Message) -> None:
+        sent.append(message["type"])
+
+    for path in app.openapi()["paths"]:
+        scope = {"type": "websocket", "path": path, "query_string": b"", "headers": []}
+        await app(scope, receive, send)
+    assert set(sent) == {"websocket.close"}
