@@ -1,6 +1,6 @@
 """Write the tables of figures in README and docs from ``benchmarks/results``: they cannot go stale.
 
-python benchmarks/readme_figures.py
+python -m benchmarks.readme_figures
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Digits read by a daemon whose camera was built badly: before, after, and after a restart.
 
-    python benchmarks/daemon/calibrated.py --figures benchmarks/results/daemon-calibration.json
+    python -m benchmarks.daemon.calibrated --figures benchmarks/results/daemon-calibration.json
 
 ``veilcamd serve`` on the simulated camera, with the bundle of fresh masks that comes along, a mask
 for every digit; ``veilcam calibrate`` in between, while it runs; then the daemon is started again,
@@ -9,26 +9,22 @@ and finds the record in its state directory. Digits are held up and read through
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import json
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from benchmarks.figures import FiguresOption, record
+from benchmarks.rig import work_folder
 
 from veilcam_client import Camera
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, Digits, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_training.experiments.records import record_figures
 
 BUILT = {
     "shift_y": 80e-6,
@@ -56,13 +52,12 @@ def accuracy(url: str, digits: Digits, count: int, seed: int) -> float:
 
 
 def main(
-    figures: Annotated[Path | None, typer.Option(help="Record to write into.")] = None,
+    figures: FiguresOption = None,
     count: Annotated[int, typer.Option(min=1, help="Digits read each time.")] = 100,
 ) -> None:
     """Serve, calibrate, serve again."""
     digits = load_digits()
-    with tempfile.TemporaryDirectory(prefix="veilcam-") as name:
-        folder = Path(name)
+    with work_folder() as folder:
         secret, built, scene = folder / "secret", folder / "built.json", folder / "scene.npy"
         secret.touch(mode=0o600)
         secret.write_text(Secret.generate().reveal().hex())
@@ -82,8 +77,7 @@ def main(
             values["served_again"] = accuracy(url, digits, count, 2)
     for what, value in values.items():
         print(f"{what}: {value:.3f} of {count}")
-    if figures is not None:
-        record_figures(figures, values)
+    record(figures, values)
 
 
 if __name__ == "__main__":

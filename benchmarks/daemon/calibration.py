@@ -1,8 +1,8 @@
 """Accuracy of the simulated camera with every knob turned, before and after it measured itself.
 
-    python benchmarks/daemon/calibration.py measure RECORD
-    python benchmarks/daemon/calibration.py chart RECORD docs/images/calibration.png
-    python benchmarks/daemon/calibration.py picture docs/images/calibration-record.png
+    python -m benchmarks.daemon.calibration measure RECORD
+    python -m benchmarks.daemon.calibration chart RECORD docs/images/calibration.png
+    python -m benchmarks.daemon.calibration picture docs/images/calibration-record.png
 
 where RECORD is ``benchmarks/results/daemon-calibration.json``.
 
@@ -14,10 +14,6 @@ calibration is refused, there is no "after".
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import json
 import math

@@ -1,6 +1,6 @@
 """Why a calibration of the simulated camera finds the sensor too near: its light comes off a grid.
 
-    python benchmarks/daemon/distance.py --figures benchmarks/results/daemon-calibration.json
+    python -m benchmarks.daemon.distance --figures benchmarks/results/daemon-calibration.json
 
 A small camera as drawn, without noise: white card and lamp behind six random patterns, the light
 once off grids that get finer, once by the operator that is fitted; then the fit of a calibration.
@@ -8,17 +8,12 @@ once off grids that get finer, once by the operator that is fitted; then the fit
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
@@ -31,7 +26,6 @@ from veilcam_server.calibration import Geometry
 from veilcam_server.calibration.alignment import Sight, align
 from veilcam_server.calibration.targets import lamp, white
 from veilcam_server.devices.simulated.device import TOLERANCE
-from veilcam_training.experiments.records import record_figures
 
 GEOMETRY = Geometry(
     Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)
@@ -54,7 +48,7 @@ def distance(model: Model, weights: torch.Tensor) -> float:
 
 
 def main(
-    figures: Annotated[Path | None, typer.Option(help="Record to write into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Fit the light of every grid, and that of the operator."""
     torch.set_num_threads(1)
@@ -73,8 +67,7 @@ def main(
     values["distance_transfer_um"] = distance(exact, weights)
     for name, value in values.items():
         print(f"{name}: {value:.1f}", flush=True)
-    if figures is not None:
-        record_figures(figures, values)
+    record(figures, values)
 
 
 if __name__ == "__main__":

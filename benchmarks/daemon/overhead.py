@@ -1,6 +1,6 @@
 """What the daemon adds to the device's own time, as eight clients see it.
 
-    python benchmarks/daemon/overhead.py --figures benchmarks/results/daemon.json
+    python -m benchmarks.daemon.overhead --figures benchmarks/results/daemon.json
 
 Run it on a quiet machine: the figures are of milliseconds, and a busy scheduler adds as many.
 
@@ -19,25 +19,21 @@ from __future__ import annotations
 
 import asyncio
 import os
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from http.client import HTTPConnection
-from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
 import numpy as np
 import typer
+from benchmarks.figures import FiguresOption, record
+from benchmarks.rig import prompt_daemon, work_folder
 
 from veilcam_client import AsyncCamera
 from veilcam_client.wire.captures import Classification, Timing
-from veilcam_server.demo.daemon import running
-from veilcam_server.demo_data import KEYRING, load_digits
-from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_training.experiments.records import record_figures
 
 WARM_UP = 5
 """Requests of each client that do not count."""
@@ -132,35 +128,30 @@ def main(
     *,
     clients: Annotated[int, typer.Option(min=1, help="At the same time.")] = 8,
     count: Annotated[int, typer.Option(min=1, help="Requests of each client.")] = 500,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Measure what a classification costs beyond the device's own time."""
     # All clients are one peer, and ask as often as they can.
     os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
-    with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
-        directory = Path(temporary)
-        scene = directory / "scene.npy"
-        write_scene(scene, load_digits().images[0])
-        # One more than there are clients: none is turned away, whatever the order of things.
-        options = ("--settle", "0", "--exposure", "0", "--queue-limit", str(clients + 1))
-        values: dict[str, float] = {}
-        with running(KEYRING, scene, directory, *options) as url:
-            for name, measure in {"": plain_clients, "sdk_": sdk_clients}.items():
-                begun = time.perf_counter()
-                requests = measure(url, clients, count)
-                rate = clients * (WARM_UP + count) / (time.perf_counter() - begun)
-                load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
-                print(
-                    f"{len(requests)} requests of {clients} {'SDK' if name else 'plain'} clients, "
-                    f"{rate:.0f} a second; load {load}"
-                )
-                describe(requests)
-                overheads = [1e3 * request.overhead for request in requests]
-                median, last = np.percentile(overheads, (50, 99))
-                values[f"overhead_{name}median_ms"] = round(float(median), 3)
-                values[f"overhead_{name}p99_ms"] = round(float(last), 3)
-    if figures is not None:
-        record_figures(figures, values)
+    # One more than there are clients: none is turned away, whatever the order of things.
+    options = ("--queue-limit", str(clients + 1))
+    values: dict[str, float] = {}
+    with work_folder() as folder, prompt_daemon(folder, *options) as url:
+        for name, measure in {"": plain_clients, "sdk_": sdk_clients}.items():
+            begun = time.perf_counter()
+            requests = measure(url, clients, count)
+            rate = clients * (WARM_UP + count) / (time.perf_counter() - begun)
+            load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+            print(
+                f"{len(requests)} requests of {clients} {'SDK' if name else 'plain'} clients, "
+                f"{rate:.0f} a second; load {load}"
+            )
+            describe(requests)
+            overheads = [1e3 * request.overhead for request in requests]
+            median, last = np.percentile(overheads, (50, 99))
+            values[f"overhead_{name}median_ms"] = round(float(median), 3)
+            values[f"overhead_{name}p99_ms"] = round(float(last), 3)
+    record(figures, values)
 
 
 if __name__ == "__main__":

@@ -1,22 +1,21 @@
 """Bytes on the panel's bus for one mask change, counted by the emulator below it.
 
-    python benchmarks/daemon/spi.py --figures benchmarks/results/daemon.json
+    python -m benchmarks.daemon.spi --figures benchmarks/results/daemon.json
 
 Every mask is compared with what the emulated panel then shows.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS
-from veilcam_training.experiments.records import record_figures
 
 
 def most_bytes(tab: str, masks: int) -> int:
@@ -48,14 +47,13 @@ def most_bytes(tab: str, masks: int) -> int:
 def main(
     *,
     masks: Annotated[int, typer.Option(min=1, help="Random masks for each tab.")] = 1000,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Count what a mask change costs on the bus."""
     counts = {tab: most_bytes(tab, masks) for tab in TABS}
     for tab, count in counts.items():
         print(f"{tab} tab: {count} bytes a mask, of {FULL_FRAME} for the whole frame")
-    if figures is not None:
-        record_figures(figures, {"spi_bytes_mask_change": max(counts.values())})
+    record(figures, {"spi_bytes_mask_change": max(counts.values())})
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Fifty listeners to the events of a daemon at work: none may miss, repeat or reorder one.
 
-    python benchmarks/daemon/sse.py --figures benchmarks/results/daemon.json
+    python -m benchmarks.daemon.sse --figures benchmarks/results/daemon.json
 
 A real daemon on a simulated device classifies at an even pace, which makes two events each time.
 Every listener is a client of the SDK with a connection of its own. One listener more opens the
@@ -13,25 +13,21 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
 import numpy as np
 import typer
+from benchmarks.figures import FiguresOption, record
+from benchmarks.rig import prompt_daemon, work_folder
 
 from veilcam_client import AsyncCamera
 from veilcam_client.http.sse import Decoder
 from veilcam_client.wire.captures import EveryCaptures, RotationOff
 from veilcam_client.wire.events import EVENT, Event, Gap, RotationChanged
-from veilcam_server.demo.daemon import running
-from veilcam_server.demo_data import KEYRING, load_digits
-from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_training.experiments.records import record_figures
 
 PATIENCE = 30.0
 """Longest wait for the last event [s]."""
@@ -167,15 +163,11 @@ def main(
     listeners: Annotated[int, typer.Option(min=1, help="At the same time.")] = 50,
     rate: Annotated[float, typer.Option(min=1, help="Events a second.")] = 30.0,
     seconds: Annotated[float, typer.Option(min=0.1, help="How long.")] = 90.0,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Look for events that a listener missed, heard twice or in another order."""
-    with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
-        directory = Path(temporary)
-        scene = directory / "scene.npy"
-        write_scene(scene, load_digits().images[0])
-        with running(KEYRING, scene, directory, "--settle", "0", "--exposure", "0") as url:
-            heard, slow, reached = asyncio.run(measure(url, listeners, rate, seconds))
+    with work_folder() as folder, prompt_daemon(folder) as url:
+        heard, slow, reached = asyncio.run(measure(url, listeners, rate, seconds))
     delays = [1e3 * delay for one in heard for delay in one.delays]
     middle, last = np.percentile(delays, (50, 99))
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
@@ -188,8 +180,7 @@ def main(
         f"who did not read: {slow.told} missed and told so, {slow.silent} without a word, "
         f"{slow.repeated} repeated"
     )
-    if figures is not None:
-        record_figures(figures, {"sse_gaps": missing(heard)})
+    record(figures, {"sse_gaps": missing(heard)})
     if missing(heard) or slow.repeated or slow.silent:
         raise SystemExit(1)
 

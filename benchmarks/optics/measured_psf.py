@@ -6,14 +6,10 @@ The panel is displaced, turned, of the wrong gamma and never quite dark; the pho
 noise, a background and 12 bits; the background is then removed as from any photograph. No real
 camera has been measured yet: what comes of this file is called measured for want of one.
 
-    python benchmarks/optics/measured_psf.py data/measured-psf.npz
+    python -m benchmarks.optics.measured_psf data/measured-psf.npz
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import tempfile
 from pathlib import Path

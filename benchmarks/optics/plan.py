@@ -11,14 +11,10 @@ Over many random cameras, scenes, embeddings, conditions and tolerances, all fro
 
 At the end the step of the leanest plan and of one with every effect on are timed side by side.
 
-    python benchmarks/optics/plan.py --figures benchmarks/results/optics.json
+    python -m benchmarks.optics.plan --figures benchmarks/results/optics.json
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import math
 import random
@@ -32,6 +28,7 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import record
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -46,7 +43,6 @@ from veilcam_optics.plan.search import MAX_NUMBERS
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
 from veilcam_optics.transfer.reference import reference_transfer
-from veilcam_training.experiments.records import record_figures
 
 BATCH = 64
 EMBEDDINGS = ((1, 1), (3, 4), (6, 8), (12, 16), (13, 17), (24, 32), (27, 36), (48, 64))
@@ -483,9 +479,9 @@ def main(
             console.print(describe(results[-1]), highlight=False, markup=False)
     report(console, results)
     steps = side_by_side(console, rounds)
-    if figures is not None and not quick:
+    if not quick:
         reaching = [result.ratio for result in results if result.chosen.reached]
-        record_figures(
+        record(
             figures,
             {
                 "plan_honest_fraction": sum(r.honest for r in results) / len(results),

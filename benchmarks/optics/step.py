@@ -14,14 +14,10 @@ waveprop must be installed (docs/accuracy.md says how); without it its figures a
 
 Scenes are MNIST's digits: the operator leaves out pixels that are black in a whole batch.
 
-    python benchmarks/optics/step.py --data data/mnist --figures benchmarks/results/optics.json
+    python -m benchmarks.optics.step --data data/mnist --figures benchmarks/results/optics.json
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import resource
 import statistics
@@ -34,6 +30,7 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
@@ -47,7 +44,6 @@ from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_training.data import open_source
-from veilcam_training.experiments.records import record_figures
 
 SNR_DB = 40.0
 IMAGES = 1024
@@ -230,7 +226,7 @@ def main(
     *,
     data: Annotated[Path, typer.Option(help="Folder with MNIST's four idx files.")],
     rounds: Annotated[int, typer.Option(min=1, help="Turns that everyone takes.")] = 9,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
     only_train: Annotated[bool, typer.Option("--only-train", hidden=True)] = False,
 ) -> None:
     """Print every figure; record them."""
@@ -253,8 +249,7 @@ def main(
     values["step_ratio_learned_over_fixed_b512"] = compare_masks(images, rounds)
     for name, value in values.items():
         print(f"{name:42s} {value:10.3g}")
-    if figures is not None:
-        record_figures(figures, {name: float(f"{value:.4g}") for name, value in values.items()})
+    record(figures, {name: float(f"{value:.4g}") for name, value in values.items()})
 
 
 if __name__ == "__main__":

@@ -1,32 +1,27 @@
 """How far the 24 x 32 transfer of a 28 x 28 scene is from the whole field, sampled 16 times finer.
 
-python benchmarks/optics/transfer_error.py --figures benchmarks/results/main-job.json
+python -m benchmarks.optics.transfer_error --figures benchmarks/results/main-job.json
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-from pathlib import Path
 from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.accuracy import relative_error
 from veilcam_optics.accuracy.psf_methods import example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer
-from veilcam_training.experiments.records import record_figures
 
 
 def main(
     *,
     oversampling: Annotated[int, typer.Option(min=1, help="Cells per 12.4 um.")] = 16,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Print the relative L2 error of the default operator; record it."""
     torch.set_num_threads(1)
@@ -35,8 +30,7 @@ def main(
     truth = reference_transfer(camera, scene, embedding, weights, oversampling=oversampling)
     error = relative_error(TransferOperator(camera, scene, embedding)(weights.float()), truth)
     print(f"transfer error against {oversampling}x: {error:.2e}")
-    if figures is not None:
-        record_figures(figures, {"transfer_error_24x32": float(f"{error:.3g}")})
+    record(figures, {"transfer_error_24x32": float(f"{error:.3g}")})
 
 
 if __name__ == "__main__":

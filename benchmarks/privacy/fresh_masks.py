@@ -1,14 +1,10 @@
 """What fresh masks cost and what they keep: accuracy, time, release forms. One command a figure.
 
-``python benchmarks/privacy/fresh_masks.py accuracy mnist_24x32 --data data/mnist
+``python -m benchmarks.privacy.fresh_masks accuracy mnist_24x32 --data data/mnist
 --work runs/mnist_24x32 --figures benchmarks/results/fresh-masks.json``
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import statistics
 import time
@@ -18,6 +14,7 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 from torch import Tensor
 
@@ -40,7 +37,6 @@ from veilcam_training.config.fresh import TASKS, find_settings
 from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.encoders.fresh import CHANNELS, FreshCamera, scene_statistics
 from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
-from veilcam_training.experiments.records import record_figures
 from veilcam_training.models.fresh import make_fresh_layers, multiplications
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.trainer.fresh_loop import fit_fresh
@@ -49,7 +45,6 @@ from veilcam_training.trainer.loop import Epoch
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
 Data = Annotated[Path, typer.Option(help="Folder that holds the data set's files.")]
-Figures = Annotated[Path | None, typer.Option(help="Record to write figures into.")]
 
 
 class Log:
@@ -78,7 +73,7 @@ def accuracy(
     masks: Annotated[
         int | None, typer.Option(min=1, help="Masks to test on; one a capture by default.")
     ] = None,
-    figures: Figures = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Fit one classifier for all masks and test it once, on masks that it has never seen."""
     settings, camera = find_settings(task), Camera()
@@ -103,19 +98,18 @@ def accuracy(
         write_bundle(
             work / f"{task}.veilcam", as_fresh_bundle(outcome, source, camera, device="camera")
         )
-    if figures is not None:
-        record_figures(
-            figures,
-            {
-                f"fresh_{task}": round(percent, 2),
-                f"fresh_{task}_wrong_key": round(100 * outcome.wrong_key.accuracy, 2),
-                f"fresh_{task}_mask_bits": round(outcome.fit.distribution.bits),
-            },
-        )
+    record(
+        figures,
+        {
+            f"fresh_{task}": round(percent, 2),
+            f"fresh_{task}_wrong_key": round(100 * outcome.wrong_key.accuracy, 2),
+            f"fresh_{task}_mask_bits": round(outcome.fit.distribution.bits),
+        },
+    )
 
 
 @app.command()
-def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
+def timing(*, data: Data, rounds: int = 30, figures: FiguresOption = None) -> None:
     """Time one epoch's preparation, and decoding with classification of one capture, 24x32."""
     fresh, images = _camera(data)
     weights = _masks(rounds)
@@ -133,19 +127,20 @@ def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
     print(
         f"prepare {prepare:.1f} ms, decode and classify {classify:.2f} ms, {macs / 1e6:.1f} M MACs"
     )
-    if figures is not None:
-        record_figures(
-            figures,
-            {
-                "prepare_ms": round(prepare, 2),
-                "decode_classify_ms": round(classify, 3),
-                "classifier_macs": macs,
-            },
-        )
+    record(
+        figures,
+        {
+            "prepare_ms": round(prepare, 2),
+            "decode_classify_ms": round(classify, 3),
+            "classifier_macs": macs,
+        },
+    )
 
 
 @app.command()
-def clusters(*, data: Data, masks: int = 10, captures: int = 200, figures: Figures = None) -> None:
+def clusters(
+    *, data: Data, masks: int = 10, captures: int = 200, figures: FiguresOption = None
+) -> None:
     """Cluster released embeddings without a key; chance has an adjusted Rand index of 0."""
     fresh, images = _camera(data)
     generator = torch.Generator().manual_seed(7)
@@ -180,8 +175,7 @@ def clusters(*, data: Data, masks: int = 10, captures: int = 200, figures: Figur
         }
         print(form.value, {name: round(value, 4) for name, value in indices.items()}, flush=True)
         values[f"cluster_ari_{form.value}"] = round(max(map(abs, indices.values())), 4)
-    if figures is not None:
-        record_figures(figures, values)
+    record(figures, values)
 
 
 @app.command()
@@ -192,7 +186,7 @@ def keyless(
     exponent: Annotated[float, typer.Option(help="Of the masks' distribution.")] = 1.0,
     epochs: int = 6,
     images: int = 20_000,
-    figures: Figures = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Classify released embeddings without a key: what a form does not hide. Chance is 10 %."""
     settings = find_settings("mnist_24x32", exponent=exponent, epochs=epochs, augmentation=None)
@@ -206,9 +200,8 @@ def keyless(
     result = fit_fresh(attacked, layers, parts, observers=[Log()])
     percent = 100 * result.best.validation_accuracy
     print(f"{form}, exponent {exponent:g}: {percent:.2f} % of validation images, unseen masks")
-    if figures is not None:
-        name = f"keyless_accuracy_{form}" + ("" if exponent == 1 else f"_exponent{exponent:g}")
-        record_figures(figures, {name: round(percent, 2)})
+    name = f"keyless_accuracy_{form}" + ("" if exponent == 1 else f"_exponent{exponent:g}")
+    record(figures, {name: round(percent, 2)})
 
 
 @app.command()
@@ -219,7 +212,7 @@ def dials(
     picture: Annotated[Path, typer.Option(help="Chart to write, .png or .svg.")],
     images: int = 2000,
     masks: int = 40,
-    figures: Figures = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Chart errors against preparation time over rank, precision and interfering terms.
 
@@ -298,8 +291,7 @@ def dials(
     axes.legend()
     figure.tight_layout()
     figure.savefig(picture, dpi=120)
-    if figures is not None:
-        record_figures(figures, values)
+    record(figures, values)
 
 
 def _camera(data: Path) -> tuple[FreshCamera, Images]:

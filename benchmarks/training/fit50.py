@@ -4,7 +4,7 @@
 minutes on two A5000 GPUs. The time is that of the epochs, validation included. The load average is
 printed beside it, because whatever else the machine does takes its share.
 
-    python benchmarks/training/fit50.py --data data/mnist --figures benchmarks/results/training.json
+    python -m benchmarks.training.fit50 --data data/mnist --figures benchmarks/results/training.json
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Situation, find_recipe
 from veilcam_training.data import open_source, split
 from veilcam_training.experiments.fit import Settings, make_model
-from veilcam_training.experiments.records import record_figures
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.trainer.loop import fit
 
@@ -36,7 +36,7 @@ def main(
     ),
     seed: int = 0,
     threads: Annotated[int, typer.Option(min=1)] = 2,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Fit, print minutes and validation accuracy, and record them."""
     torch.set_num_threads(threads)
@@ -62,11 +62,10 @@ def main(
         f"validation {percent:.2f} %  load average {before:.1f} before, {os.getloadavg()[0]:.1f} "
         "after (1 minute)"
     )
-    if figures is not None:
-        record_figures(
-            figures,
-            {"fit50_minutes": round(minutes, 2), "fit50_validation_percent": round(percent, 2)},
-        )
+    record(
+        figures,
+        {"fit50_minutes": round(minutes, 2), "fit50_validation_percent": round(percent, 2)},
+    )
 
 
 if __name__ == "__main__":

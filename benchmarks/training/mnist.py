@@ -2,27 +2,23 @@
 
 54,000 training images, 6,000 to select the epoch, one look at the 10,000 test images.
 
-    python benchmarks/training/mnist.py --data data/mnist --figures benchmarks/results/main-job.json
+    python -m benchmarks.training.mnist --data data/mnist --figures benchmarks/results/main-job.json
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from pathlib import Path
 from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Situation, find_recipe
 from veilcam_training.data import open_source
 from veilcam_training.experiments.fit import Settings, run_job
-from veilcam_training.experiments.records import record_figures
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 
 
@@ -31,7 +27,7 @@ def main(
     data: Annotated[Path, typer.Option(help="Folder with MNIST's four idx files.")],
     seed: int = 0,
     threads: Annotated[int, typer.Option(min=1)] = 1,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Fit, print the accuracy and record it in percent."""
     torch.set_num_threads(threads)
@@ -46,8 +42,7 @@ def main(
         f"validation {100 * outcome.fit.best.validation_accuracy:.2f} %  test {percent:.2f} %  "
         f"{seconds:.0f} s"
     )
-    if figures is not None:
-        record_figures(figures, {"mnist_lr_learned_24x32": round(percent, 2)})
+    record(figures, {"mnist_lr_learned_24x32": round(percent, 2)})
 
 
 if __name__ == "__main__":

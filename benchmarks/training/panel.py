@@ -4,14 +4,10 @@ Two fits with one seed: one expects an ideal panel, the other one that is displa
 gamma and never quite dark (`panel_errors`). Both are then shown by the same panels, each wrong in
 its own way, none of which was drawn in training. Validation images, noise included.
 
-    python benchmarks/training/panel.py --data data/mnist --figures benchmarks/results/training.json
+    python -m benchmarks.training.panel --data data/mnist --figures benchmarks/results/training.json
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +16,7 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 from rich.table import Table
 
@@ -30,7 +27,6 @@ from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.encoders import FixedEncoder, Mask, PanelErrors
 from veilcam_training.encoders.imperfections import make_operators
 from veilcam_training.experiments.fit import Settings, make_model
-from veilcam_training.experiments.records import record_figures
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import stream
@@ -96,7 +92,7 @@ def main(
     embedding: str = "12x16",
     epochs: Annotated[int, typer.Option(min=1)] = 15,
     seed: int = 0,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Print accuracies and record them."""
     torch.set_num_threads(1)
@@ -122,8 +118,7 @@ def main(
             f"panel_trained_{name}_shown_erring": round(mean(wrong), 2),
         }
     Console().print(table)
-    if figures is not None:
-        record_figures(figures, values)
+    record(figures, values)
 
 
 if __name__ == "__main__":

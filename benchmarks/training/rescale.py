@@ -4,7 +4,7 @@ Takes the bundle of a finished cell (`veilcam-train table robust --changes resca
 the validation images at heights drawn as in training, noise included. Beside it, how many
 millimetres the digit's shadow measures on the sensor, and how many boxes of the embedding that is.
 
-    python benchmarks/training/rescale.py --data data/mnist --bundle PAIR.veilcam
+    python -m benchmarks.training.rescale --data data/mnist --bundle PAIR.veilcam
 """
 
 from __future__ import annotations

@@ -5,27 +5,22 @@ runs: gather, encode, noise, classify, backward, Adam, projection. A fixed mask 
 with its readings computed once for all epochs, which is what fitting does, and with the scenes
 encoded in every step, which is what any changing scene needs.
 
-    python benchmarks/training/step.py --figures benchmarks/results/main-job.json
+    python -m benchmarks.training.step --figures benchmarks/results/main-job.json
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import statistics
 import time
-from pathlib import Path
 from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Images
 from veilcam_training.encoders import Setup, make_encoder
-from veilcam_training.experiments.records import record_figures
 from veilcam_training.models.classifiers import Task, make_layers
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import seeded, stream
@@ -62,7 +57,7 @@ def main(
     *,
     steps: Annotated[int, typer.Option(min=3, help="Timed steps of each kind.")] = 60,
     threads: Annotated[int, typer.Option(min=1)] = 1,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Print the median step of each kind; record the ratio of learned to fixed at batch 512."""
     torch.set_num_threads(threads)
@@ -88,9 +83,8 @@ def main(
         for name in ("fixed", "fixed, encoded each step"):
             ratio = medians["learned", batch] / medians[name, batch]
             print(f"batch {batch:4d}  learned / {name}: {ratio:.2f}")
-    if figures is not None:
-        ratios = [medians["learned", batch] / medians["fixed", batch] for batch in (64, 512)]
-        record_figures(figures, {"step_ratio_learned_over_fixed": round(max(ratios), 3)})
+    ratios = [medians["learned", batch] / medians["fixed", batch] for batch in (64, 512)]
+    record(figures, {"step_ratio_learned_over_fixed": round(max(ratios), 3)})
 
 
 if __name__ == "__main__":

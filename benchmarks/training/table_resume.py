@@ -4,15 +4,11 @@ A part of the MNIST table is run by ``veilcam-train table`` in a process of its 
 with SIGKILL in the middle of every cell and started again; then the same part is run unbroken into
 another folder. All numbers, confusion matrices, masks and weights must be equal, bit by bit.
 
-    python benchmarks/training/table_resume.py --data data/mnist \
+    python -m benchmarks.training.table_resume --data data/mnist \
         --figures benchmarks/results/training.json
 """
 
 from __future__ import annotations
-
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import subprocess
 import sys
@@ -23,9 +19,9 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 
 from veilcam_training.bundle import read_bundle
-from veilcam_training.experiments.records import record_figures
 from veilcam_training.experiments.results import BUNDLE, CHECKPOINT, RESULT, load_results
 
 PART = (
@@ -40,7 +36,7 @@ def main(
     *,
     data: Annotated[Path, typer.Option(help="Folder with MNIST's four idx files.")],
     epochs: Annotated[int, typer.Option(min=2)] = 4,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Run it both ways and compare."""
     with tempfile.TemporaryDirectory() as folder:
@@ -54,8 +50,7 @@ def main(
         print(f"{kills} kills in {len(cells(whole))} cells: {'the same' if same else 'DIFFERENT'}")
     if kills == 0:
         raise SystemExit("no cell could be killed before it was finished: use more epochs")
-    if figures is not None:
-        record_figures(figures, {"resume_identical": float(same)})
+    record(figures, {"resume_identical": float(same)})
 
 
 def run(options: list[str]) -> subprocess.Popen[bytes]:

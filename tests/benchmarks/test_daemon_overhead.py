@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from tests.server.scripts import load_script
+from benchmarks.daemon import overhead
 
 from veilcam_client.wire.captures import Timing
-
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "daemon" / "overhead.py"
 
 
 def test_overhead_is_what_the_device_did_not_take() -> None:
@@ -24,22 +20,20 @@ def test_overhead_is_what_the_device_did_not_take() -> None:
         inference_s=0.03,
         total_s=0.45,
     )
-    request = load_script(SCRIPT).Request(0.5, timing)
+    request = overhead.Request(0.5, timing)
     assert request.device == pytest.approx(0.39)
     assert request.overhead == pytest.approx(0.11)
 
 
-def test_figures_of_clients_at_the_same_time(tmp_path: Path) -> None:
+def test_figures_of_clients_at_the_same_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VEILCAM_RATE_LIMIT", "set again by the measurement, and put back here")
     figures = tmp_path / "figures.json"
-    result = subprocess.run(
-        [sys.executable, str(SCRIPT), "--clients", "2", "--count", "3", "--figures", str(figures)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert "6 requests of 2 plain clients" in result.stdout
-    assert "6 requests of 2 SDK clients" in result.stdout
+    overhead.main(clients=2, count=3, figures=figures)
+    said = capsys.readouterr().out
+    assert "6 requests of 2 plain clients" in said
+    assert "6 requests of 2 SDK clients" in said
     record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
     assert record.keys() == {
         f"overhead_{name}{figure}_ms" for name in ("", "sdk_") for figure in ("median", "p99")

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.server.scripts import load_script
+from benchmarks.daemon import sse
 
 from veilcam_client.http.sse import Decoder
 from veilcam_client.wire.events import EVENT, Event, Gap, MaskChanged
@@ -23,13 +20,7 @@ if TYPE_CHECKING:
     from starlette.types import Message
     from tests.server.conftest import Bench
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "daemon" / "sse.py"
 NOW = datetime.now(UTC)
-
-
-@pytest.fixture(scope="module")
-def benchmark() -> ModuleType:
-    return load_script(SCRIPT)
 
 
 def mask(place: int) -> Event:
@@ -53,25 +44,25 @@ def gap(place: int, missed: int | None) -> Event:
     ],
 )
 def test_what_is_missed_or_repeated_is_counted(
-    benchmark: ModuleType, events: list[Event], told: int, silent: int, repeated: int
+    events: list[Event], told: int, silent: int, repeated: int
 ) -> None:
-    heard = benchmark.Heard()
+    heard = sse.Heard()
     for event in events:
         heard.hear(event)
     assert (heard.told, heard.silent, heard.repeated) == (told, silent, repeated)
-    whole = benchmark.Heard()
+    whole = sse.Heard()
     for place in range(3, 10):
         whole.hear(mask(place))
-    assert benchmark.missing([whole]) == 0
-    assert benchmark.missing([whole, heard]) >= told + silent + repeated
+    assert sse.missing([whole]) == 0
+    assert sse.missing([whole, heard]) >= told + silent + repeated
 
 
-def test_a_listener_that_never_heard_the_end_is_counted(benchmark: ModuleType) -> None:
-    first, second = benchmark.Heard(), benchmark.Heard()
+def test_a_listener_that_never_heard_the_end_is_counted() -> None:
+    first, second = sse.Heard(), sse.Heard()
     for place in range(5):
         first.hear(mask(place))
     second.hear(mask(0))
-    assert benchmark.missing([first, second]) == 1
+    assert sse.missing([first, second]) == 1
 
 
 @pytest.mark.anyio
@@ -134,17 +125,10 @@ async def test_who_does_not_read_slows_nobody_and_is_told_what_it_missed(bench: 
     assert gaps[0].missed > 400
 
 
-def test_listeners_of_a_daemon_miss_nothing(tmp_path: Path) -> None:
+def test_listeners_of_a_daemon_miss_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     figures = tmp_path / "figures.json"
-    result = subprocess.run(
-        [
-            *(sys.executable, str(SCRIPT), "--listeners", "6", "--seconds", "0.5"),
-            *("--figures", str(figures)),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert "who did not read: 0 missed" in result.stdout
+    sse.main(listeners=6, seconds=0.5, figures=figures)
+    assert "who did not read: 0 missed" in capsys.readouterr().out
     assert json.loads(figures.read_text())["sse_gaps"]["value"] == 0

@@ -15,7 +15,7 @@ def test_figures_are_those_of_the_result_files() -> None:
     script = runpy.run_path(str(ROOT / "benchmarks" / "readme_figures.py"))
     for name in script["PAGES"]:
         page = (ROOT / name).read_text()
-        assert script["with_tables"](name, page) == page, "run python benchmarks/readme_figures.py"
+        assert script["with_tables"](name, page) == page, "run python -m benchmarks.readme_figures"
 
 
 def test_links_lead_somewhere() -> None:

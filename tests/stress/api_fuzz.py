@@ -1,6 +1,6 @@
 """Every route of the API under made-up requests, by callers of every kind; nothing secret leaves.
 
-    python tests/stress/api_fuzz.py --figures benchmarks/results/daemon.json
+    python -m tests.stress.api_fuzz --figures benchmarks/results/daemon.json
 
 Schemathesis makes requests from the daemon's own OpenAPI document, valid ones and others. A real
 daemon gets them over TCP, from callers with each single scope, with all, with none, and with tokens
@@ -8,162 +8,55 @@ that are revoked or missing; once with stored masks and raw embeddings, once wit
 white ones. No answer may be a 5xx but a documented 503, nor have a status, a media type or a shape
 that the document does not name.
 
-Then every byte that left is searched for what must not leave: levels of masks, weights of
-classifiers and decoders, the mask secret, and tokens. They are searched as raw bytes, in
-hexadecimal and base64, and as numbers in text, levels also as fractions. What left is every header
+Then every byte that left is searched for what must not leave (``leaks``). What left is every header
 and body, the log, the metrics, the events and the audit files.
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import base64
 import hashlib
 import json
+import os
 import re
 import sqlite3
-import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import hypothesis
-import numpy as np
-import numpy.typing as npt
 import requests
 import schemathesis
-import torch
 import typer
+from benchmarks.figures import FiguresOption, record
+from benchmarks.rig import work_folder
 from hypothesis.errors import Unsatisfiable
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from rich.progress import track
 from schemathesis.core.result import Ok
+from tests.stress.leaks import Planted, plant, plant_fresh
 
 from veilcam_client.wire.tokens import SCOPES
-from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, KEYRING, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.security.audit import DONE, REFUSED
 from veilcam_server.security.tokens import TokenStore
-from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.experiments.records import record_figures
+from veilcam_training.bundle import read_bundle
 
-WINDOW = 12
-"""So many bytes or levels in a row are a leak; a run of twice as many is found surely."""
-DISTINCT = 5
-"""Windows of fewer values than this, such as dark areas of a mask, tell nothing."""
-NUMBERS = 3
-"""So many weights in a row, to five digits, are a leak."""
 EVENTS, LISTENED = 2048, 1.0
 """Of an event stream so much is read [bytes], and for so long [s]."""
-DECODERS = 3
-"""Of so many epochs the decoders are searched, which are large; the masks of all."""
 MORE = 5
 """So many times as many requests come from the caller with every scope."""
 PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
 
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_HEX = re.compile(rb"[0-9a-fA-F]{24,}")
 _UNIQUE = re.compile(
     rb"(?im)(^(x-request-id|date): .*$|\b(request_id|request|at|timestamp|ms)\b[^,}]*)"
 )
 """Of headers and log lines: what makes each different and holds nothing."""
-_BASE64 = re.compile(rb"[A-Za-z0-9+/_-]{16,}")
-
-
-class Planted:
-    """What must not leave, in the forms that it could leave in."""
-
-    def __init__(self) -> None:
-        self._bytes: dict[bytes, str] = {}
-        self._numbers: dict[tuple[str, ...], str] = {}
-
-    def add_bytes(self, name: str, content: bytes, step: int = WINDOW) -> None:
-        """Bytes, or numbers that fit in one."""
-        for start in range(0, len(content) - WINDOW + 1, step):
-            window = content[start : start + WINDOW]
-            if len(set(window)) >= DISTINCT:
-                self._bytes[window] = name
-
-    def add_levels(self, name: str, levels: npt.NDArray[np.uint8]) -> None:
-        """A mask, row by row and column by column."""
-        self.add_bytes(name, levels.tobytes())
-        self.add_bytes(name, np.ascontiguousarray(levels.T).tobytes())
-
-    def add_weights(self, name: str, values: npt.NDArray[Any]) -> None:
-        """Trained or derived numbers, of which the first 20,000 are searched."""
-        flat = values.astype(np.float64).ravel()[:20_000]
-        self.add_bytes(name, flat.astype(np.float32).tobytes(), 4)
-        self.add_bytes(name, flat.tobytes(), 8)
-        short = [_short(value) for value in flat.tolist()]
-        for start in range(len(short) - NUMBERS + 1):
-            row = tuple(short[start : start + NUMBERS])
-            if len(set(row)) == NUMBERS and not any(float(each).is_integer() for each in row):
-                self._numbers[row] = name
-
-    def found_in(self, content: bytes) -> set[str]:
-        """Names of what is in ``content``."""
-        found = set()
-        for form in _forms(content):
-            for start in range(len(form) - WINDOW + 1):
-                name = self._bytes.get(form[start : start + WINDOW])
-                if name is not None:
-                    found.add(name)
-        short = [_short(float(each)) for each in _numbers(content)]
-        for start in range(len(short) - NUMBERS + 1):
-            name = self._numbers.get(tuple(short[start : start + NUMBERS]))
-            if name is not None:
-                found.add(name)
-        return found
-
-
-def _short(value: float) -> str:
-    return f"{value:.4e}"
-
-
-def _numbers(content: bytes) -> list[str]:
-    return _NUMBER.findall(content.decode("latin-1").lower())
-
-
-def _forms(content: bytes) -> Iterator[bytes]:
-    """The content itself, and whatever could be written in it as text."""
-    yield content
-    for match in _HEX.findall(content):
-        for start in (0, 1):
-            digits = match[start:]
-            yield bytes.fromhex(digits[: len(digits) // 2 * 2].decode())
-    for match in _BASE64.findall(content):
-        standard = match.translate(bytes.maketrans(b"-_", b"+/"))
-        for start in range(4):
-            digits = standard[start:]
-            yield base64.b64decode(digits[: len(digits) // 4 * 4])
-    run = bytearray()
-    for number in _numbers(content):
-        level = _level(float(number))
-        if level is None:
-            yield bytes(run)
-            run.clear()
-        else:
-            run.append(level)
-    yield bytes(run)
-
-
-def _level(value: float) -> int | None:
-    """A byte, or a level written as a fraction of the brightest."""
-    if value.is_integer():
-        return int(value) if 0 <= value < 256 else None
-    if not 0 <= value <= 1:
-        return None
-    level = round(63 * value)
-    return level if abs(63 * value - level) < 1e-3 else None
 
 
 @dataclass
@@ -343,58 +236,6 @@ def make_callers(store: TokenStore) -> tuple[dict[str, str | None], list[str]]:
     return callers, [token.secret for token in (*made.values(), everything, revoked)]
 
 
-def plant(bundle: Bundle, tokens: Sequence[str]) -> Planted:
-    """What a daemon with this bundle and these tokens must not let out."""
-    planted = Planted()
-    for index, pair in enumerate(bundle.pairs):
-        planted.add_levels(f"mask {index}", pair.levels)
-        for name, weights in pair.weights.items():
-            planted.add_weights(f"weights of pair {index}, {name}", weights.numpy())
-    if bundle.fresh is not None:
-        for name, weights in bundle.fresh.weights.items():
-            planted.add_weights(f"weights, {name}", weights.numpy())
-    for token in tokens:
-        planted.add_bytes("a token", bytes.fromhex(token[16:]), 1)
-        planted.add_bytes("a token", token[16:].encode(), 1)
-    return planted
-
-
-def plant_fresh(planted: Planted, bundle: Bundle, secret: Secret, epochs: range) -> None:
-    """The secret, and what was derived from it."""
-    planted.add_bytes("the mask secret", secret.reveal(), 1)
-    source, fresh = FreshSource(bundle, secret, form="white"), bundle.fresh
-    assert fresh is not None
-    for number, counter in enumerate(track(epochs, "deriving masks")):
-        if number < DECODERS:
-            mask = source.make(counter, "")
-            planted.add_levels(f"mask of epoch {counter}", mask.levels)
-            for name, values in _tensors(mask.reader):
-                planted.add_weights(f"{name} of epoch {counter}", values)
-        else:
-            levels = epoch_levels(
-                secret,
-                fresh.device,
-                counter,
-                camera=bundle.camera,
-                distribution=fresh.distribution,
-            )
-            planted.add_levels(f"mask of epoch {counter}", levels)
-
-
-def _tensors(holder: object, name: str = "decoder", depth: int = 3) -> Iterator[tuple[str, Any]]:
-    """All arrays of an object and of its parts."""
-    for slot in [*getattr(holder, "__slots__", ()), *getattr(holder, "__dict__", ())]:
-        value = getattr(holder, slot, None)
-        if (
-            isinstance(value, torch.Tensor)
-            and value.is_floating_point()
-            and value.numel() > NUMBERS
-        ):
-            yield f"{name}.{slot}", value.numpy()
-        elif depth and type(value).__module__.startswith("veilcam"):
-            yield from _tensors(value, f"{name}.{slot}", depth - 1)
-
-
 @dataclass(frozen=True)
 class Setting:
     """One daemon to ask, and what it must keep."""
@@ -453,7 +294,7 @@ def main(
         int, typer.Option(min=1, help="Requests of each kind, operation and caller.")
     ] = 20,
     seed: Annotated[int, typer.Option(min=0, help="That requests are made from.")] = 1,
-    figures: Annotated[Path | None, typer.Option(help="Record to write figures into.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Ask the daemon everything, and search what it says for what it must not."""
     # What is asked here in a second, nobody asks in an hour.
@@ -461,10 +302,10 @@ def main(
     os.environ["VEILCAM_HEARTBEAT"] = "0.2"
     settings = (Setting(KEYRING, "raw"), Setting(FRESH, "white", Secret.generate()))
     defects, undocumented, leaks = list[str](), list[str](), list[str]()
-    with tempfile.TemporaryDirectory(prefix="veilcam-") as temporary:
+    with work_folder() as folder:
         for number, setting in enumerate(settings):
             begun = time.perf_counter()
-            findings, leaked = ask_daemon(setting, Path(temporary) / str(number), examples, seed)
+            findings, leaked = ask_daemon(setting, folder / str(number), examples, seed)
             defects += findings.defects
             undocumented += findings.undocumented
             leaks += leaked
@@ -480,15 +321,14 @@ def main(
         print(f"{name}: {len(found)}")
         for line in found[:20]:
             print(f"  {line}")
-    if figures is not None:
-        record_figures(
-            figures,
-            {
-                "fuzz_5xx": len(defects),
-                "fuzz_leaks": len(leaks),
-                "fuzz_undocumented": len(undocumented),
-            },
-        )
+    record(
+        figures,
+        {
+            "fuzz_5xx": len(defects),
+            "fuzz_leaks": len(leaks),
+            "fuzz_undocumented": len(undocumented),
+        },
+    )
     if defects or undocumented or leaks:
         raise SystemExit(1)
 

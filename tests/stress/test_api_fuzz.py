@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import importlib.util
 import json
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import structlog
 import uvicorn
+from tests.stress import api_fuzz, leaks
 
 from veilcam_server.api.app import create_app
 from veilcam_server.security.admission import Gateway
@@ -29,19 +27,6 @@ if TYPE_CHECKING:
     from tests.server.conftest import Bench
 
     from veilcam_training.bundle import Bundle
-
-SCRIPT = Path(__file__).parents[2] / "tests" / "stress" / "api_fuzz.py"
-
-
-@pytest.fixture(scope="module")
-def benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("daemon_fuzz_api", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -77,14 +62,15 @@ def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
 
 
 def test_nothing_fails_and_nothing_leaks(
-    benchmark: ModuleType, daemon: str, store: TokenStore, bench: Bench, tmp_path: Path
+    daemon: str, store: TokenStore, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    vars(benchmark).update(LISTENED=0.1, MORE=2)
-    callers, tokens = benchmark.make_callers(store)
-    fuzz = benchmark.Fuzz(daemon, callers, examples=1, seed=3)
+    monkeypatch.setattr(api_fuzz, "LISTENED", 0.1)
+    monkeypatch.setattr(api_fuzz, "MORE", 2)
+    callers, tokens = api_fuzz.make_callers(store)
+    fuzz = api_fuzz.Fuzz(daemon, callers, examples=1, seed=3)
     fuzz.run()
     found = fuzz.findings
-    planted = benchmark.plant(bench.bundle, tokens)
+    planted = leaks.plant(bench.bundle, tokens)
     for path in ("log", DONE, REFUSED):
         text = (tmp_path / path).read_bytes()
         assert text
@@ -122,9 +108,9 @@ def as_text(levels: Any) -> list[int]:
     ],
 )
 def test_levels_are_found_however_they_are_written(
-    benchmark: ModuleType, bundle: Bundle, write: Callable[[Any], bytes]
+    bundle: Bundle, write: Callable[[Any], bytes]
 ) -> None:
-    planted = benchmark.plant(bundle, [])
+    planted = leaks.plant(bundle, [])
     other = np.random.default_rng(1).integers(0, 64, bundle.pairs[1].levels.shape).astype(np.uint8)
     assert planted.found_in(write(bundle.pairs[1].levels)) == {"mask 1"}
     assert planted.found_in(write(other)) == set()
@@ -142,17 +128,17 @@ def test_levels_are_found_however_they_are_written(
     ],
 )
 def test_weights_are_found_however_they_are_written(
-    benchmark: ModuleType, bundle: Bundle, write: Callable[[Any], bytes]
+    bundle: Bundle, write: Callable[[Any], bytes]
 ) -> None:
-    planted = benchmark.plant(bundle, [])
+    planted = leaks.plant(bundle, [])
     weights = bundle.pairs[2].weights["0.weight"].numpy()
     assert planted.found_in(write(weights)) == {"weights of pair 2, 0.weight"}
     assert planted.found_in(write(weights + 1)) == set()
 
 
-def test_secrets_are_found(benchmark: ModuleType, bundle: Bundle, store: TokenStore) -> None:
+def test_secrets_are_found(bundle: Bundle, store: TokenStore) -> None:
     secret = store.create("x", ("classify",), None).secret
-    planted = benchmark.plant(bundle, [secret])
+    planted = leaks.plant(bundle, [secret])
     raw = bytes.fromhex(secret[16:])
     for content in (
         f"token={secret}".encode(),
@@ -164,13 +150,11 @@ def test_secrets_are_found(benchmark: ModuleType, bundle: Bundle, store: TokenSt
         assert planted.found_in(content) == {"a token"}
 
 
-def test_masks_and_decoders_of_fresh_epochs_are_found(
-    benchmark: ModuleType, fresh_bundle: Bundle, secret: Any
-) -> None:
+def test_masks_and_decoders_of_fresh_epochs_are_found(fresh_bundle: Bundle, secret: Any) -> None:
     from veilcam_server.masks.fresh import FreshSource
 
-    planted = benchmark.Planted()
-    benchmark.plant_fresh(planted, fresh_bundle, secret, range(70, 75))
+    planted = leaks.Planted()
+    leaks.plant_fresh(planted, fresh_bundle, secret, range(70, 75))
     source = FreshSource(fresh_bundle, secret, form="white")
     for counter in (70, 74):
         levels = source.make(counter, "").levels
@@ -185,13 +169,13 @@ def test_masks_and_decoders_of_fresh_epochs_are_found(
 
 
 def test_a_defect_and_what_is_not_documented_are_noticed(
-    benchmark: ModuleType, daemon: str, store: TokenStore, bench: Bench
+    daemon: str, store: TokenStore, bench: Bench
 ) -> None:
     def fail() -> None:
         raise RuntimeError(json.dumps(bench.bundle.pairs[0].levels.tolist()))
 
-    callers, _ = benchmark.make_callers(store)
-    fuzz = benchmark.Fuzz(daemon, callers, examples=1, seed=3)
+    callers, _ = api_fuzz.make_callers(store)
+    fuzz = api_fuzz.Fuzz(daemon, callers, examples=1, seed=3)
     bench.sensor.before = fail
     fuzz._send("everything", "POST", "/v1/captures", {"url": f"{daemon}/v1/captures"})
     assert fuzz.findings.defects == ["POST /v1/captures as everything: 500"]

@@ -6,28 +6,24 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
-from tests.server.scripts import load_script
+from tests.stress import bundle_fuzz as fuzz
+from tests.stress.mutations import MUTATIONS, mutated
+from tests.stress.samples import make_bundles
 
 from veilcam_training.bundle import write_bundle
 
-SCRIPT = Path(__file__).parents[2] / "tests" / "stress" / "bundle_fuzz.py"
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def fuzz() -> ModuleType:
-    return load_script(SCRIPT)
-
-
-@pytest.fixture(scope="module")
-def data(fuzz: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+def data(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     path = tmp_path_factory.mktemp("bundles") / "a.veilcam"
     made = []
     with torch.random.fork_rng():
-        bundles = fuzz.make_bundles()
+        bundles = make_bundles()
     for bundle in bundles:
         write_bundle(path, bundle)
         made.append(path.read_bytes())
@@ -38,9 +34,10 @@ def test_mutated_bundles_do_no_harm(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     result = subprocess.run(
         [
-            *(sys.executable, str(SCRIPT), "--files", "200", "--live", "20"),
+            *(sys.executable, "-m", "tests.stress.bundle_fuzz", "--files", "200", "--live", "20"),
             *("--figures", str(figures)),
         ],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
@@ -53,9 +50,9 @@ def test_mutated_bundles_do_no_harm(tmp_path: Path) -> None:
     assert counts["same"] > 0
 
 
-def test_every_seed_gives_the_same_file_again(fuzz: ModuleType, data: list[bytes]) -> None:
-    for seed in range(len(fuzz.MUTATIONS)):
-        assert fuzz.mutated(seed, data) == fuzz.mutated(seed, data)
+def test_every_seed_gives_the_same_file_again(data: list[bytes]) -> None:
+    for seed in range(len(MUTATIONS)):
+        assert mutated(seed, data) == mutated(seed, data)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +66,6 @@ def test_every_seed_gives_the_same_file_again(fuzz: ModuleType, data: list[bytes
 )
 def test_harm_is_noticed(
     *,
-    fuzz: ModuleType,
     data: list[bytes],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

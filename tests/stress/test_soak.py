@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import random
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from tests.stress import engine, soak
 
-SCRIPT = Path(__file__).parents[2] / "tests" / "stress" / "soak.py"
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def benchmark() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("daemon_soak", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def key() -> engine.Key:
+    return engine.Key()
 
 
 @pytest.fixture(autouse=True)
@@ -35,9 +28,10 @@ def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     result = subprocess.run(
         [
-            *(sys.executable, str(SCRIPT), "--captures", "60", "--kills", "3"),
+            *(sys.executable, "-m", "tests.stress.soak", "--captures", "60", "--kills", "3"),
             *("--faults", "0.3", "--figures", str(figures)),
         ],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
@@ -48,30 +42,30 @@ def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
     assert record == {"soak_captures": 60, "soak_mixed": 0, "soak_reused": 0, "soak_lost": 0}
 
 
-def test_faults_become_errors_and_clocks_jump(benchmark: ModuleType, tmp_path: Path) -> None:
-    outcome = benchmark.soak(tmp_path, 80, faults=0.5, restart_every=20)
+def test_faults_become_errors_and_clocks_jump(key: engine.Key, tmp_path: Path) -> None:
+    outcome = soak.soak(key, tmp_path, 80, faults=0.5, restart_every=20)
     assert outcome.errors > 0
     assert outcome.captures > 40
     assert outcome.mixed == outcome.reused == outcome.lost == 0
 
 
-def test_a_fence_without_settling_is_noticed(benchmark: ModuleType, tmp_path: Path) -> None:
-    assert benchmark.soak(tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
+def test_a_fence_without_settling_is_noticed(key: engine.Key, tmp_path: Path) -> None:
+    assert soak.soak(key, tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
 
 
 def test_a_store_that_forgets_is_noticed(
-    benchmark: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    key: engine.Key, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counters = [*range(1, 11), *range(1, 31)]
-    monkeypatch.setattr(benchmark.FullDisk, "next", lambda _: counters.pop(0))
-    assert benchmark.soak(tmp_path, 20, faults=0.0).reused > 0
+    counters = [*range(1, 11), *range(1, 1001)]
+    monkeypatch.setattr(engine.FullDisk, "next", lambda _: counters.pop(0))
+    assert soak.soak(key, tmp_path, 20, faults=0.0).reused > 0
 
 
 def test_an_unknown_exception_counts_as_lost(
-    benchmark: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    key: engine.Key, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(benchmark.MaskedCamera, "capture", fail)
-    assert benchmark.soak(tmp_path, 3, faults=0.0).lost == 3
+    monkeypatch.setattr(engine.MaskedCamera, "capture", fail)
+    assert soak.soak(key, tmp_path, 3, faults=0.0).lost == 3

@@ -6,6 +6,7 @@ import json
 import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
@@ -36,11 +37,16 @@ def test_two_at_a_time(tmp_path: Path) -> None:
 
 
 def test_the_command_is_as_one_types_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__spec__", None)
     monkeypatch.setattr(sys, "argv", ["/long/way/veilcam-train", "fit", "--data", "d"])
     assert own_command() == ["veilcam-train", "fit", "--data", "d"]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [str(tmp_path / "benchmarks" / "a.py"), "-x"])
     assert own_command() == ["python", "benchmarks/a.py", "-x"]
+    for module in ("benchmarks.a", "benchmarks.a.__main__"):
+        monkeypatch.setattr(main, "__spec__", ModuleSpec(module, None))
+        assert own_command() == ["python", "-m", "benchmarks.a", "-x"]
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

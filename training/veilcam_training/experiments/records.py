@@ -126,13 +126,16 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def own_command() -> list[str]:
-    """This process's command line as one types it: programs by name, scripts relative."""
-    program = Path(sys.argv[0])
+    """This process's command line as one types it: programs by name, modules by ``python -m``."""
+    program, arguments = Path(sys.argv[0]), sys.argv[1:]
+    spec = sys.modules["__main__"].__spec__
+    if spec is not None:
+        return ["python", "-m", spec.name.removesuffix(".__main__"), *arguments]
     if program.suffix == ".py":
         script = program.resolve()
         inside = script.is_relative_to(Path.cwd())
-        return ["python", str(script.relative_to(Path.cwd()) if inside else program), *sys.argv[1:]]
-    return [program.name, *sys.argv[1:]]
+        return ["python", str(script.relative_to(Path.cwd()) if inside else program), *arguments]
+    return [program.name, *arguments]
 
 
 def _read(path: Path) -> dict[str, object]:

@@ -1,0 +1,257 @@
+"""The daemon's engine on emulated hardware that fails when told, with masks drawn from a key."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from veilcam_client.wire.captures import EveryCaptures, Form
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.simulation.operator import Response
+from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.demo_data import load_digits
+from veilcam_server.devices import Device
+from veilcam_server.devices.base import Levels, Reading, Shown
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
+from veilcam_server.devices.simulated.scenes import Scenes
+from veilcam_server.devices.st7735r import ST7735R, TABS
+from veilcam_server.errors import EpochError
+from veilcam_server.masks.classifier import Verdict
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.source import Mask, Reader
+from veilcam_training.bundle import Bundle, Fresh, build_untrained
+from veilcam_training.bundle.layers import AveragePool, Flatten, Linear, Reshape
+
+CAMERA, SCENE, EMBEDDING = Camera(), Scene(), Embedding(8, 8)
+MODE = SensorMode(16, 16, line_time=0.0, frame_duration=0.0)
+CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
+SETTLE, TIMEOUT = 1e-3, 0.05
+"""What the engine grants the crystal, and how long it waits for a frame [s]."""
+
+
+def make_bundle() -> Bundle:
+    """A camera of the real size with an untrained classifier: labels play no part here."""
+    layers = (
+        Reshape(shape=(2, *SCENE.shape)),
+        AveragePool(rows=4, columns=4),
+        Flatten(),
+        Linear(inputs=32, outputs=10),
+    )
+    digits = torch.from_numpy(load_digits().images[:200] / np.float32(255))
+    return Bundle(
+        task="mnist",
+        labels=tuple("0123456789"),
+        camera=CAMERA,
+        scene=SCENE,
+        embedding=EMBEDDING,
+        mode="fresh",
+        fresh=Fresh(
+            device="stress",
+            distribution=MaskDistribution.uniform(CAMERA),
+            statistics=fit_statistics([digits], 32),
+            noise=ReadingNoise(),
+            layers=layers,
+            weights=build_untrained(layers).state_dict(),
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Numbered:
+    """A reader that knows the epoch of its mask."""
+
+    counter: int
+    reader: Reader
+
+    def classify(self, embedding: Reading) -> Verdict:
+        """Classify as the reader does."""
+        return self.reader.classify(embedding)
+
+    def release(self, embedding: Reading, form: Form) -> Reading:
+        """Release as the reader does."""
+        return self.reader.release(embedding, form)
+
+
+class NumberedSource(FreshSource):
+    """The daemon's own source of masks, whose readers can be told apart."""
+
+    def make(self, counter: int, last_mark: str) -> Mask:
+        """Prepare an epoch."""
+        mask = super().make(counter, last_mark)
+        return Mask(mask.levels, Numbered(counter, mask.reader))
+
+
+class Key:
+    """One secret and what belongs to it, whatever runs on it and however often it is started."""
+
+    def __init__(self) -> None:
+        self._bundle, self._secret = make_bundle(), Secret.generate()
+        # Built once: it is what takes time when an engine starts.
+        self.source = NumberedSource(self._bundle, self._secret, form="white")
+
+    def levels(self, counter: int) -> Levels:
+        """Draw the mask of an epoch again, as any holder of the secret can."""
+        fresh = self._bundle.fresh
+        assert fresh is not None
+        return epoch_levels(
+            self._secret, fresh.device, counter, camera=CAMERA, distribution=fresh.distribution
+        )
+
+
+class White:
+    """A white scene."""
+
+    def read(self) -> npt.NDArray[np.float32]:
+        """Return it."""
+        return np.ones((2, 2), np.float32)
+
+
+class Marked:
+    """Light that carries the levels of the mask's first corner, one to each box of the reading."""
+
+    def response(self, weights: torch.Tensor) -> Response:
+        """Return the corner."""
+        return (weights[: EMBEDDING.rows, : EMBEDDING.columns].double(),)
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        """Return it on raw pixels."""
+        factor = MODE.rows // EMBEDDING.rows
+        boxes = response[0].repeat_interleave(factor, 0).repeat_interleave(factor, 1)
+        return boxes.expand(len(scenes), -1, -1)
+
+
+class Passed:
+    """A self test that was passed: this light has no geometry to test by."""
+
+    def run(self, device: Device, fence: Fence) -> None:
+        """Nothing is shown."""
+
+
+@dataclass
+class BrokenBus:
+    """A bus that breaks off in the middle of a mask, so many times."""
+
+    panel: PanelEmulator
+    breaks: int = 0
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Send all, or half of it."""
+        if self.breaks > 0 and len(buffer) > 1000:
+            self.breaks -= 1
+            self.panel.write(bytes(buffer[: len(buffer) // 2]))
+            raise OSError(5, "Input/output error")
+        self.panel.write(buffer)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+class FullDisk(EpochStore):
+    """A store whose disk is full, so many times."""
+
+    fulls = 0
+
+    def next(self) -> int:
+        """Commit the next epoch, or fail."""
+        if self.fulls > 0:
+            self.fulls -= 1
+            raise EpochError("the mask epoch cannot be recorded (database or disk is full)")
+        return super().next()
+
+
+class Rig:
+    """An engine on hardware that fails when told."""
+
+    def __init__(
+        self,
+        key: Key,
+        directory: Path,
+        *,
+        now: Callable[[], float] = time.time,
+        granted: float = SETTLE,
+        tell: Callable[[Levels], None] = lambda _: None,
+    ) -> None:
+        panel = PanelEmulator(TABS["green"], crystal=CRYSTAL, reset_time=0.0)
+        self.bus, self.frames = BrokenBus(panel), CameraFaults()
+        display = ST7735R(self.bus, panel, camera=CAMERA, tab=TABS["green"], sleep=lambda _: None)
+        show = display.show
+
+        standing = b""
+
+        def told(levels: Levels) -> Shown:
+            nonlocal standing
+            # After a failed write the mask from before is put back: the same showing goes on.
+            if levels.tobytes() != standing:
+                tell(levels)
+            shown = show(levels)
+            standing = levels.tobytes()
+            return shown
+
+        display.show = told  # type: ignore[method-assign]
+        light = SimulatedLight(
+            panel,
+            Scenes((White(),)),
+            Marked(),
+            camera=CAMERA,
+            embedding=EMBEDDING,
+            conditions=Conditions(exposure=0.0, snr_db=math.inf),
+            mode=MODE,
+            full_scale=1.1,
+            seed=0,
+            began_at=0.0,
+        )
+        sensor = IMX477(
+            lambda: FakePicamera2(light, mode=MODE, faults=self.frames),
+            shape=EMBEDDING.shape,
+            mode=MODE,
+            exposures=ExposureRange(0.0),
+            full_scale=1.1,
+            # Random faults come in a row, too; restarts are what the other half of this is for.
+            failures=1000,
+        )
+        self.disk = FullDisk(directory, now)
+        self.camera = MaskedCamera(
+            Device(display, sensor, simulated=True),
+            Preparation(key.source, self.disk),
+            EMBEDDING.shape,
+            Passed(),
+            fence=Fence(granted, TIMEOUT),
+            policy=EveryCaptures(captures=1),
+        )
+
+    def break_something(self, share: float) -> None:
+        """At random, make the next thing of its kind fail."""
+        if random.random() < share:
+            kind = random.randrange(6)
+            if kind == 0:
+                self.bus.breaks = random.choice((1, 1, 2, 3))
+            elif kind == 1:
+                self.frames.hangs = 1
+            elif kind == 2:
+                self.frames.stale = 2
+            elif kind == 3:
+                self.frames.stuck = True
+            elif kind == 4:
+                self.disk.fulls = 1
+            else:
+                self.frames.gain = 2.0
+
+    def mend(self) -> None:
+        """End what would last."""
+        self.frames.stuck, self.frames.gain = False, 1.0
