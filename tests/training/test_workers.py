@@ -242,7 +242,7 @@ def test_an_address_without_a_cluster(monkeypatch: pytest.MonkeyPatch, address: 
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(TrainingError, match=r"pip install 'veilcam\[scale\]'"):
+    with pytest.raises(TrainingError, match=r"pip install -e '\.\[scale\]'"):
         RayWorkers("local")
 
 

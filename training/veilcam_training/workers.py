@@ -315,5 +315,7 @@ def _import_ray() -> ModuleType:
         import ray  # noqa: PLC0415 - of an extra, and slow to import
         import ray.exceptions  # noqa: PLC0415
     except ImportError:
-        raise TrainingError("Ray is not installed: pip install 'veilcam[scale]'") from None
+        raise TrainingError(
+            "Ray is not installed: pip install -e '.[scale]' in a checkout"
+        ) from None
     return ray
