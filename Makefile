@@ -1,10 +1,22 @@
 # Two commands for a newcomer: `make demo` and `make test`. Both work on a fresh clone with nothing
-# but Python 3.11, pip, git and make.
+# but Python (3.11 or later), pip, git and make.
 
-PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+
+# A name may be there and fail when it is run, as pyenv's shims do, so each is run.
+PYTHONS := python3.13 python3.12 python3.11 python3
+RECENT := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for name in $(PYTHONS); do \
+	$$name -c '$(RECENT)' 2>/dev/null && echo $$name && break; done)
+
+# The torch of pip's usual index brings gigabytes of CUDA; this index has the same versions as
+# builds for the CPU. pip looks into both and takes 2.13.0+cpu before 2.13.0, since a local version
+# sorts above the version without it (PEP 440). Where the index does not answer, or TORCH_INDEX is
+# empty, torch comes from where pip is set up to look. The alarm also ends a slow look-up of the name.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+ANSWERS := import signal, sys, urllib.request; signal.alarm(5); urllib.request.urlopen(sys.argv[1])
 
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
@@ -20,8 +32,20 @@ help:
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --editable '.[all,dev]'
+	@python='$(PYTHON)'; \
+	if ! "$${python:-false}" -c '$(RECENT)' 2>/dev/null; then \
+		echo "make: $${python:-each of $(PYTHONS)} is missing, fails or is older than Python 3.11:" \
+			"install one, or say which to take with PYTHON=PATH" >&2; exit 1; \
+	elif ! "$$python" -c 'import ensurepip, venv' 2>/dev/null; then \
+		echo "make: $$python has no module venv, or no pip for it: on Debian and Ubuntu" \
+			"install python3-venv, or say which Python to take with PYTHON=PATH" >&2; exit 1; \
+	fi; \
+	"$$python" -m venv $(VENV)
+	@index='$(TORCH_INDEX)'; \
+	if [ "$$index" ] && ! $(BIN)/python -c '$(ANSWERS)' "$$index/torch/" >/dev/null 2>&1; then \
+		echo "make: no answer from $$index: torch comes from where pip looks otherwise"; index=; \
+	fi; \
+	$(BIN)/python -m pip install $${index:+--extra-index-url "$$index"} --editable '.[all,dev]'
 	touch $@
 
 demo: $(INSTALLED)
