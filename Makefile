@@ -1,27 +1,57 @@
 # Two commands for a newcomer: `make demo` and `make test`. Both work on a fresh clone with nothing
-# but Python 3.11, pip, git and make.
+# but Python (3.11 or later), pip, git and make.
 
-PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
+# A name may be there and fail when it is run, as pyenv's shims do, so each is run.
+PYTHONS := python3.13 python3.12 python3.11 python3
+RECENT := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for name in $(PYTHONS); do \
+	$$name -c '$(RECENT)' 2>/dev/null && echo $$name && break; done)
+
+# The torch of pip's usual index brings gigabytes of CUDA; this index has the same versions as
+# builds for the CPU. pip looks into both and takes 2.13.0+cpu before 2.13.0, since a local version
+# sorts above the version without it (PEP 440). Where the index does not answer, or TORCH_INDEX is
+# empty, torch comes from where pip is set up to look. The alarm also ends a slow look-up of the name.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+ANSWERS := import signal, sys, urllib.request; signal.alarm(5); urllib.request.urlopen(sys.argv[1])
+
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
 
-.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm clean
+# Tests in two processes. A worker that is done takes over the last tests of the other, so that tests
+# of one file, which share what is slow to make, mostly stay together.
+PYTEST := $(BIN)/pytest -n 2 --dist worksteal
+
+.PHONY: help demo serve check test stress test-libcamera lint types layers fast pytest test-vm clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
 	@echo "make serve    the same daemon, left running on http://127.0.0.1:8787"
-	@echo "make test     every check: lint, types, package arrows, tests"
+	@echo "make check    lint, types, layers and the fast tests: before every commit"
+	@echo "make test     the same with all tests: before every merge"
+	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --editable '.[all,dev]'
+	@python='$(PYTHON)'; \
+	if ! "$${python:-false}" -c '$(RECENT)' 2>/dev/null; then \
+		echo "make: $${python:-each of $(PYTHONS)} is missing, fails or is older than Python 3.11:" \
+			"install one, or say which to take with PYTHON=PATH" >&2; exit 1; \
+	elif ! "$$python" -c 'import ensurepip, venv' 2>/dev/null; then \
+		echo "make: $$python has no module venv, or no pip for it: on Debian and Ubuntu" \
+			"install python3-venv, or say which Python to take with PYTHON=PATH" >&2; exit 1; \
+	fi; \
+	"$$python" -m venv $(VENV)
+	@index='$(TORCH_INDEX)'; \
+	if [ "$$index" ] && ! $(BIN)/python -c '$(ANSWERS)' "$$index/torch/" >/dev/null 2>&1; then \
+		echo "make: no answer from $$index: torch comes from where pip looks otherwise"; index=; \
+	fi; \
+	$(BIN)/python -m pip install $${index:+--extra-index-url "$$index"} --editable '.[all,dev]'
 	touch $@
 
 demo: $(INSTALLED)
@@ -30,7 +60,16 @@ demo: $(INSTALLED)
 serve: $(INSTALLED)
 	$(BIN)/veilcamd serve --simulate --port 8787
 
-test: lint types imports pytest
+check: lint types layers fast
+
+test: lint types layers pytest
+
+# The long form of what the tests do for seconds.
+stress: $(INSTALLED)
+	$(BIN)/python -m tests.stress.bundle_fuzz
+	$(BIN)/python -m tests.stress.api_fuzz
+	$(BIN)/python -m tests.stress.soak
+	$(PYTEST) --timeout 0 --long -m long
 
 # Not part of test: it needs Debian's package lists and its source of libcamera.
 test-libcamera: $(INSTALLED)
@@ -43,11 +82,14 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	$(BIN)/mypy
 
-imports: $(INSTALLED)
+layers: $(INSTALLED)
 	$(BIN)/lint-imports
 
+fast: $(INSTALLED)
+	$(PYTEST) -m "not slow and not system"
+
 pytest: $(INSTALLED)
-	$(BIN)/pytest
+	$(PYTEST) -m "not system"
 
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)

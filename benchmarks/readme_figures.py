@@ -54,7 +54,7 @@ README: Figures = {
     "step_peak_rss_mb": ("optics", "memory of that step, at its peak", "{:.0f} MB"),
     "plan_honest_fraction": (
         "optics",
-        "plans whose measured error is at most twice the predicted one",
+        "plans whose measured error is at most twice the predicted one, pitch 40 to 110 um",
         "{:.3f}",
     ),
     "plan_worst_time_over_best": (
@@ -114,7 +114,7 @@ README: Figures = {
     "decode_classify_ms": ("fresh-masks", "decoding and classifying, on one core", "{:.1f} ms"),
     "cluster_ari_white": (
         "fresh-masks",
-        "clustering released embeddings by mask without the key: best adjusted Rand index",
+        "clustering `white` embeddings by mask, no key, no epoch's name: best adjusted Rand index",
         "{:.4f}",
     ),
     "overhead_median_ms": (
@@ -141,7 +141,10 @@ FRESH: Figures = {
             "mnist_shift": "MNIST anywhere in the field of view, 24 x 32",
             "fashion_24x32": "Fashion-MNIST, 24 x 32",
         }.items()
-        for suffix, said in {"": "", "_wrong_key": ", decoded with another key"}.items()
+        for suffix, said in {
+            "": "",
+            "_wrong_key": ", decoded with a wrong key, nothing else tried",
+        }.items()
     },
 }
 
@@ -159,9 +162,13 @@ TIMES: Figures = {
     "prepare_ms": ("fresh-masks", "preparing a mask", "{:.1f} ms"),
     "decode_classify_ms": ("fresh-masks", "decoding and classifying a capture", "{:.2f} ms"),
     "classifier_macs": ("fresh-masks", "multiply-adds of the classifier", "{:,}"),
-    "epochs_run": ("fresh-masks", "epochs of the daemon, one a capture", "{:,}"),
-    "epochs_repeated": ("fresh-masks", "of them repeated", "{}"),
-    "frames_mixed": ("fresh-masks", "readings that mixed two masks", "{}"),
+    "soak_captures": ("daemon", "captures on hardware that fails, a mask each", "{:,}"),
+    "soak_reused": (
+        "daemon",
+        "masks or epochs used again, after kills and clock jumps",
+        "{}",
+    ),
+    "soak_mixed": ("daemon", "readings that mixed two masks", "{}"),
 }
 
 CALIBRATED: Figures = {
@@ -207,7 +214,14 @@ DISTANCE: Figures = {
     }.items()
 }
 
+CHECKS: Figures = {
+    f"make_{target}_{figure}": ("house", f"`make {target}`, {words}", "{:.0f} s")
+    for target in ("lint", "types", "layers", "check", "test")
+    for figure, words in {"wall_s": "wall", "user_cpu_s": "time of all cores"}.items()
+}
+
 PAGES: dict[str, list[Figures]] = {
+    "CONTRIBUTING.md": [CHECKS],
     "README.md": [README],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],

@@ -67,5 +67,5 @@ def test_an_unknown_exception_counts_as_lost(
     def fail(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(engine.MaskedCamera, "capture", fail)
+    monkeypatch.setattr(soak.MaskedCamera, "capture", fail)
     assert soak.soak(key, tmp_path, 3, faults=0.0).lost == 3

@@ -88,8 +88,9 @@ def open_source(
 def release_form(settings: Settings, bundle: Bundle) -> Release:
     """Return the form in which embeddings leave.
 
-    Unless it is said, embeddings of fresh masks leave white, which tells nothing without the key;
-    those of stored pairs stay inside, but for a simulated camera, which sees nobody.
+    Unless it is said, embeddings of fresh masks leave white, of the forms that let
+    anything out the one that tells least; those of stored pairs stay inside, but for a simulated
+    camera, which sees nobody.
 
     Raises:
         StartError: a form that needs scene statistics, and the bundle has none.

@@ -179,9 +179,8 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
         assert bool(torch.isfinite(values).all())
 
 
-@settings(
-    max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
-)
+@pytest.mark.long
+@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(
     rows=st.integers(1, 9),
     columns=st.integers(1, 5),

@@ -1,0 +1,17 @@
+"""Rotate masks: a mask for every capture, then the policy from before.
+
+python examples/rotate_masks.py [URL]
+"""
+
+import sys
+
+from veilcam_client import Camera, EveryCaptures
+
+with Camera(*sys.argv[1:]) as camera:
+    before = camera.rotation().policy
+    camera.set_rotation(EveryCaptures(captures=1))
+    for _ in range(3):
+        seen = camera.classify()
+        print(f"epoch {seen.epoch}: {seen.label}")
+    camera.set_rotation(before)
+    print(f"back to {camera.rotation().policy.mode}")

@@ -1,0 +1,11 @@
+"""The server's benches, which measurements are tried on."""
+
+from tests.server.conftest import (
+    _no_settings_from_outside,
+    _own_logs,
+    anyio_backend,
+    bench,
+    bundle,
+)
+
+__all__ = ["_no_settings_from_outside", "_own_logs", "anyio_backend", "bench", "bundle"]

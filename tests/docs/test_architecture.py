@@ -1,0 +1,50 @@
+"""The page on architecture names what there is: rooms, files and tests."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PACKAGES = [f"{name}/veilcam_{name}" for name in ("client", "optics", "training", "server")]
+NO_ROOMS = {"__init__", "__main__", "__pycache__/"}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_its_rooms_are_those_of_the_tree(package: str) -> None:
+    [row] = re.findall(rf"^\| `{package}` \| (.*) \|$", PAGE, re.MULTILINE)
+    listed = re.findall(r"`([^`]+)`", row)
+    there = {
+        f"{entry.name}/" if entry.is_dir() else entry.stem
+        for entry in (ROOT / package).iterdir()
+        if entry.is_dir() or entry.suffix == ".py"
+    }
+    assert len(listed) == len(set(listed))
+    assert set(listed) == there - NO_ROOMS
+
+
+def test_its_files_are_there() -> None:
+    links = re.findall(r"\]\((?!http)([^)#]+)", PAGE)
+    assert links
+    for link in links:
+        assert (ROOT / "docs" / link).exists(), link
+
+
+def test_its_tests_exist() -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE)
+    assert len(named) >= 3
+    for path, name in named:
+        module = ast.parse((ROOT / path).read_text())
+        functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+        assert name in {node.name for node in module.body if isinstance(node, functions)}, name
+
+
+def test_its_names_are_in_the_files_beside_them() -> None:
+    named = re.findall(r"`(\w+)` in \[[^]]+\]\(([^)]+)\)", PAGE)
+    assert named
+    for name, path in named:
+        assert re.search(rf"\b{name}\b", (ROOT / "docs" / path).read_text()), name

@@ -1,0 +1,112 @@
+"""Every script of ``examples/`` runs as it says, against a simulated camera."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from tests.training.conftest import write_digits
+
+from veilcam_optics.decoding import write_frame
+from veilcam_optics.keys.masks import Secret
+from veilcam_server.demo.daemon import running
+from veilcam_server.demo_data import FRESH, load_digits
+from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_training.bundle import read_bundle
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+@dataclass(frozen=True)
+class Daemon:
+    """One with fresh masks, and what decodes its embeddings."""
+
+    url: str
+    frame: Path
+    secret: Path
+    device: str
+    digit: str
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    folder = tmp_path_factory.mktemp("examples")
+    secret, frame, scene = folder / "secret", folder / "frame.safetensors", folder / "scene.npy"
+    secret.touch(mode=0o600)
+    secret.write_text(Secret.generate().reveal().hex())
+    bundle, digits = read_bundle(FRESH), load_digits()
+    assert bundle.fresh is not None
+    write_frame(frame, bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding))
+    write_scene(scene, digits.images[0])
+    options = ("--mask-secret", str(secret), "--release", "white", "--settle", "0")
+    with running(FRESH, scene, folder, *options, "--exposure", "0") as url:
+        yield Daemon(url, frame, secret, bundle.fresh.device, str(digits.labels[0]))
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    return Run(monkeypatch, capsys)
+
+
+@dataclass
+class Run:
+    """Runs an example with arguments, and returns the lines that it prints."""
+
+    monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str]
+
+    def __call__(self, name: str, *arguments: object) -> list[str]:
+        self.monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return self.capsys.readouterr().out.splitlines()
+
+
+def test_read_label(run: Run, daemon: Daemon) -> None:
+    first, best, *_ = run("read_label.py", daemon.url)
+    assert first.startswith("label ")
+    assert best.startswith(f"  {first.split()[1].rstrip(',')}: ")
+
+
+def test_watch_events(run: Run, daemon: Daemon) -> None:
+    lines = run("watch_events.py", daemon.url)
+    assert sum(line.endswith(" classification") for line in lines) == 2
+
+
+def test_rotate_masks(run: Run, daemon: Daemon) -> None:
+    *captures, last = run("rotate_masks.py", daemon.url)
+    epochs = {line.split(":")[0] for line in captures}
+    assert len(captures) == len(epochs) == 3
+    assert last.startswith("back to ")
+
+
+def test_decode_embedding(run: Run, daemon: Daemon) -> None:
+    lines = run("decode_embedding.py", daemon.frame, daemon.secret, daemon.device, daemon.url)
+    assert [len(line) for line in lines] == [2 * 28] * 28
+    # The digit is bright in the middle of the picture and dark around it.
+    middle = "".join(line[18:38] for line in lines[7:21])
+    edge = "".join(lines[:2] + lines[-2:])
+    assert middle.count(" ") / len(middle) < edge.count(" ") / len(edge)
+
+
+def test_plan_optics(run: Run) -> None:
+    lines = run("plan_optics.py")
+    assert any("gamma" in line for line in lines)
+    assert lines[-1].startswith("a white scene: (1, 12, 16), mean ")
+
+
+def test_fit_bundle(run: Run, tmp_path: Path) -> None:
+    data, out = tmp_path / "data", tmp_path / "small.veilcam"
+    data.mkdir()
+    write_digits(data, 300, 100, packed=True)
+    lines = run("fit_bundle.py", data, out)
+    assert lines[-1].startswith("2 pairs, accuracy ")
+    assert len(read_bundle(out).pairs) == 2
+
+
+def test_every_example_has_a_test() -> None:
+    tested = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} <= tested

@@ -1,0 +1,12 @@
+"""The server's benches, which stress tests put under load."""
+
+from tests.server.conftest import (
+    _no_settings_from_outside,
+    _own_logs,
+    bench,
+    bundle,
+    fresh_bundle,
+    secret,
+)
+
+__all__ = ["_no_settings_from_outside", "_own_logs", "bench", "bundle", "fresh_bundle", "secret"]
