@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,17 @@ import torch
 
 THREADS = int(os.environ["OMP_NUM_THREADS"])
 torch.set_num_threads(THREADS)
+
+NUMERICAL = ("optics", "training", "server/calibration", "server/devices")
+"""Folders of tests that compute; single files elsewhere bear the mark themselves."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what ``make test-processors`` runs on several kinds of instructions."""
+    folders = [Path(__file__).parent / folder for folder in NUMERICAL]
+    for item in items:
+        if any(item.path.is_relative_to(folder) for folder in folders):
+            item.add_marker("numerical")
 
 
 @pytest.fixture(autouse=True)

@@ -18,6 +18,8 @@ from veilcam_server.fence import Fence
 from veilcam_server.preparation import Preparation
 from veilcam_server.proof import Proof
 
+pytestmark = pytest.mark.numerical
+
 if TYPE_CHECKING:
     from tests.server.conftest import Bench
 

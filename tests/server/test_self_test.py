@@ -34,6 +34,8 @@ from veilcam_server.masks import Mask
 from veilcam_server.preparation import Preparation
 from veilcam_server.self_test import CAPTURES, OpticalSelfTest
 
+pytestmark = pytest.mark.numerical
+
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
 FENCE = Fence(settle=0.05)
 FINER = 2

@@ -22,6 +22,8 @@ from veilcam_server.serve import build_service
 from veilcam_server.settings import Settings
 from veilcam_server.simulation_routes import MAX_PICTURE, PATH
 
+pytestmark = pytest.mark.numerical
+
 EXPOSURE = 0.2
 
 
