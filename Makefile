@@ -27,6 +27,7 @@ help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
 	@echo "make serve    the same daemon, left running on http://127.0.0.1:8787"
 	@echo "make test     every check: lint, types, package arrows, tests"
+	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
 	@echo "make clean    remove what the others made"
@@ -72,6 +73,22 @@ imports: $(INSTALLED)
 
 pytest: $(INSTALLED)
 	$(BIN)/pytest
+
+# The instructions of older processors; those of newer ones cannot be asked for. Threads that wait
+# sleep, so that two of them get on on a busy machine.
+SSE := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE ONEDNN_MAX_CPU_ISA=SSE41 \
+	OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES=X86_V3
+AVX2 := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+	OPENBLAS_CORETYPE=Haswell
+
+.PHONY: test-processors
+test-processors: numerical-SSE-1 numerical-SSE-2 numerical-AVX2-1 numerical-AVX2-2
+
+numerical-SSE-%: $(INSTALLED)
+	$(SSE) VEILCAM_TEST_THREADS=$* $(BIN)/pytest -m numerical
+
+numerical-AVX2-%: $(INSTALLED)
+	$(AVX2) VEILCAM_TEST_THREADS=$* $(BIN)/pytest -m numerical
 
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)

@@ -22,6 +22,8 @@ from veilcam_server.daemon import build_service
 from veilcam_server.security.admission import Gateway
 from veilcam_server.settings import Settings
 
+pytestmark = pytest.mark.numerical
+
 EXPOSURE = 0.2
 
 

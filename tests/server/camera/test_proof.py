@@ -17,6 +17,8 @@ from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
 
+pytestmark = pytest.mark.numerical
+
 if TYPE_CHECKING:
     from tests.server.conftest import Bench
 

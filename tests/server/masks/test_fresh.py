@@ -28,6 +28,8 @@ from veilcam_server.errors import StartError
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, build_classifier, classifier_inputs
 
+pytestmark = pytest.mark.numerical
+
 if TYPE_CHECKING:
     from pathlib import Path
 
