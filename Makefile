@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
 
-.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm clean
+.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
@@ -17,6 +17,7 @@ help:
 	@echo "make test     every check: lint, types, package arrows, tests"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
+	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
@@ -53,5 +54,9 @@ pytest: $(INSTALLED)
 test-vm: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python benchmarks/daemon_virtual_machine.py
 
+# Not part of test: it runs tests a hundred times.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutation --count 100 --seed 1 --figures benchmarks/results/house.json
+
 clean:
-	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) demo build/mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
