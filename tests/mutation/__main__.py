@@ -42,11 +42,14 @@ def main(
     """Draw mutants, try them, and say which ones live; status 1 if too many do."""
     if figures is not None:
         check_record(figures)
+        if subjects:
+            raise typer.BadParameter("the figure is of all subjects: use --subjects without it")
     chosen = choose(subjects)
     check_subjects(ROOT, chosen)
     drawn = draw({subject: mutants_of(subject, ROOT) for subject in chosen}, count, seed)
     results = try_all(drawn, workers, out / "results.jsonl")
     report = Report(results, read_equivalents(), seed)
+    out.mkdir(parents=True, exist_ok=True)
     (out / "report.md").write_text(report.render())
     typer.echo(report.render(), nl=False)
     if figures is not None:
