@@ -21,7 +21,7 @@ ANSWERS := import signal, sys, urllib.request; signal.alarm(5); urllib.request.u
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
 
-.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm clean
+.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
@@ -30,6 +30,7 @@ help:
 	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
+	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
@@ -94,5 +95,9 @@ numerical-AVX2-%: $(INSTALLED)
 test-vm: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py
 
+# Not part of test: it runs tests a hundred times.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutation --count 100 --seed 1 --figures benchmarks/results/house.json
+
 clean:
-	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) demo build/mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -16,7 +16,7 @@ import torch
 THREADS = int(os.environ["OMP_NUM_THREADS"])
 torch.set_num_threads(THREADS)
 
-NUMERICAL = ("optics", "training", "server/calibration", "server/devices")
+NUMERICAL = ("contracts", "optics", "training", "server/calibration", "server/devices")
 """Folders of tests that compute; single files elsewhere bear the mark themselves."""
 
 
