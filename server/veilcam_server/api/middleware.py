@@ -16,7 +16,8 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from veilcam_server.api.metrics import Metrics
-from veilcam_server.api.problems import code_of, error_response, problem_response
+from veilcam_server.api.problems import DefectError, error_response, problem_response
+from veilcam_server.errors import ProblemError
 from veilcam_server.security.admission import Gateway
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -68,11 +69,8 @@ class RequestContext:
             with ExitStack() as stack:
                 try:
                     state["caller"] = stack.enter_context(self._gateway.admitted(headers, peer))
-                except Exception as error:
-                    state["problem"] = code_of(error)
-                    if state["problem"] is None:
-                        raise
-                    response = error_response(error, instance=scope["path"], request_id=request_id)
+                except ProblemError as error:
+                    response = error_response(scope, error)
                     await response(scope, receive, send_with_id)
                     return
                 await self._app(scope, self._limited(scope, receive), send_with_id)
@@ -89,13 +87,8 @@ class RequestContext:
             )
             if status:
                 raise
-            state["problem"] = "internal_error"
-            response = problem_response(
-                code="internal_error",
-                detail="the daemon has a defect: its log tells more under this request id",
-                instance=scope["path"],
-                request_id=request_id,
-            )
+            detail = "the daemon has a defect: its log tells more under this request id"
+            response = problem_response(scope, DefectError, detail)
             await response(scope, receive, send_with_id)
         finally:
             log.info(

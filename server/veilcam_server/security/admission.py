@@ -11,7 +11,12 @@ import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
-from veilcam_server.errors import HostRefusedError, TokenStoreError, UnauthorizedError
+from veilcam_server.errors import (
+    HostRefusedError,
+    RateLimitError,
+    TokenStoreError,
+    UnauthorizedError,
+)
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import ANYONE, Caller
 from veilcam_server.security.lease import Lease
@@ -62,7 +67,7 @@ class Gateway:
             details: what else is known: status, request id, peer.
         """
         # Who asks too often must not push out what others did.
-        if code == "rate_limited":
+        if code == RateLimitError.code:
             return
         log = self.refused if caller is None else self.audit
         if log is None:

@@ -27,6 +27,7 @@ from veilcam_client.wire.events import (
     StateChanged,
 )
 from veilcam_server.camera.capture import Captured
+from veilcam_server.errors import ProblemError
 from veilcam_server.masks.classifier import Verdict
 from veilcam_server.system.systemd import notify
 
@@ -232,8 +233,9 @@ class News:
             )
         )
 
-    def fault(self, code: str, detail: str) -> None:
+    def fault(self, error: ProblemError) -> None:
         """Something failed."""
+        code, detail = error.code, str(error)
         log.warning("fault", code=code, detail=detail)
         self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
 

@@ -31,7 +31,6 @@ from veilcam_client.wire.captures import (
 )
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.simulation import HeldScene
-from veilcam_server.api.problems import code_of
 from veilcam_server.bundles.loader import Identity, Keys
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration.service import Calibrator
@@ -42,6 +41,8 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, decode, fitted
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
+    KeyringInvalidError,
+    ProblemError,
     ReplayingError,
     RotationImpossibleError,
     SceneApiOffError,
@@ -112,7 +113,7 @@ class Service:
         """Keep the camera ready within; then show opaque and let go of the device."""
         with self._news.open(*self._camera.state):
             for detail in self.keyrings.faults:
-                self._news.fault("keyring_invalid", detail)
+                self._news.fault(KeyringInvalidError(detail))
             try:
                 async with self._upkeep.running():
                     yield
@@ -316,10 +317,8 @@ class Service:
             return await self._watched(work, counted=counted)
         except (RotationImpossibleError, ReplayingError):
             raise
-        except Exception as error:
-            code = code_of(error)
-            if code is not None:
-                self._news.fault(code, str(error))
+        except ProblemError as error:
+            self._news.fault(error)
             raise
 
     async def _watched(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:

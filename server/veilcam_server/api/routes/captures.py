@@ -11,7 +11,6 @@ import numpy as np
 from fastapi import APIRouter, Depends, Header, Request
 from fastapi.responses import Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from starlette.exceptions import HTTPException
 
 from veilcam_client.wire.captures import (
     NPY_MEDIA_TYPE,
@@ -24,6 +23,7 @@ from veilcam_client.wire.captures import (
 )
 from veilcam_client.wire.events import Classified
 from veilcam_server.api.dependencies import BODY, GatewayDep, OnceDep, ServiceDep, problems
+from veilcam_server.api.problems import NotAcceptableError
 from veilcam_server.api.routes.lease import unleased
 from veilcam_server.security.caller import Caller, CallerDep, requires
 from veilcam_server.service.service import Service
@@ -134,7 +134,7 @@ async def capture(
     _require_embedding(caller, service)
     media_type = preferred(accept, ("application/json", NPY_MEDIA_TYPE))
     if media_type is None:
-        raise HTTPException(406, f"captures come as application/json or {NPY_MEDIA_TYPE}")
+        raise NotAcceptableError(f"captures come as application/json or {NPY_MEDIA_TYPE}")
     taken = await once(service.capture)
     if media_type == NPY_MEDIA_TYPE:
         buffer = io.BytesIO()
