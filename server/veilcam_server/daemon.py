@@ -11,9 +11,9 @@ import structlog
 import torch
 import uvicorn
 
+from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import BundleInfo
-from veilcam_client.wire.captures import Device as DeviceInfo
+from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
 from veilcam_server.bundles.manager import Keyrings

@@ -17,8 +17,9 @@ import structlog
 import torch
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import Device as DeviceInfo
-from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Header, Request
 from fastapi.openapi.constants import REF_PREFIX
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.security.admission import Gateway
 from veilcam_server.security.caller import CallerDep

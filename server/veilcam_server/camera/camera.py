@@ -16,7 +16,8 @@ from datetime import UTC, datetime
 from typing import TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import RotationOff, RotationPolicy, State
+from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.status import State
 from veilcam_server.calibration.loading import calibrated
 from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
 from veilcam_server.camera.epochs import Preparation, Prepared

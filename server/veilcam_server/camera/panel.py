@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from veilcam_client.wire.captures import State
+from veilcam_client.wire.status import State
 from veilcam_server.camera.capture import Showing
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.self_test import Proof

@@ -9,13 +9,12 @@ from veilcam_client.wire.captures import (
     Classification,
     Embedding,
     Exposure,
-    Preparation,
-    Rotation,
+    Prediction,
     Timing,
 )
+from veilcam_client.wire.rotation import Preparation, Rotation
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
-from veilcam_server.masks.classifier import Verdict
 
 
 def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: Timing) -> Capture:
@@ -33,7 +32,11 @@ def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: 
 
 
 def classification_answer(
-    name: str, captured: Captured, verdict: Verdict, embedding: Embedding | None, timing: Timing
+    name: str,
+    captured: Captured,
+    prediction: Prediction,
+    embedding: Embedding | None,
+    timing: Timing,
 ) -> Classification:
     """One label, with the embedding where it was asked for."""
     return Classification(
@@ -41,9 +44,9 @@ def classification_answer(
         taken_at=captured.taken_at,
         epoch=captured.epoch,
         scene=captured.scene,
-        label=verdict.label,
-        confidence=verdict.confidence,
-        scores=verdict.scores,
+        label=prediction.label,
+        confidence=prediction.confidence,
+        scores=prediction.scores,
         embedding=embedding,
         exposure=_exposure(captured),
         replay=captured.replay,

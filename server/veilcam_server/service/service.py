@@ -15,22 +15,20 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client import __version__
+from veilcam_client.wire.base import API_VERSION
 from veilcam_client.wire.bundles import Keyring
 from veilcam_client.wire.captures import (
-    API_VERSION,
     Capture,
     Classification,
     Embedding,
     Form,
-    Queue,
+    Prediction,
     Release,
-    Rotation,
-    RotationPolicy,
-    State,
-    Status,
 )
 from veilcam_client.wire.events import Event
+from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.status import Queue, State, Status
 from veilcam_server.bundles.loader import Identity, Keys
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration.service import Calibrator
@@ -49,7 +47,6 @@ from veilcam_server.errors import (
     SceneInvalidError,
     WithheldError,
 )
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.service.events import History, News
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.responses import (
@@ -219,19 +216,19 @@ class Service:
         begun = time.monotonic()
         form = self._require_released() if include_embedding else None
 
-        def infer(captured: Captured) -> tuple[Verdict, Embedding | None, float]:
+        def infer(captured: Captured) -> tuple[Prediction, Embedding | None, float]:
             started = time.perf_counter()
-            verdict = captured.reader.classify(captured.embedding)
+            prediction = captured.reader.classify(captured.embedding)
             took = time.perf_counter() - started
-            return verdict, _released(captured, form) if form else None, took
+            return prediction, _released(captured, form) if form else None, took
 
         with self._admitted():
             captured, queued, inferred = await self._take(begun, infer)
             name = self._taken(captured)
-            verdict, embedding, inference = await asyncio.wrap_future(inferred)
-        self._news.classified(name, captured, verdict)
+            prediction, embedding, inference = await asyncio.wrap_future(inferred)
+        self._news.classified(name, captured, prediction)
         return classification_answer(
-            name, captured, verdict, embedding, timing(captured, queued, begun, inference)
+            name, captured, prediction, embedding, timing(captured, queued, begun, inference)
         )
 
     async def hold_scene(self, content: bytes | None) -> HeldScene:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from veilcam_client.wire.captures import EveryCaptures
 from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.security.admission import Gateway, open_gateway
 from veilcam_server.security.audit import AuditLog

@@ -19,7 +19,8 @@ from veilcam_client.wire.calibration import (
     SceneName,
     SignedCalibration,
 )
-from veilcam_client.wire.captures import Capture, Status
+from veilcam_client.wire.captures import Capture
+from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.bundles.loader import Opener
 from veilcam_server.calibration import CalibrationError, CalibrationScene, SigningKey, sign_record

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationOff
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.camera.rotation import due_in
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, RotationImpossibleError

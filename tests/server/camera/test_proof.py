@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.server.devices.clock import Clock
 
-from veilcam_client.wire.captures import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation

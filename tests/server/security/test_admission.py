@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes import captures as routes

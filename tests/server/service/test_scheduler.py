@@ -12,7 +12,7 @@ import pytest
 from structlog.testing import capture_logs
 from tests.server.devices.clock import Clock
 
-from veilcam_client.wire.captures import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices import Device, SensorLostError
 from veilcam_server.errors import NotReadyError, UndecidedError

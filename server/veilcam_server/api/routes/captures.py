@@ -17,11 +17,10 @@ from veilcam_client.wire.captures import (
     Capture,
     Classification,
     ClassificationRequest,
-    Rotation,
-    RotationPolicy,
-    Status,
 )
 from veilcam_client.wire.events import Classified
+from veilcam_client.wire.rotation import Rotation, RotationPolicy
+from veilcam_client.wire.status import Status
 from veilcam_server.api.dependencies import BODY, GatewayDep, OnceDep, ServiceDep, problems
 from veilcam_server.api.problems import NotAcceptableError
 from veilcam_server.api.routes.lease import unleased
