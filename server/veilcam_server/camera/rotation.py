@@ -1,4 +1,4 @@
-"""When a mask is due to change."""
+"""Due times of mask changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From what the engine knows to what goes over the wire."""
+"""Responses of the API, made from what the engine knows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
 
 
-def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: Timing) -> Capture:
+def capture_response(
+    name: str, captured: Captured, embedding: Embedding, timing: Timing
+) -> Capture:
     """One embedding as it may leave."""
     return Capture(
         id=name,
@@ -31,7 +33,7 @@ def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: 
     )
 
 
-def classification_answer(
+def classification_response(
     name: str,
     captured: Captured,
     prediction: Prediction,
@@ -54,7 +56,7 @@ def classification_answer(
     )
 
 
-def rotation_answer(camera: MaskedCamera) -> Rotation:
+def rotation_response(camera: MaskedCamera) -> Rotation:
     """The policy, the present epoch, and whether the next one is ready."""
     epoch, captures = camera.present
     preparation, lateness = camera.preparation, camera.lateness

@@ -1,4 +1,4 @@
-"""What is done although nobody asks: other masks, self tests, and the watchdog's food."""
+"""Scheduler of what nobody asks for: mask changes, self tests, and the watchdog's signs of life."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LONGEST_PAUSE = 60.0
 OnDevice = Callable[[Callable[[], None]], Awaitable[None]]
 
 
-class Upkeep:
+class Scheduler:
     """Keeps a camera ready. Lives on one event loop.
 
     Args:

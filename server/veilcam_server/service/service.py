@@ -50,12 +50,12 @@ from veilcam_server.errors import (
 from veilcam_server.service.events import History, News
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.responses import (
-    capture_answer,
-    classification_answer,
-    rotation_answer,
+    capture_response,
+    classification_response,
+    rotation_response,
     timing,
 )
-from veilcam_server.service.scheduler import Upkeep
+from veilcam_server.service.scheduler import Scheduler
 
 ResultT = TypeVar("ResultT")
 
@@ -89,7 +89,7 @@ class Service:
         self._camera, self._identity, self._form = camera, identity, form
         self.keyrings, self._scenes = keyrings, scenes
         self._queue, self._news = DeviceQueue(queue_limit), News(heartbeat)
-        self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
+        self._scheduler = Scheduler(camera, rotating=self._on_device, testing=self._watched)
         self.calibrator = Calibrator(
             camera,
             keyrings,
@@ -112,7 +112,7 @@ class Service:
             for detail in self.keyrings.faults:
                 self._news.fault(KeyringInvalidError(detail))
             try:
-                async with self._upkeep.running():
+                async with self._scheduler.running():
                     yield
             finally:
                 await self._close()
@@ -173,13 +173,13 @@ class Service:
 
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
-        return rotation_answer(self._camera)
+        return rotation_response(self._camera)
 
     def set_policy(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change; raises :class:`RotationImpossibleError`."""
         self._camera.policy = policy
         self._news.policy_changed(policy)
-        self._upkeep.wake()
+        self._scheduler.wake()
         return self.rotation()
 
     async def rotate(self) -> Rotation:
@@ -188,7 +188,7 @@ class Service:
             try:
                 await self._on_device(self._camera.rotate)
             finally:
-                self._upkeep.wake()
+                self._scheduler.wake()
         return self.rotation()
 
     async def capture(self) -> Capture:
@@ -205,7 +205,7 @@ class Service:
             )
             name = self._taken(captured)
             embedding = await asyncio.wrap_future(released)
-        return capture_answer(name, captured, embedding, timing(captured, queued, begun))
+        return capture_response(name, captured, embedding, timing(captured, queued, begun))
 
     async def classify(self, *, include_embedding: bool) -> Classification:
         """Take one embedding and classify it with the reader of its own mask.
@@ -227,7 +227,7 @@ class Service:
             name = self._taken(captured)
             prediction, embedding, inference = await asyncio.wrap_future(inferred)
         self._news.classified(name, captured, prediction)
-        return classification_answer(
+        return classification_response(
             name, captured, prediction, embedding, timing(captured, queued, begun, inference)
         )
 
@@ -259,7 +259,7 @@ class Service:
             await self._on_device(lambda: self._camera.change_source(keys.source, first))
         self._identity = replace(self._identity, bundle=keys.info)
         self._news.keyring_changed(keys.info)
-        self._upkeep.wake()
+        self._scheduler.wake()
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
@@ -267,7 +267,7 @@ class Service:
 
     def _state_changed(self, state: State, detail: str | None) -> None:
         self._news.state_changed(state, detail)
-        self._news.on_loop(self._upkeep.wake)
+        self._news.on_loop(self._scheduler.wake)
 
     @contextmanager
     def _admitted(self) -> Iterator[None]:
@@ -277,7 +277,7 @@ class Service:
             yield
 
     def _next_ready(self) -> None:
-        self._news.on_loop(self._upkeep.wake)
+        self._news.on_loop(self._scheduler.wake)
 
     async def _take(
         self, begun: float, aside: Callable[[Captured], ResultT]
@@ -293,7 +293,7 @@ class Service:
         try:
             return await self._on_device(work)
         finally:
-            self._upkeep.wake()
+            self._scheduler.wake()
 
     def _require_released(self) -> Form:
         if self._form == "none":

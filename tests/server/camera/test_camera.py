@@ -328,6 +328,6 @@ def test_secrets_stay_out_of_representations(bench: Bench) -> None:
     bench.sensor.reading = np.full((4, 5), 0.123456, np.float32)
     captured = camera.capture()
     assert "0.123" not in repr(captured)
-    assert camera._panel.showing is not None
-    assert "array" not in repr(camera._panel.showing)
+    assert camera._panel.active is not None
+    assert "array" not in repr(camera._panel.active)
     assert "tensor" not in repr(captured)
