@@ -17,8 +17,6 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.cost import pairs
 from veilcam_optics.plan.errors import Judge
-from veilcam_optics.sensor.photons import mosaic
-from veilcam_optics.sensor.readout import bayer_shares, read
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.simulation.rotated_mask import TurnedMask
 from veilcam_optics.transfer.kernels import shadow_kernel
@@ -410,58 +408,6 @@ def test_light_that_no_row_passes_is_dark(by_factors: bool) -> None:
     values = embed(pictures, torch.ones(camera.mask_shape))
     assert float(values[:, :2].min()) > 0
     assert float(values[:, 2].abs().max()) == 0
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 4), (7, 5), (13, 10)])
-def test_bayer_shares_are_those_of_a_mosaic(shape: tuple[int, int]) -> None:
-    """Averages over embedding pixels, cut where sensor pixels are cut, of what a mosaic sees."""
-    sensor = Sensor(rows=13, columns=10)
-    shares = bayer_shares(sensor, Embedding(*shape))
-
-    def cover(pixels: int, parts: int) -> Tensor:
-        edges = torch.arange(parts + 1, dtype=torch.float64) * pixels / parts
-        index = torch.arange(pixels, dtype=torch.float64)
-        upper = torch.minimum(edges[1:, None], index + 1)
-        lower = torch.maximum(edges[:-1, None], index)
-        return (upper - lower).clamp_min(0) * parts / pixels
-
-    for channel in range(3):
-        planes = torch.zeros(3, 13, 10, dtype=torch.float64)
-        planes[channel] = 1
-        seen = cover(13, shape[0]) @ mosaic(planes) @ cover(10, shape[1]).T
-        assert torch.allclose(shares[channel], seen)
-
-
-def test_counted_photons_have_the_variance_of_their_mean() -> None:
-    values = torch.full((1, 200_000), 0.02, dtype=torch.float64)
-    counted = read(values, Conditions(electrons=500.0), generator=torch.Generator().manual_seed(0))
-    electrons = counted * 500
-    assert float(electrons.mean()) == pytest.approx(10, rel=0.01)
-    assert float(electrons.var()) == pytest.approx(10, rel=0.02)
-    assert float((electrons - electrons.round()).abs().max()) < 1e-9
-    quiet = read(values, Conditions(electrons=500.0), shot=False)
-    assert torch.allclose(quiet, values)
-
-
-def test_readings_are_noisy_saturate_and_are_rounded() -> None:
-    values = torch.linspace(0, 1, 4001, dtype=torch.float64)[None]
-    generator = torch.Generator().manual_seed(0)
-    noisy = read(values, Conditions(electrons=1e4, read_noise=50), shot=False, generator=generator)
-    assert float((noisy - values).std()) == pytest.approx(50 / 1e4, rel=0.05)
-    full = read(values, Conditions(electrons=1e4, full_well=3e3), shot=False)
-    assert float(full.max()) == pytest.approx(0.3)
-    rounded = read(values, Conditions(adc_bits=3, black_level=0.1))
-    assert len(set(rounded.flatten().tolist())) == 7  # 0.1 is above the lowest of eight
-    assert float(rounded.max()) == 1
-    assert torch.allclose(read(values, Conditions(black_level=0.1)), values + 0.1)
-
-
-def test_reading_passes_gradients_straight_through() -> None:
-    values = torch.rand(2, 9, dtype=torch.float64, requires_grad=True)
-    conditions = Conditions(electrons=1e3, read_noise=2.0, adc_bits=8, adc_range=2.0)
-    readings_ = read(values, conditions, generator=torch.Generator().manual_seed(0))
-    (gradient,) = torch.autograd.grad(readings_.sum(), values)
-    assert torch.allclose(gradient, torch.ones_like(gradient))
 
 
 @pytest.mark.parametrize(
