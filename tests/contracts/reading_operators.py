@@ -1,9 +1,8 @@
-"""What happens to pictures and readings outside the light: panel, sensor, colour."""
+"""What happens to pictures and readings outside the light: panel and sensor."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -11,7 +10,6 @@ from torch import Tensor
 from veilcam_optics.apertures import lay_cells, phase_plate, remove_background
 from veilcam_optics.camera.masks import quantise
 from veilcam_optics.propagation.sampling import Grid, area_average
-from veilcam_optics.sensor.colour import FilterSet, decode_srgb, encode_srgb, linear_srgb, xyz
 from veilcam_optics.sensor.noise import shot_noise
 
 from .setting import Bound, Operator, Setting
@@ -53,37 +51,6 @@ def _area_average(setting: Setting) -> Bound:
         (setting.columns, setting.rows),
         kind="signed",
     )
-
-
-def _elementwise(name: str, function: Callable[[Tensor], Tensor]) -> Operator:
-    def bind(setting: Setting) -> Bound:
-        shape = (setting.rows, setting.columns)
-        return Bound(function, shape, shape)
-
-    return Operator(name, bind, batched=True, meta=True, refuses=False)
-
-
-def _spectral(name: str, integral: Callable[[Tensor, Tensor], Tensor]) -> Operator:
-    """From spectra of eleven wavelengths to three numbers."""
-
-    def bind(setting: Setting) -> Bound:
-        visible = torch.linspace(400e-9, 700e-9, 11, dtype=torch.float64, device=setting.device)
-        shape, result = (setting.rows, 11), (setting.rows, 3)
-        return Bound(lambda power: integral(visible, power), shape, result)
-
-    return Operator(
-        name,
-        bind,
-        linear=True,
-        batched=True,
-        mirror=((-2,), ()),
-        widens="the responses at the wavelengths are made in float64",
-        refuses=False,
-    )
-
-
-def _linear_srgb(setting: Setting) -> Bound:
-    return Bound(linear_srgb, (setting.rows, 3), (setting.rows, 3), kind="signed")
 
 
 def _background(setting: Setting) -> Bound:
@@ -134,19 +101,6 @@ READINGS: tuple[Operator, ...] = (
         batched=True,
         refuses=False,
         widens="the shares of samples are made in float64, for whatever size is given",
-    ),
-    _elementwise("sRGB, encode", encode_srgb),
-    _elementwise("sRGB, decode", decode_srgb),
-    _spectral("spectra to XYZ", xyz),
-    _spectral("spectra to sensor RGB", FilterSet().rgb),
-    Operator(
-        "XYZ to linear sRGB",
-        _linear_srgb,
-        linear=True,
-        batched=True,
-        mirror=((-2,), ()),
-        meta=True,
-        refuses=False,
     ),
     _shot_noise(40.0),
     _shot_noise(math.inf),
