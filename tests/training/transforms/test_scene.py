@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.regions import Region
 from veilcam_training.bundle.layers import Linear
 from veilcam_training.encoders import Setup, make_encoder
 from veilcam_training.errors import TrainingError
@@ -173,7 +173,7 @@ def test_a_finer_grid_shows_the_same_object(encoder: str) -> None:
         seen.append(camera(torch.exp(-((distance / 0.012) ** 2))[None], None, grid))
     error = (seen[1] - seen[0]).detach().norm() / seen[0].detach().norm()
     assert float(error) < (0.2 if encoder == "digital" else 0.02)
-    part = Part(10, 12, 5, 6)
+    part = Region(10, 12, 5, 6)
     rows = camera.transfer(part, 1)
     whole = camera.transfer(None, 1).reshape(47, 47, -1)
     torch.testing.assert_close(rows, whole[10:15, 12:18].reshape(30, -1), rtol=1e-4, atol=1e-9)
