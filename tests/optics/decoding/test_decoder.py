@@ -33,7 +33,7 @@ from veilcam_optics.decoding import (
 )
 from veilcam_optics.decoding.decoder import _cholesky
 from veilcam_optics.decoding.frame import dump_frame
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.sensor.noise import shot_noise
@@ -491,7 +491,7 @@ def test_a_calibration_is_what_conditions_describe() -> None:
     }
     calibration = Calibration(**amounts)
     weights = random_mask(camera, torch.Generator().manual_seed(2))
-    model = Model(camera, scene, embedding, Conditions(**amounts), Dials("transfer"))
+    model = Model(camera, scene, embedding, Conditions(**amounts), Sampling("transfer"))
     expected = LightOperator(model)(weights)
     found = calibration.operator(camera, scene, embedding)(calibration.shown(weights))
     assert float((found - expected).norm() / expected.norm()) < 1e-6

@@ -16,7 +16,7 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
 from veilcam_optics.transfer.kernels import box_kernel
 from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator, Variables
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.regions import Region
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
 SCENE = Scene(rows=4, columns=3, height=0.03)
@@ -227,9 +227,9 @@ def test_a_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
     weights = random_mask(camera, torch.Generator().manual_seed(0))
     whole = operator(weights)
     of_pixels = whole.reshape(-1, 7, 9, 20)[:, 1:5, 4:9].reshape(*whole.shape[:-2], 20, 20)
-    torch.testing.assert_close(operator(weights, Part(1, 4, 4, 5)), of_pixels)
-    assert torch.equal(operator(weights, Part(0, 0, 7, 9)), whole)
-    for bad in (Part(-1, 0, 2, 2), Part(0, 8, 2, 2), Part(6, 0, 2, 2), Part(0, 0, 0, 2)):
+    torch.testing.assert_close(operator(weights, Region(1, 4, 4, 5)), of_pixels)
+    assert torch.equal(operator(weights, Region(0, 0, 7, 9)), whole)
+    for bad in (Region(-1, 0, 2, 2), Region(0, 8, 2, 2), Region(6, 0, 2, 2), Region(0, 0, 0, 2)):
         with pytest.raises(OpticsError, match="a part of the scene's 7 x 9 pixels"):
             operator(weights, bad)
 
