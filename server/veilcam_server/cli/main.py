@@ -15,7 +15,7 @@ from veilcam_server.cli import calibrate as calibration_command
 from veilcam_server.cli import doctor as doctor_command
 from veilcam_server.cli import serve as serve_command
 from veilcam_server.cli import tokens as token_command
-from veilcam_server.cli.serve import hold_up
+from veilcam_server.cli.serve import set_scene
 from veilcam_server.cli.terminal import fail
 from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, load_digits
 from veilcam_server.errors import StartError
@@ -73,7 +73,7 @@ def show(
             fitting = [n for n, label in enumerate(digits.labels) if digit in (None, label)]
             index = secrets.choice(fitting)
         path = scene or default_state_dir() / SCENE_NAME
-        hold_up(path, digits, index)
+        set_scene(path, digits, index)
         typer.echo(f"held up a {digits.labels[index]} (held-out digit {index}) in {path}")
     except StartError as error:
         fail(str(error))
