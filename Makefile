@@ -1,27 +1,53 @@
 # Two commands for a newcomer: `make demo` and `make test`. Both work on a fresh clone with nothing
-# but Python 3.11, pip, git and make.
+# but Python (3.11 or later), pip, git and make.
 
-PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
+# A name may be there and fail when it is run, as pyenv's shims do, so each is run.
+PYTHONS := python3.13 python3.12 python3.11 python3
+RECENT := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for name in $(PYTHONS); do \
+	$$name -c '$(RECENT)' 2>/dev/null && echo $$name && break; done)
+
+# The torch of pip's usual index brings gigabytes of CUDA; this index has the same versions as
+# builds for the CPU. pip looks into both and takes 2.13.0+cpu before 2.13.0, since a local version
+# sorts above the version without it (PEP 440). Where the index does not answer, or TORCH_INDEX is
+# empty, torch comes from where pip is set up to look. The alarm also ends a slow look-up of the name.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+ANSWERS := import signal, sys, urllib.request; signal.alarm(5); urllib.request.urlopen(sys.argv[1])
+
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
 
-.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm clean
+.PHONY: help demo serve test test-libcamera lint types imports pytest test-vm mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
 	@echo "make serve    the same daemon, left running on http://127.0.0.1:8787"
 	@echo "make test     every check: lint, types, package arrows, tests"
+	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
+	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --editable '.[all,dev]'
+	@python='$(PYTHON)'; \
+	if ! "$${python:-false}" -c '$(RECENT)' 2>/dev/null; then \
+		echo "make: $${python:-each of $(PYTHONS)} is missing, fails or is older than Python 3.11:" \
+			"install one, or say which to take with PYTHON=PATH" >&2; exit 1; \
+	elif ! "$$python" -c 'import ensurepip, venv' 2>/dev/null; then \
+		echo "make: $$python has no module venv, or no pip for it: on Debian and Ubuntu" \
+			"install python3-venv, or say which Python to take with PYTHON=PATH" >&2; exit 1; \
+	fi; \
+	"$$python" -m venv $(VENV)
+	@index='$(TORCH_INDEX)'; \
+	if [ "$$index" ] && ! $(BIN)/python -c '$(ANSWERS)' "$$index/torch/" >/dev/null 2>&1; then \
+		echo "make: no answer from $$index: torch comes from where pip looks otherwise"; index=; \
+	fi; \
+	$(BIN)/python -m pip install $${index:+--extra-index-url "$$index"} --editable '.[all,dev]'
 	touch $@
 
 demo: $(INSTALLED)
@@ -49,9 +75,29 @@ imports: $(INSTALLED)
 pytest: $(INSTALLED)
 	$(BIN)/pytest
 
+# The instructions of older processors; those of newer ones cannot be asked for. Threads that wait
+# sleep, so that two of them get on on a busy machine.
+SSE := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE ONEDNN_MAX_CPU_ISA=SSE41 \
+	OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES=X86_V3
+AVX2 := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+	OPENBLAS_CORETYPE=Haswell
+
+.PHONY: test-processors
+test-processors: numerical-SSE-1 numerical-SSE-2 numerical-AVX2-1 numerical-AVX2-2
+
+numerical-SSE-%: $(INSTALLED)
+	$(SSE) VEILCAM_TEST_THREADS=$* $(BIN)/pytest -m numerical
+
+numerical-AVX2-%: $(INSTALLED)
+	$(AVX2) VEILCAM_TEST_THREADS=$* $(BIN)/pytest -m numerical
+
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py
 
+# Not part of test: it runs tests a hundred times.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutation --count 100 --seed 1 --figures benchmarks/results/house.json
+
 clean:
-	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) demo build/mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

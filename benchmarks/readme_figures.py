@@ -54,7 +54,7 @@ README: Figures = {
     "step_peak_rss_mb": ("optics", "memory of that step, at its peak", "{:.0f} MB"),
     "plan_honest_fraction": (
         "optics",
-        "plans whose measured error is at most twice the predicted one",
+        "plans whose measured error is at most twice the predicted one, pitch 40 to 110 um",
         "{:.3f}",
     ),
     "plan_worst_time_over_best": (
@@ -114,7 +114,7 @@ README: Figures = {
     "decode_classify_ms": ("fresh-masks", "decoding and classifying, on one core", "{:.1f} ms"),
     "cluster_ari_white": (
         "fresh-masks",
-        "clustering released embeddings by mask without the key: best adjusted Rand index",
+        "clustering `white` embeddings by mask, no key, no epoch's name: best adjusted Rand index",
         "{:.4f}",
     ),
     "overhead_median_ms": (
@@ -141,7 +141,10 @@ FRESH: Figures = {
             "mnist_shift": "MNIST anywhere in the field of view, 24 x 32",
             "fashion_24x32": "Fashion-MNIST, 24 x 32",
         }.items()
-        for suffix, said in {"": "", "_wrong_key": ", decoded with another key"}.items()
+        for suffix, said in {
+            "": "",
+            "_wrong_key": ", decoded with a wrong key, nothing else tried",
+        }.items()
     },
 }
 

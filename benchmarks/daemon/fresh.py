@@ -37,7 +37,8 @@ import torch
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from veilcam_client.wire.captures import EveryCaptures, Form
+from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.epoch_names import EpochNames
@@ -50,7 +51,6 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, Display, Shown
 from veilcam_server.devices.base import Levels, Reading
 from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Mask, Reader
 from veilcam_training.bundle import Bundle, Fresh, build_untrained
@@ -135,7 +135,7 @@ class MarkedReader:
     reader: Reader
     fingerprint: bytes
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Classify as the reader does."""
         return self.reader.classify(embedding)
 

@@ -1,6 +1,6 @@
 """Authorised decoding: with the camera's secret, a released embedding becomes a scene again.
 
-Needs the extra ``optics``; the rest of the SDK does without.
+Needs the optics, ``pip install -e '.[optics]'`` in a checkout; the rest of the SDK does without.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class SceneDecoder:
     def decode(self, answer: Capture | Classification) -> npt.NDArray[np.float32]:
         """Best estimate of the scene, (rows, columns).
 
-        Another secret, or another device's, gives noise, and nothing says so.
+        Another secret, or another device's, gives something else, and nothing says so.
 
         Raises:
             VeilcamError: the answer holds no embedding (code ``no_embedding``), or it is not one of

@@ -11,9 +11,9 @@ import structlog
 import torch
 import uvicorn
 
+from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import BundleInfo
-from veilcam_client.wire.captures import Device as DeviceInfo
+from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
 from veilcam_server.bundles.manager import Keyrings
@@ -36,7 +36,7 @@ from veilcam_server.errors import (
     StartError,
     StoppedError,
 )
-from veilcam_server.security.admission import open_gateway
+from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
 from veilcam_server.service.service import Service
@@ -198,9 +198,9 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_gateway(settings) as gateway:
+        with open_admission(settings) as admission:
             config = uvicorn.Config(
-                create_app(service, gateway),
+                create_app(service, admission),
                 log_config=None,
                 access_log=False,
                 server_header=False,

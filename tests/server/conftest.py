@@ -17,8 +17,9 @@ import structlog
 import torch
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import Device as DeviceInfo
-from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
@@ -36,7 +37,7 @@ from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
@@ -319,13 +320,13 @@ def running(bench: Bench) -> Running:
         settle: float = 0.0,
         raising: bool = True,
         on: Bench | None = None,
-        gateway: Gateway | None = None,
+        admission: Admission | None = None,
     ) -> AsyncIterator[httpx.AsyncClient]:
         chosen = on or bench
         service = chosen.service(
             chosen.camera(policy=policy, settle=settle), queue_limit=queue_limit
         )
-        app = create_app(service, gateway)
+        app = create_app(service, admission)
         transport = httpx.ASGITransport(app, raise_app_exceptions=raising)
         async with (
             service.open(),

@@ -21,17 +21,12 @@ from veilcam_client.wire.calibration import (
     SceneName,
     ScenePresented,
 )
-from veilcam_client.wire.captures import (
-    Capture,
-    Classification,
-    ClassificationRequest,
-    Rotation,
-    RotationPolicy,
-    Status,
-)
+from veilcam_client.wire.captures import Capture, Classification, ClassificationRequest
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
+from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPE, HeldScene
+from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)

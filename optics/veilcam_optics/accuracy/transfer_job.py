@@ -135,7 +135,7 @@ def plan_settings(job: TransferJob) -> Iterator[Setting]:
 def _prepare(job: TransferJob, tolerance: float) -> Prepared:
     chosen = plan(job.camera, job.scene, job.embedding, tolerance)
     operator = chosen.operator
-    weights = job.weights.to(chosen.model.dials.dtype)
+    weights = job.weights.to(chosen.model.sampling.dtype)
     if operator.has_transfer:
         return Prepared(lambda: operator(weights))
     # A way that forms no matrix shows it one scene pixel at a time.

@@ -29,7 +29,7 @@ def decode(
     epoch: Annotated[str, typer.Option(help="Epoch of the embeddings: its name, or its number.")],
     form: Annotated[str, typer.Option(help="white, flat or raw.")] = "white",
 ) -> None:
-    """Decode embeddings that a camera released. A wrong key gives noise, not an error."""
+    """Decode embeddings that a camera released. A wrong key gives another picture, not an error."""
     try:
         scenes = decode_released(
             _read(released),

@@ -2,10 +2,10 @@
 
 Embeddings of one mask resemble each other: their mean gives the mask away as a label, without any
 key. And all masks pass light at the same places, so a coarse shadow of the scene shows behind any
-of them. ``flat`` takes the mask's mean response and the exposure out. ``white`` takes out mean and
-covariance and then turns the rest by a rotation that only the mask's holder knows: to first and
-second order the readings of all masks look alike, and no place in them means anything. ``raw`` is
-the reading itself.
+of them. ``flat`` takes the mask's mean response and the exposure out, and hides nothing else.
+``white`` takes out mean and covariance and then turns the rest by a rotation that only the mask's
+holder knows; the length of a reading stays, is nearly the same behind every mask, and tells much of
+the scene. ``raw`` is the reading itself. What each form gives away is in docs/fresh-masks.md.
 """
 
 from __future__ import annotations
@@ -132,8 +132,8 @@ def recover(
     """Readings from a released form; :func:`release` of the same mask undone.
 
     ``RAW`` and ``WHITE`` come back up to rounding. ``FLAT`` comes back at the exposure of the mean
-    scene: the exposure itself was left out on purpose. With another mask's decoder what comes back
-    is noise, and nothing says so.
+    scene: the exposure itself was left out on purpose. With another mask's decoder something else
+    comes back than the reading, and nothing says so.
 
     Args:
         released: (batch, rows, columns) of the embedding, or (batch, E).
@@ -181,7 +181,7 @@ def decode_released(
         released: (batch, rows, columns) of the embedding, all of one epoch.
         form: that they were released in; ``FLAT`` decodes at the exposure of the mean scene.
         frame: what is public about camera and scenes.
-        secret: of the device. Another one gives noise, and nothing says so.
+        secret: of the device. Another one gives something else, and nothing says so.
         device: its name in the key schedule.
         epoch: in which the embeddings were read: its number, or the name that came with them.
         gain: reading per unit of irradiance.

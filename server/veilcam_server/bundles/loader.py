@@ -6,15 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import (
-    BundleInfo,
-    Device,
-    EveryCaptures,
-    Release,
-    RotationOff,
-    RotationPolicy,
-)
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
+from veilcam_client.wire.status import Device
 from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.bundles.store import KeyringStore
 from veilcam_server.errors import (
@@ -88,8 +84,9 @@ def open_source(
 def release_form(settings: Settings, bundle: Bundle) -> Release:
     """Return the form in which embeddings leave.
 
-    Unless it is said, embeddings of fresh masks leave white, which tells nothing without the key;
-    those of stored pairs stay inside, but for a simulated camera, which sees nobody.
+    Unless it is said, embeddings of fresh masks leave white, of the forms that let
+    anything out the one that tells least; those of stored pairs stay inside, but for a simulated
+    camera, which sees nobody.
 
     Raises:
         StartError: a form that needs scene statistics, and the bundle has none.

@@ -17,7 +17,6 @@ from veilcam_client.wire.calibration import (
     SignedCalibration,
     Stage,
 )
-from veilcam_server.api.problems import code_of
 from veilcam_server.bundles.loader import Keys
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration import CalibrationError, SigningKey
@@ -29,6 +28,7 @@ from veilcam_server.errors import (
     CalibrationImpossibleError,
     NotCalibratingError,
     NotReadyError,
+    ProblemError,
 )
 
 log = structlog.get_logger()
@@ -159,7 +159,7 @@ class Calibrator:
             stage = "cancelled"
         except Exception as error:
             stage, detail = "failed", str(error)
-            if code_of(error) is None and not isinstance(error, CalibrationError):
+            if not isinstance(error, (ProblemError, CalibrationError)):
                 log.error("defect", error=type(error).__name__, during="calibration")
                 detail = "the daemon has a defect: nothing was changed"
         # Why no mask is shown, where none is, the state tells.

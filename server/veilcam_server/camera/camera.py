@@ -16,13 +16,14 @@ from datetime import UTC, datetime
 from typing import TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import RotationOff, RotationPolicy, State
+from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.status import State
 from veilcam_server.calibration.loading import calibrated
 from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.rotation import due_in, reusable
-from veilcam_server.camera.self_test import EVERY, Proof, SelfTest
+from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
@@ -72,8 +73,8 @@ class MaskedCamera:
         self._bare, self._preparation = stamped(device, self._health), preparation
         self._device = calibrated(self._bare, calibration)
         self._shape, self._fence = shape, fence
-        self._proof = Proof(test, self._device, fence, every=test_every)
-        self._panel = MaskedPanel(self._device.display, preparation, self._proof)
+        self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
+        self._panel = MaskedPanel(self._device.display, preparation, self._self_test)
         self._lock = threading.Lock()
         self.lateness = Lateness()
         self.policy = policy
@@ -124,19 +125,19 @@ class MaskedCamera:
     @property
     def present(self) -> tuple[str | None, int]:
         """Name of the epoch shown (None: no mask) and the captures taken under it."""
-        showing = self._panel.showing
-        return (None, 0) if showing is None else (showing.epoch, showing.captures)
+        active = self._panel.active
+        return (None, 0) if active is None else (active.epoch, active.captures)
 
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
-        showing = self._panel.showing
-        if showing is None:
+        active = self._panel.active
+        if active is None:
             return math.inf
         return due_in(
             self._policy,
-            shown_for=time.monotonic() - showing.since,
-            captures=showing.captures,
-            chance=showing.chance,
+            shown_for=time.monotonic() - active.since,
+            captures=active.captures,
+            chance=active.chance,
         )
 
     def test_due_in(self) -> float:
@@ -151,7 +152,7 @@ class MaskedCamera:
         From the states ``safe`` and ``degraded`` this is the way back, and shows another mask.
         """
         with self._lock:
-            if self._panel.showing is None:
+            if self._panel.active is None:
                 self._rotate()
             else:
                 self._panel.test()
@@ -190,7 +191,7 @@ class MaskedCamera:
         with self._lock:
             if self.state[0] != "calibrating":
                 return
-            self._proof.void(self._device, self._fence)
+            self._self_test.void(self._device, self._fence)
             try:
                 self._panel.show(self._preparation.take())
             finally:
@@ -257,17 +258,17 @@ class MaskedCamera:
             if self.due_in() <= 0 and not self._may_reuse():
                 self._rotate()
             self._panel.test()
-            showing = self._panel.showing
-            if showing is None:
+            active = self._panel.active
+            if active is None:
                 raise NotReadyError(self.state[1] or "no mask is shown yet: try again")
             rotated = time.monotonic()
-            not_before = showing.completed_at + self._fence.settle
+            not_before = active.completed_at + self._fence.settle
             taken_at = datetime.now(UTC)
             exposure = self._device.sensor.capture(not_before, self._fence.timeout)
             ended = time.monotonic()
             # Counted before it is checked: the light was collected, whatever comes of it.
-            showing.captures += 1
-            if self._panel.showing is not showing:
+            active.captures += 1
+            if self._panel.active is not active:
                 raise FenceError("the mask changed during the exposure, which was thrown away")
             check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
             scenes = self._device.scenes
@@ -278,9 +279,9 @@ class MaskedCamera:
             return Captured(
                 embedding=exposure.embedding,
                 taken_at=taken_at,
-                epoch=showing.epoch,
-                reader=showing.mask.reader,
-                started_after_shown=exposure.started_at - showing.completed_at,
+                epoch=active.epoch,
+                reader=active.mask.reader,
+                started_after_shown=exposure.started_at - active.completed_at,
                 settle=self._fence.settle,
                 duration=exposure.ended_at - exposure.started_at,
                 rotation_time=rotated - begun,
@@ -305,14 +306,14 @@ class MaskedCamera:
 
     def _may_reuse(self) -> bool:
         """Whether a mask that is due may serve this capture, too."""
-        showing = self._panel.showing
-        if showing is None or not self._preparation.under_way:
+        active = self._panel.active
+        if active is None or not self._preparation.under_way:
             return False
-        return showing.reuse(reusable(self._policy), self.lateness)
+        return active.reuse(reusable(self._policy), self.lateness)
 
     def _rotate(self) -> None:
         self._require_running()
-        if self._panel.showing is not None:
+        if self._panel.active is not None:
             self._require_another()
         # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
         self._panel.show(self._preparation.take())

@@ -1,4 +1,4 @@
-"""The next epoch, made ready in the background while the present one is in use."""
+"""Epochs: their durable counter, and the next one, made ready in the background."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server.cli.terminal import fail, one_line
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Wiring

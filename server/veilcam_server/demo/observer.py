@@ -1,4 +1,4 @@
-"""Tells which mask an embedding was made with, as nobody could who lacks bundle and secret.
+"""Tells which mask an embedding was made with, from the bundle and, for fresh masks, the secret.
 
 The API names epochs, not masks. The demonstration holds what it takes to find the mask of an epoch.
 """

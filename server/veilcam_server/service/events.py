@@ -11,8 +11,9 @@ from datetime import UTC, datetime
 
 import structlog
 
+from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.calibration import CalibrationRun
-from veilcam_client.wire.captures import BundleInfo, RotationPolicy, State
+from veilcam_client.wire.captures import Prediction
 from veilcam_client.wire.diagnostics import PastFault, PastState
 from veilcam_client.wire.events import (
     CalibrationChanged,
@@ -26,8 +27,10 @@ from veilcam_client.wire.events import (
     RotationChanged,
     StateChanged,
 )
+from veilcam_client.wire.rotation import RotationPolicy
+from veilcam_client.wire.status import State
 from veilcam_server.camera.capture import Captured
-from veilcam_server.masks.classifier import Verdict
+from veilcam_server.errors import ProblemError
 from veilcam_server.system.systemd import notify
 
 CAPACITY = 1024
@@ -218,7 +221,7 @@ class News:
             )
         )
 
-    def classified(self, name: str, captured: Captured, verdict: Verdict) -> None:
+    def classified(self, name: str, captured: Captured, prediction: Prediction) -> None:
         """An embedding was classified."""
         self._publish(
             lambda id_, at: Classified(
@@ -226,14 +229,15 @@ class News:
                 at=at,
                 capture=name,
                 epoch=captured.epoch,
-                label=verdict.label,
-                confidence=verdict.confidence,
+                label=prediction.label,
+                confidence=prediction.confidence,
                 replay=captured.replay is not None,
             )
         )
 
-    def fault(self, code: str, detail: str) -> None:
+    def fault(self, error: ProblemError) -> None:
         """Something failed."""
+        code, detail = error.code, str(error)
         log.warning("fault", code=code, detail=detail)
         self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
 

@@ -1,4 +1,4 @@
-"""A bounded queue in front of the one thread that may touch the device."""
+"""Bounded queue in front of the one thread that may touch the device."""
 
 from __future__ import annotations
 

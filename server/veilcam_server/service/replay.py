@@ -17,8 +17,10 @@ from veilcam_client.errors import RecordingError
 from veilcam_client.recording import Recorded, Recording, read_recording
 from veilcam_client.wire.bundles import Keyring
 from veilcam_client.wire.bundles import Keyrings as KeyringsAnswer
-from veilcam_client.wire.captures import Device as DeviceInfo
-from veilcam_client.wire.captures import Form, Replay, RotationOff, RotationPolicy, State
+from veilcam_client.wire.captures import Form, Prediction, Replay
+from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.status import Device as DeviceInfo
+from veilcam_client.wire.status import State
 from veilcam_server.bundles.loader import Identity
 from veilcam_server.bundles.manager import Change, Keyrings
 from veilcam_server.camera.camera import MaskedCamera
@@ -27,7 +29,6 @@ from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.devices import Device, DisplayError, Exposure, SensorError, Shown
 from veilcam_server.devices.base import Levels, Reading
 from veilcam_server.errors import ReplayingError, ReplayOverError, StartError
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.masks.source import Mask
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
@@ -144,13 +145,13 @@ class _Recollection:
 
     recorded: Recorded = field(repr=False)
 
-    def classify(self, embedding: Reading) -> Verdict:  # noqa: ARG002 - nothing is inferred
+    def classify(self, embedding: Reading) -> Prediction:  # noqa: ARG002 - nothing is inferred
         verdict = self.recorded.verdict
         if verdict is None:
             raise ReplayingError(
                 "this capture was recorded without its label: record with 'veilcam record --labels'"
             )
-        return Verdict(verdict.label, verdict.confidence, verdict.scores)
+        return verdict
 
     def release(self, embedding: Reading, form: Form) -> Reading:  # noqa: ARG002 - it was checked
         """It was released before it was recorded."""

@@ -1,4 +1,4 @@
-"""What is done although nobody asks: other masks, self tests, and the watchdog's food."""
+"""Scheduler of what nobody asks for: mask changes, self tests, and the watchdog's signs of life."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from contextlib import asynccontextmanager, suppress
 
 import structlog
 
-from veilcam_server.api.problems import code_of
 from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.errors import ProblemError
 from veilcam_server.system.systemd import notify, watchdog_period
 
 log = structlog.get_logger()
@@ -20,7 +20,7 @@ LONGEST_PAUSE = 60.0
 OnDevice = Callable[[Callable[[], None]], Awaitable[None]]
 
 
-class Upkeep:
+class Scheduler:
     """Keeps a camera ready. Lives on one event loop.
 
     Args:
@@ -127,8 +127,9 @@ async def _succeeds(on_device: OnDevice, work: Callable[[], None], name: str) ->
     """Whether ``work`` did not fail; the state tells of failures that are known."""
     try:
         await on_device(work)
+    except ProblemError:
+        return False
     except Exception as error:
-        if code_of(error) is None:
-            log.error("defect", error=type(error).__name__, during=name)
+        log.error("defect", error=type(error).__name__, during=name)
         return False
     return True

@@ -15,23 +15,20 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client import __version__
+from veilcam_client.wire.base import API_VERSION
 from veilcam_client.wire.bundles import Keyring
 from veilcam_client.wire.captures import (
-    API_VERSION,
     Capture,
     Classification,
     Embedding,
     Form,
-    Queue,
+    Prediction,
     Release,
-    Rotation,
-    RotationPolicy,
-    State,
-    Status,
 )
 from veilcam_client.wire.events import Event
+from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import HeldScene
-from veilcam_server.api.problems import code_of
+from veilcam_client.wire.status import Queue, State, Status
 from veilcam_server.bundles.loader import Identity, Keys
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration.service import Calibrator
@@ -42,22 +39,23 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, decode, fitted
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
+    KeyringInvalidError,
+    ProblemError,
     ReplayingError,
     RotationImpossibleError,
     SceneApiOffError,
     SceneInvalidError,
     WithheldError,
 )
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.service.events import History, News
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.responses import (
-    capture_answer,
-    classification_answer,
-    rotation_answer,
+    capture_response,
+    classification_response,
+    rotation_response,
     timing,
 )
-from veilcam_server.service.scheduler import Upkeep
+from veilcam_server.service.scheduler import Scheduler
 
 ResultT = TypeVar("ResultT")
 
@@ -91,7 +89,7 @@ class Service:
         self._camera, self._identity, self._form = camera, identity, form
         self.keyrings, self._scenes = keyrings, scenes
         self._queue, self._news = DeviceQueue(queue_limit), News(heartbeat)
-        self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
+        self._scheduler = Scheduler(camera, rotating=self._on_device, testing=self._watched)
         self.calibrator = Calibrator(
             camera,
             keyrings,
@@ -112,9 +110,9 @@ class Service:
         """Keep the camera ready within; then show opaque and let go of the device."""
         with self._news.open(*self._camera.state):
             for detail in self.keyrings.faults:
-                self._news.fault("keyring_invalid", detail)
+                self._news.fault(KeyringInvalidError(detail))
             try:
-                async with self._upkeep.running():
+                async with self._scheduler.running():
                     yield
             finally:
                 await self._close()
@@ -175,13 +173,13 @@ class Service:
 
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
-        return rotation_answer(self._camera)
+        return rotation_response(self._camera)
 
     def set_policy(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change; raises :class:`RotationImpossibleError`."""
         self._camera.policy = policy
         self._news.policy_changed(policy)
-        self._upkeep.wake()
+        self._scheduler.wake()
         return self.rotation()
 
     async def rotate(self) -> Rotation:
@@ -190,7 +188,7 @@ class Service:
             try:
                 await self._on_device(self._camera.rotate)
             finally:
-                self._upkeep.wake()
+                self._scheduler.wake()
         return self.rotation()
 
     async def capture(self) -> Capture:
@@ -207,7 +205,7 @@ class Service:
             )
             name = self._taken(captured)
             embedding = await asyncio.wrap_future(released)
-        return capture_answer(name, captured, embedding, timing(captured, queued, begun))
+        return capture_response(name, captured, embedding, timing(captured, queued, begun))
 
     async def classify(self, *, include_embedding: bool) -> Classification:
         """Take one embedding and classify it with the reader of its own mask.
@@ -218,19 +216,19 @@ class Service:
         begun = time.monotonic()
         form = self._require_released() if include_embedding else None
 
-        def infer(captured: Captured) -> tuple[Verdict, Embedding | None, float]:
+        def infer(captured: Captured) -> tuple[Prediction, Embedding | None, float]:
             started = time.perf_counter()
-            verdict = captured.reader.classify(captured.embedding)
+            prediction = captured.reader.classify(captured.embedding)
             took = time.perf_counter() - started
-            return verdict, _released(captured, form) if form else None, took
+            return prediction, _released(captured, form) if form else None, took
 
         with self._admitted():
             captured, queued, inferred = await self._take(begun, infer)
             name = self._taken(captured)
-            verdict, embedding, inference = await asyncio.wrap_future(inferred)
-        self._news.classified(name, captured, verdict)
-        return classification_answer(
-            name, captured, verdict, embedding, timing(captured, queued, begun, inference)
+            prediction, embedding, inference = await asyncio.wrap_future(inferred)
+        self._news.classified(name, captured, prediction)
+        return classification_response(
+            name, captured, prediction, embedding, timing(captured, queued, begun, inference)
         )
 
     async def hold_scene(self, content: bytes | None) -> HeldScene:
@@ -261,7 +259,7 @@ class Service:
             await self._on_device(lambda: self._camera.change_source(keys.source, first))
         self._identity = replace(self._identity, bundle=keys.info)
         self._news.keyring_changed(keys.info)
-        self._upkeep.wake()
+        self._scheduler.wake()
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
@@ -269,7 +267,7 @@ class Service:
 
     def _state_changed(self, state: State, detail: str | None) -> None:
         self._news.state_changed(state, detail)
-        self._news.on_loop(self._upkeep.wake)
+        self._news.on_loop(self._scheduler.wake)
 
     @contextmanager
     def _admitted(self) -> Iterator[None]:
@@ -279,7 +277,7 @@ class Service:
             yield
 
     def _next_ready(self) -> None:
-        self._news.on_loop(self._upkeep.wake)
+        self._news.on_loop(self._scheduler.wake)
 
     async def _take(
         self, begun: float, aside: Callable[[Captured], ResultT]
@@ -295,7 +293,7 @@ class Service:
         try:
             return await self._on_device(work)
         finally:
-            self._upkeep.wake()
+            self._scheduler.wake()
 
     def _require_released(self) -> Form:
         if self._form == "none":
@@ -316,10 +314,8 @@ class Service:
             return await self._watched(work, counted=counted)
         except (RotationImpossibleError, ReplayingError):
             raise
-        except Exception as error:
-            code = code_of(error)
-            if code is not None:
-                self._news.fault(code, str(error))
+        except ProblemError as error:
+            self._news.fault(error)
             raise
 
     async def _watched(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:

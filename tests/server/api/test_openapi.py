@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
 from veilcam_server.api.app import create_app
 from veilcam_server.api.dependencies import ALWAYS
 from veilcam_server.api.openapi import document

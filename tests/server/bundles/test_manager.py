@@ -12,8 +12,11 @@ import pytest
 import torch
 
 from veilcam_client.wire.bundles import Keyring, Keyrings
-from veilcam_client.wire.captures import Classification, EveryCaptures, Problem, Status
+from veilcam_client.wire.captures import Classification
 from veilcam_client.wire.events import Event, Fault, KeyringChanged
+from veilcam_client.wire.problems import Problem
+from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.bundles import store as keyring_store
 from veilcam_server.bundles.loader import Opener, last_good

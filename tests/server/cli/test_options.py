@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
 from veilcam_server.cli.main import app
 from veilcam_server.settings import DoctorSettings, Settings, Wiring
 

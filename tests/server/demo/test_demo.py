@@ -23,6 +23,8 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.masks.fresh import FreshSource
 
+pytestmark = pytest.mark.numerical
+
 if TYPE_CHECKING:
     from veilcam_optics.keys.masks import Secret
     from veilcam_training.bundle import Bundle

@@ -1,0 +1,161 @@
+"""The Makefile's environment: which Python makes it, and where its torch comes from."""
+
+from __future__ import annotations
+
+import http.server
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# Runs programs with the Python of the tests, but only notes what it would install.
+GOOD = f"""#!/bin/sh
+case "$1 $2" in
+"-m venv") mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
+"-m pip") shift 2; echo "${{0##*/}} $*" >> "$NOTES" ;;
+*) exec "{sys.executable}" "$@" ;;
+esac
+"""
+SHIM = "#!/bin/sh\necho 'command not found' >&2; exit 127\n"
+OLD = f"""#!/bin/sh
+exec "{sys.executable}" -c "import sys; sys.version_info = (3, 10, 13); $2"
+"""
+WITHOUT_PIP = GOOD.replace("case", 'case "$2" in *ensurepip*) exit 1;; esac\ncase', 1)
+
+
+@dataclass
+class Machine:
+    """A folder that holds every program there is, and the environment that was made."""
+
+    root: Path
+
+    def __post_init__(self) -> None:
+        self.programs = self.root / "programs"
+        self.programs.mkdir()
+        for name in ("cp", "mkdir", "touch"):
+            (self.programs / name).symlink_to(shutil.which(name) or pytest.fail(name))
+
+    def add(self, name: str, script: str) -> Path:
+        path = self.programs / name
+        path.write_text(script)
+        path.chmod(0o755)
+        return path
+
+    def install(self, *variables: str) -> subprocess.CompletedProcess[str]:
+        environment = self.root / "environment"
+        return subprocess.run(
+            [
+                shutil.which("make") or pytest.fail("make"),
+                f"--directory={ROOT}",
+                f"VENV={environment}",
+                *variables,
+                f"{environment}/.installed",
+            ],
+            env={"PATH": str(self.programs), "NOTES": str(self.root / "notes")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    def installed(self) -> str:
+        return (self.root / "notes").read_text()
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
+
+
+@pytest.fixture
+def index(tmp_path: Path) -> Iterator[str]:
+    """A package index on the loopback that has torch."""
+    (tmp_path / "index" / "torch").mkdir(parents=True)
+    handler = partial(Quiet, directory=str(tmp_path / "index"))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    """Serves a folder without a log."""
+
+    def log_message(self, *arguments: object) -> None:
+        """Drop it."""
+
+
+def marked(script: str) -> str:
+    """The script, told apart from others by a comment."""
+    return script + "# taken\n"
+
+
+def test_the_first_python_that_runs_and_is_recent_is_taken(machine: Machine) -> None:
+    machine.add("python3.13", SHIM)
+    machine.add("python3.12", OLD)
+    machine.add("python3.11", marked(GOOD))
+    machine.add("python3", GOOD)
+    ended = machine.install("TORCH_INDEX=")
+    assert ended.returncode == 0, ended.stderr
+    assert "# taken" in (machine.root / "environment" / "bin" / "python").read_text()
+    assert machine.installed().endswith("install --editable .[all,dev]\n")
+
+
+def test_another_python_can_be_named(machine: Machine) -> None:
+    machine.add("python3.13", GOOD)
+    named = machine.add("mine", marked(GOOD))
+    assert machine.install("TORCH_INDEX=", f"PYTHON={named}").returncode == 0
+    assert "# taken" in (machine.root / "environment" / "bin" / "python").read_text()
+
+
+@pytest.mark.parametrize(
+    ("scripts", "variables", "said"),
+    [
+        ({}, [], "each of python3.13 python3.12 python3.11 python3 is missing, fails or is older"),
+        ({"python3": OLD}, [], "each of python3.13 python3.12 python3.11 python3 is missing"),
+        ({"python3": GOOD, "old": OLD}, ["PYTHON=old"], "old is missing, fails or is older than"),
+        ({"python3": GOOD, "shim": SHIM}, ["PYTHON=shim"], "shim is missing, fails or is older"),
+        ({"python3": GOOD}, ["PYTHON=none"], "none is missing, fails or is older than Python 3.11"),
+        ({"python3": WITHOUT_PIP}, [], "python3 has no module venv, or no pip for it"),
+    ],
+    ids=["none", "too old", "named and old", "named and fails", "named and missing", "no venv"],
+)
+def test_what_is_wrong_is_said_in_a_line(
+    machine: Machine, scripts: dict[str, str], variables: list[str], said: str
+) -> None:
+    for name, script in scripts.items():
+        machine.add(name, script)
+    ended = machine.install("TORCH_INDEX=", *variables)
+    assert ended.returncode != 0
+    line, *rest = ended.stderr.splitlines()
+    assert said in line
+    assert "PYTHON=PATH" in line
+    assert all("***" in other for other in rest), ended.stderr  # make's own
+    assert not (machine.root / "notes").exists()
+
+
+def test_torch_comes_from_its_index_where_that_answers(machine: Machine, index: str) -> None:
+    machine.add("python3.11", GOOD)
+    assert machine.install(f"TORCH_INDEX={index}").returncode == 0
+    assert f"--extra-index-url {index} " in machine.installed()
+
+
+def test_an_index_without_an_answer_is_left_out_and_named(machine: Machine) -> None:
+    machine.add("python3.11", GOOD)
+    with socket.socket() as unused:  # bound, and nothing listens: connections are refused
+        unused.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{unused.getsockname()[1]}"
+        ended = machine.install(f"TORCH_INDEX={url}")
+    assert ended.returncode == 0, ended.stderr
+    assert f"no answer from {url}" in ended.stdout
+    assert "index" not in machine.installed()
