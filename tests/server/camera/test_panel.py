@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from tests.server.devices.clock import Clock
 
+from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
@@ -40,8 +42,15 @@ class Rig:
         self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
         self.states: list[tuple[str, str | None]] = []
         self.masks: list[str] = []
-        self.panel.on_state = lambda *told: self.states.append(told)
-        self.panel.on_mask = self.masks.append
+        self.panel.publish = self._note
+
+    def _note(self, make: Callable[..., Event]) -> None:
+        event = make(id="0-0", at=datetime.now(UTC))
+        if isinstance(event, StateChanged):
+            self.states.append((event.state, event.detail))
+        else:
+            assert isinstance(event, MaskChanged)
+            self.masks.append(event.epoch)
 
     def show(self) -> Prepared:
         """Show the next mask; gives what was shown."""
