@@ -25,7 +25,7 @@ export OMP_NUM_THREADS := 1
 # of one file, which share what is slow to make, mostly stay together.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 
-.PHONY: help demo serve check test stress test-libcamera lint types layers fast pytest test-vm clean
+.PHONY: help demo serve check test stress test-libcamera lint types layers fast pytest test-vm mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
@@ -33,8 +33,10 @@ help:
 	@echo "make check    lint, types, layers and the fast tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
+	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
+	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
@@ -91,9 +93,29 @@ fast: $(INSTALLED)
 pytest: $(INSTALLED)
 	$(PYTEST) -m "not system"
 
+# The instructions of older processors; those of newer ones cannot be asked for. Threads that wait
+# sleep, so that two of them get on on a busy machine.
+SSE := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE ONEDNN_MAX_CPU_ISA=SSE41 \
+	OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES=X86_V3
+AVX2 := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+	OPENBLAS_CORETYPE=Haswell
+
+.PHONY: test-processors
+test-processors: numerical-SSE-1 numerical-SSE-2 numerical-AVX2-1 numerical-AVX2-2
+
+numerical-SSE-%: $(INSTALLED)
+	$(SSE) VEILCAM_TEST_THREADS=$* $(PYTEST) -m numerical
+
+numerical-AVX2-%: $(INSTALLED)
+	$(AVX2) VEILCAM_TEST_THREADS=$* $(PYTEST) -m numerical
+
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py
 
+# Not part of test: it runs tests a hundred times.
+mutants: $(INSTALLED)
+	$(BIN)/python -m tests.mutation --count 100 --seed 1 --figures benchmarks/results/house.json
+
 clean:
-	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) demo build/mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -18,7 +18,7 @@ from benchmarks.figures import FiguresOption, record
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.decoding import AS_DRAWN
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import plan
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
@@ -57,13 +57,13 @@ def main(
     coarse = plan(camera, scene, embedding, TOLERANCE, batch=1, method="grid").model
     values = {}
     for finer in FINER:
-        dials = replace(
-            coarse.dials,
-            oversampling=finer * coarse.dials.oversampling,
-            step=coarse.dials.step / finer,
+        sampling = replace(
+            coarse.sampling,
+            oversampling=finer * coarse.sampling.oversampling,
+            step=coarse.sampling.step / finer,
         )
-        values[f"distance_grid_{finer}_um"] = distance(replace(coarse, dials=dials), weights)
-    exact = Model(camera, scene, embedding, optical.IDEAL, Dials("transfer", reach=Reach(6, 1)))
+        values[f"distance_grid_{finer}_um"] = distance(replace(coarse, sampling=sampling), weights)
+    exact = Model(camera, scene, embedding, optical.IDEAL, Sampling("transfer", reach=Reach(6, 1)))
     values["distance_transfer_um"] = distance(exact, weights)
     for name, value in values.items():
         print(f"{name}: {value:.1f}", flush=True)

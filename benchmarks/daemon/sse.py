@@ -26,8 +26,8 @@ from benchmarks.rig import prompt_daemon, work_folder
 
 from veilcam_client import AsyncCamera
 from veilcam_client.http.sse import Decoder
-from veilcam_client.wire.captures import EveryCaptures, RotationOff
 from veilcam_client.wire.events import EVENT, Event, Gap, RotationChanged
+from veilcam_client.wire.rotation import EveryCaptures, RotationOff
 
 PATIENCE = 30.0
 """Longest wait for the last event [s]."""

@@ -25,7 +25,7 @@ from veilcam_optics.apertures import measured_psf
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.camera.masks import quantise, random_mask
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.simulation.operator import LightOperator
 
@@ -60,8 +60,8 @@ def main(
     torch.set_num_threads(1)
     camera, generator = Camera(), torch.Generator().manual_seed(seed)
     weights = quantise(random_mask(camera, generator), camera.panel)
-    dials = Dials(method="grid", oversampling=OVERSAMPLING, dtype=torch.float32)
-    light = LightOperator(Model(camera, Scene(), Embedding(), PANEL, dials))
+    sampling = Sampling(method="grid", oversampling=OVERSAMPLING, dtype=torch.float32)
+    light = LightOperator(Model(camera, Scene(), Embedding(), PANEL, sampling))
     with torch.no_grad():
         (psf,) = light.response(weights)
         levels = photograph(psf, snr_db, generator)

@@ -5,7 +5,7 @@ Over many random cameras, scenes, embeddings, conditions and tolerances, all fro
 - ``plan_honest_fraction``: how often the measured error of a plan is at most twice the predicted.
   The truth is a far finer setting of the same physics; on some cases that is compared with direct
   integration of the whole field, which shares nothing with it but the field of one aperture.
-- ``plan_worst_time_over_best``: the longest time of a plan over that of the fastest dial setting
+- ``plan_worst_time_over_best``: the longest time of a plan over that of the fastest sampling
   that reaches the tolerance, as measured: by two standard errors, so not by the luck of the masks
   that were drawn. Plan and rivals take turns, and the ratio is the median over the rounds.
 
@@ -36,7 +36,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
 from veilcam_optics.plan.search import MAX_NUMBERS
@@ -162,7 +162,7 @@ def true_model(case: Case, chosen: Reach) -> Model:
     sensor, embedding = camera.sensor, case.embedding
     pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
     fringe = 0.9 * min(camera.wavelengths) * camera.distance / apart
-    dials = Dials(
+    sampling = Sampling(
         reach=reach,
         wavelengths=7,
         layers=7,
@@ -170,7 +170,7 @@ def true_model(case: Case, chosen: Reach) -> Model:
         step=min(fringe / 3, pixel / 20),
         dtype=torch.float64,
     )
-    return Model(camera, case.scene, embedding, case.conditions, dials)
+    return Model(camera, case.scene, embedding, case.conditions, sampling)
 
 
 def relative(values: list[Tensor], truths: list[Tensor]) -> float:
@@ -219,12 +219,12 @@ def rivals(case: Case, chosen: Plan) -> Iterator[Model]:
     spectra, layers, zones = (samples if each else (1,) for each in there)
     patterns = (False, True) if conditions.bayer else (False,)
     limit = 2 * cost(chosen.model, BATCH).step_ms
-    step = chosen.model.dials.step
+    step = chosen.model.sampling.step
     for near, camera, spectrum, layer, zone, bayer in product(
         product(rows, columns), leaks, spectra, layers, zones, patterns
     ):
         for diffraction in (True, False) if near == (0, 0) else (True,):
-            dials = Dials(
+            sampling = Sampling(
                 diffraction=diffraction,
                 reach=Reach(*near),
                 wavelengths=spectrum,
@@ -233,7 +233,7 @@ def rivals(case: Case, chosen: Plan) -> Iterator[Model]:
                 step=step,
             )
             model = Model(
-                camera, case.scene, case.embedding, replace(conditions, bayer=bayer), dials
+                camera, case.scene, case.embedding, replace(conditions, bayer=bayer), sampling
             )
             estimate = cost(model, BATCH)
             if estimate.step_ms <= limit and estimate.numbers <= MAX_NUMBERS:
@@ -241,15 +241,15 @@ def rivals(case: Case, chosen: Plan) -> Iterator[Model]:
 
 
 def fineness(model: Model) -> tuple[int, ...]:
-    """Of every dial that rivals differ in; what is larger is finer, and takes longer."""
-    dials = model.dials
+    """Of everything that rivals differ in; what is larger is finer, and takes longer."""
+    sampling = model.sampling
     return (
-        int(dials.diffraction),
-        dials.reach.rows,
-        dials.reach.columns,
-        dials.wavelengths,
-        dials.layers,
-        dials.zones,
+        int(sampling.diffraction),
+        sampling.reach.rows,
+        sampling.reach.columns,
+        sampling.wavelengths,
+        sampling.layers,
+        sampling.zones,
         int(model.conditions.bayer),
         int(model.camera.panel.filter_leakage > 0),
     )
@@ -260,8 +260,8 @@ def measured_rivals(
 ) -> Iterator[tuple[Model, LightOperator, bool]]:
     """Rivals, and whether they reach the tolerance, as measured.
 
-    What is coarser in every dial than a rival that misses it will miss it, too; what is finer in
-    every dial than one that reaches it takes longer. Neither is looked at: it would take hours.
+    What is coarser in everything than a rival that misses it will miss it, too; what is finer in
+    everything than one that reaches it takes longer. Neither is looked at: it would take hours.
     """
     left = {model: fineness(model) for model in models}
 
@@ -269,8 +269,8 @@ def measured_rivals(
         mine = left[model]
         return [
             other
-            for other, dials in left.items()
-            if all((d >= m) if finer else (d <= m) for d, m in zip(dials, mine, strict=True))
+            for other, sampling in left.items()
+            if all((d >= m) if finer else (d <= m) for d, m in zip(sampling, mine, strict=True))
         ]
 
     while left:
@@ -346,7 +346,7 @@ def judge(case: Case, *, masks: int, rounds: int) -> Result:
     # Small masks differ more.
     size = case.camera.window.rows * case.camera.window.columns
     weights = some_masks(case, masks * max(1, min(4, 800 // size)))
-    truths = matrices(LightOperator(true_model(case, chosen.model.dials.reach)), weights)
+    truths = matrices(LightOperator(true_model(case, chosen.model.sampling.reach)), weights)
     measured = relative(matrices(chosen.operator, weights), truths)
     worst, rival = 1.0, None
     mine = step_of(chosen.operator, weights[0])
@@ -494,21 +494,22 @@ def main(
 def describe(result: Result) -> str:
     """One line."""
     case, chosen = result.case, result.chosen
-    dials = chosen.model.dials
+    sampling = chosen.model.sampling
     conditions = [
         name
         for name in Conditions.__dataclass_fields__
         if getattr(case.conditions, name) != getattr(IDEAL, name)
     ]
-    rival = result.rival.dials if result.rival else None
+    rival = result.rival.sampling if result.rival else None
     return (
         f"{'    ' if result.honest else 'FAR '}{'' if chosen.reached else 'OUT '}"
         f"tol {case.tolerance:.1e} predicted {chosen.error:.1e} measured {result.measured:.1e} "
         f"ratio {result.ratio:.2f} plan {result.seconds:.1f} s | {case.camera.mask_shape} "
         f"{1e3 * case.camera.distance:.1f} mm {case.embedding.shape} "
         f"{'filters' if case.camera.panel.filter_cycle else 'bare'} {conditions} | "
-        f"{'shadow' if not dials.diffraction else dials.reach} {dials.wavelengths} {dials.layers} "
-        f"{dials.zones} {1e6 * dials.step:.2f} um"
+        f"{'shadow' if not sampling.diffraction else sampling.reach} "
+        f"{sampling.wavelengths} {sampling.layers} "
+        f"{sampling.zones} {1e6 * sampling.step:.2f} um"
         + (
             f" | rival {rival.reach if rival.diffraction else 'shadow'} {rival.wavelengths} "
             f"{rival.layers} {rival.zones}"

@@ -1,4 +1,4 @@
-"""How a daemon is set up: command line first, then ``VEILCAM_...`` in the environment."""
+"""Settings of a daemon: of the command line first, then ``VEILCAM_...`` in the environment."""
 
 from __future__ import annotations
 
@@ -11,31 +11,60 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from veilcam_client.wire.captures import Release, RotationPolicy
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_server.demo_data import KEYRING
 
-GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
-"""Labels of the chip with the header's lines: Raspberry Pi 5, and 4."""
+
+def default_state_dir() -> Path:
+    """Where systemd says (``StateDirectory=``), or the user's state directory (XDG)."""
+    given = os.environ.get("STATE_DIRECTORY")
+    if given:
+        return Path(given)
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "veilcam"
 
 
 class Wiring(BaseSettings):
     """What ``veilcamd`` can be told of a real device."""
 
-    model_config = SettingsConfigDict(env_prefix="VEILCAM_", extra="forbid", frozen=True)
+    # Of the docstrings below 'veilcamd --help' is made, one command-line option of each.
+    model_config = SettingsConfigDict(
+        env_prefix="VEILCAM_", extra="forbid", frozen=True, use_attribute_docstrings=True
+    )
 
+    panel: str = "ST7735R"
+    """Kind of panel."""
+    sensor: str = "IMX477"
+    """Kind of sensor."""
+    # A wrong tab shifts or turns masks, so none is taken for granted.
     panel_tab: Literal["red", "black", "green"] | None = None
-    """Colour of the film's tab; a wrong one shifts or turns masks, so none is taken for granted."""
+    """Tab of an ST7735R's film: red, black or green."""
     spi: Path = Path("/dev/spidev0.0")
+    """Bus of the panel."""
     spi_hz: int = Field(default=15_000_000, ge=100_000, le=100_000_000)
-    """Clock of the bus [Hz]; the data sheet of the panel allows 15,151,515."""
+    """Clock of the bus in Hz; 15151515 is an ST7735R's limit."""
     allow_fast_spi: bool = False
+    """Allow a clock beyond that limit, with a warning."""
     gpio_chip: str | None = Field(default=None, min_length=1, max_length=64)
-    """Label of the chip with both lines; by default whichever of a Raspberry Pi's is there."""
+    """Label of the GPIO chip with both lines. Default: that of a Raspberry Pi 5 or 4."""
     data_line: int = Field(default=25, ge=0, le=1023)
+    """Line of A0 (D/C)."""
     reset_line: int = Field(default=24, ge=0, le=1023)
+    """Line of RESET."""
     camera_number: int = Field(default=0, ge=0, le=15)
-    exposure_factor: float = Field(default=1.0, ge=1, le=1000, allow_inf_nan=False)
-    """How many times shorter or longer the camera may make the exposure by itself."""
+    """Of the cameras that are connected."""
+
+
+class DoctorSettings(Wiring):
+    """What ``veilcamd doctor`` is told of the daemon that is going to be."""
+
+    bundle: Path | None = None
+    """That of 'veilcamd serve'."""
+    state_dir: Path = Field(default_factory=default_state_dir)
+    """That of 'veilcamd serve'."""
+    mask_secret: Path | None = None
+    """That of 'veilcamd serve'."""
 
 
 DEFAULT_PORT = 8787
@@ -57,50 +86,65 @@ _OPTIONS = {"device": "simulate", "rotation": "every-seconds and --every-capture
 """Options of another name than their setting's."""
 
 
-def default_state_dir() -> Path:
-    """Where systemd says (``StateDirectory=``), or the user's state directory (XDG)."""
-    given = os.environ.get("STATE_DIRECTORY")
-    if given:
-        return Path(given)
-    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(base) / "veilcam"
-
-
 class Settings(Wiring):
     """Everything that ``veilcamd serve`` can be told."""
 
     bundle: Path
+    """Masks and classifiers, a *.veilcam file. With --simulate, the demo's by default."""
     device: Literal["pi", "simulated"] = "pi"
+    """Use a simulated panel and sensor instead of a Raspberry Pi's."""
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
-    """What a simulated camera sees; the file of 'veilcamd show' if there is nothing."""
-    replay: Path | None = None
-    """Recording that stands in the place of a camera."""
+    """What the simulated camera sees: an image (.npy, PNG, JPEG), a folder of images, or a data
+    set as mnist:FOLDER or mnist:FOLDER:test. Give several, and each capture sees the next.
+    Default: what 'veilcamd show' writes."""
     scene_api: bool = False
-    """Whether scenes may be held up over REST."""
+    """Let callers set the scene before the simulated camera, for tests."""
+    replay: Path | None = None
+    """Answer with what 'veilcam record' wrote to this file, instead of a camera."""
     host: str = "127.0.0.1"
+    """Address to listen on; others than loopback need TLS."""
     port: int = Field(default=DEFAULT_PORT, ge=0, le=65_535)
+    """Port; 0 takes a free one."""
     socket: Path | None = None
+    """Listen on a unix socket instead."""
     state_dir: Path = Field(default_factory=default_state_dir)
+    """Where mask epochs, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None
+    """When masks change."""
     mask_secret: Path | None = None
+    """File with the secret of fresh masks, made by 'veilcamd secret'."""
     calibration: Path | None = None
-    """Record of 'veilcamd calibrate'; the one in the state directory if None and there is one."""
+    """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
+    one."""
     device_label: str | None = Field(default=None, min_length=1, max_length=255)
+    """Label of this camera: no two with one secret may have the same."""
     release: Release | None = None
+    """How embeddings leave: none, flat, white or raw. Default: white for fresh masks, none for
+    pairs (raw when simulated)."""
     settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)
+    """Seconds for the panel to settle, never less than was measured."""
     exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)
+    """Exposure in seconds."""
+    exposure_factor: float = Field(default=1.0, ge=1, le=1000, allow_inf_nan=False)
+    """The camera may expose so many times shorter or longer; 1 for a fixed exposure."""
     snr_db: float = Field(default=40.0)
+    """Simulated signal-to-noise ratio in dB."""
     as_built: Path | None = None
-    """How the simulated camera departs from its drawing."""
+    """How the simulated camera departs from its drawing: a JSON file (docs/calibration.md)."""
     capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
+    """Longest wait for a reading in seconds."""
     self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
-    """Longest time from one self test of the panel to the next; there is no way around it [s]."""
+    """Seconds between two self tests of the panel, at most."""
     queue_limit: int = Field(default=8, ge=1, le=1024)
+    """Captures that may wait."""
     auth: Literal["tokens", "none"] = "tokens"
+    """tokens, or none: whoever reaches the daemon may use it; by default none when simulated."""
     tls_certificate: Path | None = None
+    """Serve TLS with this certificate, a PEM file."""
     tls_key: Path | None = None
+    """Its private key, a PEM file."""
     rate_limit: float = Field(default=100.0, gt=0, le=1e6, allow_inf_nan=False)
-    """Requests of one caller, in the long run [1/s]."""
+    """Requests of one caller in a second, in the long run."""
     rate_burst: int = Field(default=200, ge=1, le=1_000_000)
     """Requests of one caller that may come at once after a quiet time."""
     concurrency_limit: int = Field(default=64, ge=1, le=1024)
@@ -108,10 +152,13 @@ class Settings(Wiring):
     stream_limit: int = Field(default=64, ge=1, le=1024)
     """Event streams that may be open, all callers together."""
     keyring_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
-    """Largest bundle that may be uploaded [bytes]."""
+    """Largest bundle that may be uploaded, in bytes."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
+    """Seconds between two signs of life on a quiet event stream."""
     wrong_classifier: bool = False
+    """Experiment: read every mask as if it were another one."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """debug, info, warning or error."""
 
     @field_validator("scenes", mode="before")
     @classmethod

@@ -7,7 +7,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.effects.model import Method
 from veilcam_optics.sensor.readout import read
 from veilcam_optics.simulation.operator import LightOperator
@@ -36,7 +36,7 @@ def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0
             stray_light=0.05,
             bayer=True,
         ),
-        Dials(
+        Sampling(
             method=method,
             reach=Reach(3, 1),
             wavelengths=1 if field else 2,

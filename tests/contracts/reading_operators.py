@@ -1,22 +1,16 @@
-"""What happens to pictures and readings outside the light: panel, sensor, colour, scene."""
+"""What happens to pictures and readings outside the light: panel and sensor."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from veilcam_optics.apertures import lay_cells, phase_plate, remove_background
-from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.camera.masks import quantise
 from veilcam_optics.propagation.sampling import Grid, area_average
-from veilcam_optics.sensor.colour import FilterSet, decode_srgb, encode_srgb, linear_srgb, xyz
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.sensor.photons import mosaic
-from veilcam_optics.simulation.depth import split_depth
-from veilcam_optics.simulation.scenes import SceneTransform
 
 from .setting import Bound, Operator, Setting
 
@@ -56,75 +50,6 @@ def _area_average(setting: Setting) -> Bound:
         (setting.rows + 7, setting.columns + 4),
         (setting.columns, setting.rows),
         kind="signed",
-    )
-
-
-def _mosaic(setting: Setting) -> Bound:
-    return Bound(
-        mosaic,
-        (3, setting.rows, setting.columns),
-        (setting.rows, setting.columns),
-        kind="signed",
-    )
-
-
-def _elementwise(name: str, function: Callable[[Tensor], Tensor]) -> Operator:
-    def bind(setting: Setting) -> Bound:
-        shape = (setting.rows, setting.columns)
-        return Bound(function, shape, shape)
-
-    return Operator(name, bind, batched=True, meta=True, refuses=False)
-
-
-def _spectral(name: str, integral: Callable[[Tensor, Tensor], Tensor]) -> Operator:
-    """From spectra of eleven wavelengths to three numbers."""
-
-    def bind(setting: Setting) -> Bound:
-        visible = torch.linspace(400e-9, 700e-9, 11, dtype=torch.float64, device=setting.device)
-        shape, result = (setting.rows, 11), (setting.rows, 3)
-        return Bound(lambda power: integral(visible, power), shape, result)
-
-    return Operator(
-        name,
-        bind,
-        linear=True,
-        batched=True,
-        mirror=((-2,), ()),
-        widens="the responses at the wavelengths are made in float64",
-        refuses=False,
-    )
-
-
-def _linear_srgb(setting: Setting) -> Bound:
-    return Bound(linear_srgb, (setting.rows, 3), (setting.rows, 3), kind="signed")
-
-
-def _scene_transform(setting: Setting) -> Bound:
-    """Pictures drawn into a scene a size larger, shifted, turned and in perspective."""
-    canvas = Scene(setting.rows + 4, setting.columns + 5, height=1.0)
-    transform = SceneTransform(
-        canvas,
-        object_height=(0.1, 0.15),
-        shift=setting.columns <= 5 * setting.rows,
-        rotation=(-20.0, 20.0),
-        perspective=0.2,
-        seed=3,
-    )
-    return Bound(
-        lambda images: transform(images, [5] * len(images)),
-        (setting.rows, setting.columns),
-        canvas.shape,
-    )
-
-
-def _split_depth(setting: Setting) -> Bound:
-    depth = torch.linspace(
-        0.3, 0.6, setting.rows * setting.columns, dtype=torch.float64, device=setting.device
-    ).reshape(setting.rows, setting.columns)
-    return Bound(
-        lambda pictures: split_depth(pictures, depth, (0.35, 0.45, 0.5)),
-        depth.shape,
-        (3, *depth.shape),
     )
 
 
@@ -176,46 +101,6 @@ READINGS: tuple[Operator, ...] = (
         batched=True,
         refuses=False,
         widens="the shares of samples are made in float64, for whatever size is given",
-    ),
-    Operator(
-        "Bayer mosaic",
-        _mosaic,
-        linear=True,
-        batched=True,
-        mirror=((), ()),
-        meta=True,
-        refuses=False,
-    ),
-    _elementwise("sRGB, encode", encode_srgb),
-    _elementwise("sRGB, decode", decode_srgb),
-    _spectral("spectra to XYZ", xyz),
-    _spectral("spectra to sensor RGB", FilterSet().rgb),
-    Operator(
-        "XYZ to linear sRGB",
-        _linear_srgb,
-        linear=True,
-        batched=True,
-        mirror=((-2,), ()),
-        meta=True,
-        refuses=False,
-    ),
-    Operator(
-        "scene transform",
-        _scene_transform,
-        linear=True,
-        batched=True,
-        mirror=((), ()),
-        refuses=False,
-        widens="where to read is worked out in float64",
-    ),
-    Operator(
-        "depth layers",
-        _split_depth,
-        linear=True,
-        batched=True,
-        mirror=((), ()),
-        refuses=False,
-        widens="shares are made in float64",
     ),
     _shot_noise(40.0),
     _shot_noise(math.inf),

@@ -20,115 +20,119 @@ from .setting import Operator
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "stability.md"
-TESTS = ROOT / "tests" / "optics"
+TESTS = ROOT / "tests"
 
 HARD_CASES = (
-    "stability/test_hard_cases.py",
-    "stability/test_hard_readings.py",
-    "stability/test_phases.py",
-    "stability/test_plans.py",
+    "contracts/test_hard_cases.py",
+    "contracts/test_hard_readings.py",
+    "contracts/test_phases.py",
+    "contracts/test_plans.py",
 )
 
 CLOSED_FORMS: Mapping[str, tuple[str, ...]] = {
     "square aperture": (
-        "test_closed_forms.py::test_square_aperture",
-        "stability/test_factored_closed_forms.py::test_square_aperture_on_axis",
-        "stability/test_factored_closed_forms.py::test_square_aperture_against_quadrature",
+        "optics/propagation/test_closed_forms.py::test_square_aperture",
+        "contracts/test_factored_closed_forms.py::test_square_aperture_on_axis",
+        "contracts/test_factored_closed_forms.py::test_square_aperture_against_quadrature",
     ),
     "circular aperture on its axis": (
-        "test_closed_forms.py::test_circular_aperture_on_axis",
-        "test_closed_forms.py::test_airy_pattern_of_a_far_disc",
+        "optics/propagation/test_closed_forms.py::test_circular_aperture_on_axis",
+        "optics/propagation/test_closed_forms.py::test_airy_pattern_of_a_far_disc",
     ),
-    "Gaussian beam": ("test_closed_forms.py::test_gaussian_beam",),
-    "Talbot distance": ("test_closed_forms.py::test_talbot_distance",),
-    "Arago's spot": ("test_closed_forms.py::test_arago_spot",),
+    "Gaussian beam": ("optics/propagation/test_closed_forms.py::test_gaussian_beam",),
+    "Talbot distance": ("optics/propagation/test_closed_forms.py::test_talbot_distance",),
+    "Arago's spot": ("optics/propagation/test_closed_forms.py::test_arago_spot",),
     "knife edge": (
-        "test_closed_forms.py::test_knife_edge",
-        "stability/test_factored_closed_forms.py::test_knife_edge",
-        "stability/test_factored_closed_forms.py::test_knife_edge_through_the_transfer_operator",
+        "optics/propagation/test_closed_forms.py::test_knife_edge",
+        "contracts/test_factored_closed_forms.py::test_knife_edge",
+        "contracts/test_factored_closed_forms.py::test_knife_edge_through_the_transfer_operator",
     ),
     "two slits": (
-        "test_closed_forms.py::test_two_slits",
-        "stability/test_factored_closed_forms.py::test_two_slits_in_the_far_field",
-        "stability/test_factored_closed_forms.py::test_two_slits_through_the_transfer_operator",
+        "optics/propagation/test_closed_forms.py::test_two_slits",
+        "contracts/test_factored_closed_forms.py::test_two_slits_in_the_far_field",
+        "contracts/test_factored_closed_forms.py::test_two_slits_through_the_transfer_operator",
     ),
     "energy": (
-        "test_propagation.py::test_energy_is_conserved_exactly_when_periodic",
-        "test_grid.py::test_energy_is_kept_by_propagation",
-        "test_grid.py::test_power_through_the_mask_is_exact",
-        "stability/test_factored_closed_forms.py::test_energy_of_the_field",
-        "stability/test_factored_closed_forms.py::test_energy_of_the_transfer",
+        "optics/propagation/test_propagation.py::test_energy_is_conserved_exactly_when_periodic",
+        "optics/transfer/test_grid.py::test_energy_is_kept_by_propagation",
+        "optics/transfer/test_grid.py::test_power_through_the_mask_is_exact",
+        "contracts/test_factored_closed_forms.py::test_energy_of_the_field",
+        "contracts/test_factored_closed_forms.py::test_energy_of_the_transfer",
     ),
-    "there and back again": ("test_propagation.py::test_there_and_back_again",),
+    "there and back again": ("optics/propagation/test_propagation.py::test_there_and_back_again",),
     "shift equivariance": (
-        "test_propagation.py::test_shift_of_the_source_shifts_the_field",
-        "test_propagation.py::test_subpixel_shift_is_exact",
-        "test_grid.py::test_scene_shift_moves_the_image_the_other_way",
-        "stability/test_factored_closed_forms.py::test_shift_equivariance_of_the_field",
-        "stability/test_factored_closed_forms.py::test_shift_equivariance_of_the_transfer",
-        "stability/test_factored_closed_forms.py::test_a_scene_pixel_further_is_an_embedding_pixel_back",
+        "optics/propagation/test_propagation.py::test_shift_of_the_source_shifts_the_field",
+        "optics/propagation/test_propagation.py::test_subpixel_shift_is_exact",
+        "optics/transfer/test_grid.py::test_scene_shift_moves_the_image_the_other_way",
+        "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_field",
+        "contracts/test_factored_closed_forms.py::test_shift_equivariance_of_the_transfer",
+        "contracts/test_factored_closed_forms.py::test_a_scene_pixel_further_is_an_embedding_pixel_back",
     ),
 }
 """Closed forms of diffraction theory, and where each is tested; tolerances stand in the tests."""
 
 DEFECTS: Mapping[str, tuple[str, ...]] = {
     "odd sizes shifted by a pixel": (
-        "test_incumbent_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
-        "stability/test_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
+        "optics/test_incumbent_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
+        "contracts/test_defects.py::test_odd_sizes_are_not_shifted_by_a_pixel",
     ),
     "colour and wavelength swapped": (
-        "test_incumbent_defects.py::test_each_colour_is_propagated_at_its_own_wavelength",
-        "stability/test_defects.py::test_each_colour_has_its_own_wavelength",
+        "optics/test_incumbent_defects.py::test_each_colour_is_propagated_at_its_own_wavelength",
+        "contracts/test_defects.py::test_each_colour_has_its_own_wavelength",
     ),
     "apertures floored to whole samples": (
-        "test_incumbent_defects.py::test_open_area_is_not_floored",
-        "stability/test_defects.py::test_open_area_is_exact",
+        "optics/test_incumbent_defects.py::test_open_area_is_not_floored",
+        "contracts/test_defects.py::test_open_area_is_exact",
     ),
     "weights outside [0, 1] get no gradient": (
-        "test_incumbent_defects.py::test_weights_outside_the_range_are_refused_and_not_left_to_die",
-        "stability/test_defects.py::test_weights_outside_the_range_do_not_die",
+        "optics/test_incumbent_defects.py::test_weights_outside_the_range_are_refused_and_not_left_to_die",
+        "contracts/test_defects.py::test_weights_outside_the_range_do_not_die",
     ),
     "more signal to noise than asked for": (
-        "test_incumbent_defects.py::test_noise_asked_for_is_noise_delivered",
-        "stability/test_hard_readings.py::test_noise_far_above_and_below_the_signal",
+        "optics/test_incumbent_defects.py::test_noise_asked_for_is_noise_delivered",
+        "contracts/test_hard_readings.py::test_noise_far_above_and_below_the_signal",
     ),
     "noise on the scene instead of the reading": (
-        "stability/test_plans.py::test_noise_of_a_plan_is_noise_after_the_optics",
+        "contracts/test_plans.py::test_noise_of_a_plan_is_noise_after_the_optics",
     ),
     "a bright neighbour in the batch darkens an image": (
-        "test_incumbent_defects.py::test_a_bright_neighbour_does_not_darken_a_picture",
-        "stability/test_hard_readings.py::test_each_image_has_its_own_noise_level",
+        "optics/test_incumbent_defects.py::test_a_bright_neighbour_does_not_darken_a_picture",
+        "contracts/test_hard_readings.py::test_each_image_has_its_own_noise_level",
     ),
     "misspelt options swallowed": (
-        "test_incumbent_defects.py::test_misspelt_options_are_not_swallowed",
-        "stability/test_defects.py::test_no_function_swallows_a_misspelt_option",
+        "optics/test_incumbent_defects.py::test_misspelt_options_are_not_swallowed",
+        "contracts/test_defects.py::test_no_function_swallows_a_misspelt_option",
     ),
     "a pattern divided by its own maximum": (
-        "test_incumbent_defects.py::test_a_dim_mask_stays_dim",
-        "stability/test_defects.py::test_a_dim_mask_stays_dim",
+        "optics/test_incumbent_defects.py::test_a_dim_mask_stays_dim",
+        "contracts/test_defects.py::test_a_dim_mask_stays_dim",
     ),
     "bits lost on the wire modelled nowhere": (
-        "stability/test_defects.py::test_six_bits_of_the_wire_are_modelled",
+        "contracts/test_defects.py::test_six_bits_of_the_wire_are_modelled",
     ),
     "options that do nothing": (
-        "test_incumbent_defects.py::test_every_option_of_the_angular_spectrum_does_something",
-        "stability/test_defects.py::test_every_option_of_the_transfer_operator_does_something",
-        "stability/test_defects.py::test_every_option_of_the_other_paths_does_something",
+        "optics/test_incumbent_defects.py::test_every_option_of_the_angular_spectrum_does_something",
+        "contracts/test_defects.py::test_every_option_of_the_transfer_operator_does_something",
+        "contracts/test_defects.py::test_every_option_of_the_other_paths_does_something",
     ),
     "frequencies that are not the DFT's": (
-        "test_incumbent_defects.py::test_frequencies_are_those_of_the_dft",
-        "stability/test_phases.py::test_angular_spectrum_transfer",
+        "optics/test_incumbent_defects.py::test_frequencies_are_those_of_the_dft",
+        "contracts/test_phases.py::test_angular_spectrum_transfer",
     ),
     "float32 kernels under complex128": (
-        "test_incumbent_defects.py::test_double_precision_meets_no_single_precision_kernel",
-        "stability/test_contracts.py::test_contract",
+        "optics/test_incumbent_defects.py::test_double_precision_meets_no_single_precision_kernel",
+        "contracts/test_contracts.py::test_contract",
     ),
     "NaN gradient at the evanescent edge": (
-        "test_incumbent_defects.py::test_gradient_at_the_evanescent_edge_is_a_number",
-        "stability/test_hard_cases.py::test_a_wave_on_the_evanescent_edge",
+        "optics/test_incumbent_defects.py::test_gradient_at_the_evanescent_edge_is_a_number",
+        "contracts/test_hard_cases.py::test_a_wave_on_the_evanescent_edge",
     ),
-    "resizing that skips pixels": ("test_incumbent_defects.py::test_binning_reads_every_pixel",),
-    "division by no light": ("test_incumbent_defects.py::test_zero_energy_has_a_stated_result",),
+    "resizing that skips pixels": (
+        "optics/test_incumbent_defects.py::test_binning_reads_every_pixel",
+    ),
+    "division by no light": (
+        "optics/test_incumbent_defects.py::test_zero_energy_has_a_stated_result",
+    ),
 }
 """Defects found in other optics packages, and the tests that this one does not have them."""
 
@@ -206,7 +210,7 @@ def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
     yield ""
     for file in HARD_CASES:
         summary = ast.get_docstring(ast.parse((TESTS / file).read_text())) or ""
-        yield f"### `tests/optics/{file}`"
+        yield f"### `tests/{file}`"
         yield ""
         yield summary.split("\n")[0]
         yield ""
@@ -217,7 +221,7 @@ def lines(cell: Callable[[Operator, Contract], str]) -> Iterator[str]:
     for title, table in (("Closed forms", CLOSED_FORMS), ("Defects of others", DEFECTS)):
         yield f"## {title}"
         yield ""
-        yield "| what | tests, below `tests/optics` |"
+        yield "| what | tests, below `tests` |"
         yield "|---|---|"
         for what, tests in table.items():
             yield f"| {what} | " + "<br>".join(f"`{test}`" for test in tests) + " |"

@@ -12,10 +12,8 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.masks import random_mask
-from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum, FresnelImpulse
 from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.sensor.colour import xyz
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
@@ -73,13 +71,6 @@ def test_from_a_micrometre_to_a_kilometre(
 @pytest.mark.parametrize("wavelength", WAVELENGTHS)
 def test_from_ultraviolet_to_thermal(operator: Operator, wavelength: float) -> None:
     finite_with_gradients(operator, Setting(3, 4, wavelength=wavelength))
-
-
-def test_a_spectrum_nobody_sees() -> None:
-    """No tristimulus values can be scaled by it: an error, not NaN."""
-    infrared = torch.linspace(8e-6, 12e-6, 9, dtype=torch.float64)
-    with pytest.raises(OpticsError, match="nothing visible"):
-        xyz(infrared, torch.ones(9, dtype=torch.float64))
 
 
 @of_weights

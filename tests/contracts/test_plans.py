@@ -53,27 +53,27 @@ def made(camera: Camera, tolerance: float, conditions: Conditions = IDEAL) -> Pl
 @cameras
 @tolerances
 def test_plan_equals_no_plan(camera: Camera, tolerance: float) -> None:
-    """The same operator put together by hand from the plan's dials, without effects or plans."""
+    """The same operator put together by hand from the plan's sampling, without effects or plans."""
     chosen = made(camera, tolerance)
-    dials, model = chosen.model.dials, chosen.model
-    assert dials.method in {"transfer", "factors"}
+    sampling, model = chosen.model.sampling, chosen.model
+    assert sampling.method in {"transfer", "factors"}
     by_hand = TransferOperator(
         model.camera,
         model.scene,
         model.embedding,
-        reach=dials.reach,
-        step=dials.step,
-        dtype=dials.dtype,
+        reach=sampling.reach,
+        step=sampling.step,
+        dtype=sampling.dtype,
         approximation=model.approximation,
     )
-    weights = some_weights(camera, dials.dtype)
-    scenes = some_scenes(model.scene, dials.dtype)
+    weights = some_weights(camera, sampling.dtype)
+    scenes = some_scenes(model.scene, sampling.dtype)
     planned = chosen.embed(scenes, weights)
-    assert planned.dtype == dials.dtype
+    assert planned.dtype == sampling.dtype
     # Zones are shifted by zero, which may round differently.
-    precision = 10 * torch.finfo(dials.dtype).eps
+    precision = 10 * torch.finfo(sampling.dtype).eps
     assert relative(planned, by_hand.embed(scenes, weights)) < precision
-    if dials.method == "transfer":
+    if sampling.method == "transfer":
         assert relative(chosen.transfer(weights), by_hand(weights)) < precision
 
 
@@ -98,7 +98,7 @@ def test_made_once_or_anew_and_used_again(camera: Camera) -> None:
     """No state is left behind by another mask, another scene or an empty batch."""
     chosen, again = made(camera, 1e-3), made(camera, 1e-3)
     assert chosen.model == again.model
-    dtype = chosen.model.dials.dtype
+    dtype = chosen.model.sampling.dtype
     weights, scenes = some_weights(camera, dtype), some_scenes(chosen.model.scene, dtype)
     first = chosen.embed(scenes, weights)
     chosen.embed(scenes.flip(0), some_weights(camera, dtype, seed=3))
@@ -113,13 +113,13 @@ def test_made_once_or_anew_and_used_again(camera: Camera) -> None:
 def test_gradient_through_a_plan() -> None:
     camera = CAMERAS["filters"]
     chosen = made(camera, 1e-2, Conditions(gamma=1.2, contrast_floor=0.05))
-    dtype = chosen.model.dials.dtype
+    dtype = chosen.model.sampling.dtype
     weights = some_weights(camera, dtype).requires_grad_()
     scenes = some_scenes(chosen.model.scene, dtype)
     (gradient,) = torch.autograd.grad(chosen.embed(scenes, weights).square().sum(), weights)
     assert bool(torch.isfinite(gradient).all())
     double = LightOperator(
-        replace(chosen.model, dials=replace(chosen.model.dials, dtype=torch.float64))
+        replace(chosen.model, sampling=replace(chosen.model.sampling, dtype=torch.float64))
     )
     exact = weights.detach().double().requires_grad_()
     (wanted,) = torch.autograd.grad(double.embed(scenes.double(), exact).square().sum(), exact)
@@ -130,8 +130,8 @@ def test_noise_of_a_plan_is_noise_after_the_optics() -> None:
     camera = CAMERAS["small"]
     chosen = made(camera, 1e-4, Conditions(snr_db=30.0))
     bare = made(camera, 1e-4)
-    dtype = chosen.model.dials.dtype
-    assert bare.model.dials.dtype == dtype
+    dtype = chosen.model.sampling.dtype
+    assert bare.model.sampling.dtype == dtype
     weights, scenes = some_weights(camera, dtype), some_scenes(chosen.model.scene, dtype)
     noisy = chosen.embed(scenes, weights, torch.Generator().manual_seed(4))
     by_hand = shot_noise(
@@ -148,7 +148,7 @@ def test_total_at_the_ends(distance: float, wavelength: float) -> None:
     """A plan for any camera that can exist: it runs, and says so if it is not good enough."""
     setting = Setting(3, 3, distance=distance, wavelength=wavelength)
     chosen = plan(setting.camera(), setting.scene(), setting.embedding(), 1e-2, batch=2)
-    dtype = chosen.model.dials.dtype
+    dtype = chosen.model.sampling.dtype
     weights = some_weights(chosen.model.camera, dtype)
     embedded = chosen.embed(some_scenes(chosen.model.scene, dtype), weights)
     assert bool(torch.isfinite(embedded).all())

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from veilcam_client.wire.captures import EveryCaptures, Form
+from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
@@ -32,7 +33,6 @@ from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R, TABS
 from veilcam_server.errors import EpochError
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Mask, Reader
 from veilcam_training.bundle import Bundle, Fresh, build_untrained
@@ -79,7 +79,7 @@ class Numbered:
     counter: int
     reader: Reader
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Classify as the reader does."""
         return self.reader.classify(embedding)
 

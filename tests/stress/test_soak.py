@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from tests.stress import engine, soak
 
+from veilcam_server.camera.camera import MaskedCamera
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -67,5 +69,5 @@ def test_an_unknown_exception_counts_as_lost(
     def fail(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(soak.MaskedCamera, "capture", fail)
+    monkeypatch.setattr(MaskedCamera, "capture", fail)
     assert soak.soak(key, tmp_path, 3, faults=0.0).lost == 3

@@ -15,7 +15,7 @@ def read_image(path: Path) -> Tensor:
     """Return an image file as float64 in [0, 1]: (rows, columns) gray or (3, rows, columns).
 
     8 and 16 bit files that Pillow reads; PNG keeps 16 bit in gray only. Values are taken as they
-    are: a raw frame is linear, a photograph for display is not (see ``colour.decode_srgb``).
+    are: a raw frame is linear, a photograph for display has a curve to undo first.
 
     Raises:
         OpticsError: If the file cannot be read as an image, or has another number of channels.

@@ -14,7 +14,7 @@ leaves of the scene's variance acts as noise: ``diag(A diag(residual) A^T)`` is 
 Jitter: both matrices have eigenvalues of at least 1, so in exact arithmetic none is needed. In
 floating point with unit roundoff u, rounding moves them by about u times the largest diagonal
 entry; that is what is added to the diagonal, and ten times more after every failure. In float64 it
-is below 1e-8. In float32 it is not small beside 1, which is why float32 is a dial and mixed
+is below 1e-8. In float32 it is not small beside 1, which is why float32 is an option and mixed
 precision (products in float32, factors in float64) the default.
 """
 

@@ -24,7 +24,7 @@ from veilcam_optics.effects.mask import (
     MaskShift,
     Quantisation,
 )
-from veilcam_optics.effects.model import Dials, Model
+from veilcam_optics.effects.model import Model, Sampling
 from veilcam_optics.effects.sensor import (
     Bayer,
     BlackLevel,
@@ -34,7 +34,7 @@ from veilcam_optics.effects.sensor import (
     ShotNoise,
 )
 
-__all__ = ["EFFECTS", "Assessment", "Comparison", "Dials", "Effect", "Model"]
+__all__ = ["EFFECTS", "Assessment", "Comparison", "Effect", "Model", "Sampling"]
 
 EFFECTS: tuple[Effect, ...] = (
     Diffraction(),

@@ -20,7 +20,7 @@ class Comparison(Protocol):
     def error(self, changed: Model) -> float:
         """Relative L2 of the transfer when ``changed`` takes the model's place."""
 
-    def turned(self) -> float:
+    def rotated(self) -> float:
         """Relative L2 of ignoring the mask's rotation."""
 
     def off_axis(self, zones: int | None) -> float:

@@ -37,7 +37,7 @@ class Diffraction(Probed):
 
     def without(self, model: Model) -> Model:
         """Geometric shadows."""
-        return replace(model, dials=replace(model.dials, diffraction=False))
+        return replace(model, sampling=replace(model.sampling, diffraction=False))
 
     def reason(self, model: Model) -> str:
         """Fresnel number."""
@@ -63,7 +63,7 @@ class SphericalWavefront(Probed):
 
     def without(self, model: Model) -> Model:
         """A scene at infinity."""
-        return replace(model, dials=replace(model.dials, spherical=False))
+        return replace(model, sampling=replace(model.sampling, spherical=False))
 
     def reason(self, model: Model) -> str:
         """Magnification of the shadow."""
@@ -111,11 +111,11 @@ class Interference(Probed):
 
     def present(self, model: Model) -> bool:
         """With more than one sub-pixel, and diffraction."""
-        return model.dials.diffraction and model.camera.mask_shape != (1, 1)
+        return model.sampling.diffraction and model.camera.mask_shape != (1, 1)
 
     def without(self, model: Model) -> Model:
         """Irradiances of sub-pixels add up."""
-        return model.with_dials(reach=Reach(0, 0))
+        return model.with_sampling(reach=Reach(0, 0))
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -309,7 +309,7 @@ class Binning(Probed):
 
     def without(self, model: Model) -> Model:
         """Read at the pixel's centre."""
-        return replace(model, dials=replace(model.dials, binning=False))
+        return replace(model, sampling=replace(model.sampling, binning=False))
 
     def reason(self, model: Model) -> str:
         """Pixels against structure."""

@@ -116,7 +116,7 @@ class MaskRotation(Probed):
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
-        return comparison.turned()
+        return comparison.rotated()
 
     def reason(self, model: Model) -> str:
         """How far the edge moves."""

@@ -26,7 +26,7 @@ _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 
 
 @dataclass(frozen=True, slots=True)
-class Dials:
+class Sampling:
     """How the light is computed: what is left out, and how finely the rest is sampled.
 
     Attributes:
@@ -60,13 +60,15 @@ class Dials:
 
     def __post_init__(self) -> None:
         if self.method not in {"transfer", "factors", "grid"}:
-            raise invalid("dials.method", repr(self.method), "", '"transfer", "factors" or "grid"')
+            raise invalid(
+                "sampling.method", repr(self.method), "", '"transfer", "factors" or "grid"'
+            )
         for name in ("wavelengths", "layers", "zones"):
-            require_count(f"dials.{name}", getattr(self, name))
-        require_positive("dials.step", self.step, "m")
-        require_positive("dials.oversampling", self.oversampling, "")
+            require_count(f"sampling.{name}", getattr(self, name))
+        require_positive("sampling.step", self.step, "m")
+        require_positive("sampling.oversampling", self.oversampling, "")
         if self.dtype not in {torch.float32, torch.float64}:
-            raise invalid("dials.dtype", self.dtype, "", "torch.float32 or torch.float64")
+            raise invalid("sampling.dtype", self.dtype, "", "torch.float32 or torch.float64")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ class Model:
     scene: Scene
     embedding: Embedding
     conditions: Conditions = IDEAL
-    dials: Dials = field(default_factory=Dials)
+    sampling: Sampling = field(default_factory=Sampling)
 
     def __post_init__(self) -> None:
         camera, scene, conditions = self.camera, self.scene, self.conditions
@@ -127,7 +129,7 @@ class Model:
             valid = f"more than minus the camera's distance, {-camera.distance:.3e} m"
             raise invalid("conditions.distance_error", conditions.distance_error, "m", valid)
 
-    def with_dials(
+    def with_sampling(
         self,
         *,
         reach: Reach | None = None,
@@ -136,17 +138,17 @@ class Model:
         layers: int | None = None,
         zones: int | None = None,
     ) -> Model:
-        """The same model computed otherwise; None keeps a dial."""
-        dials = self.dials
+        """The same model computed otherwise; None keeps what is there."""
+        sampling = self.sampling
         return replace(
             self,
-            dials=replace(
-                dials,
-                reach=reach or dials.reach,
-                step=step or dials.step,
-                wavelengths=wavelengths or dials.wavelengths,
-                layers=layers or dials.layers,
-                zones=zones or dials.zones,
+            sampling=replace(
+                sampling,
+                reach=reach or sampling.reach,
+                step=step or sampling.step,
+                wavelengths=wavelengths or sampling.wavelengths,
+                layers=layers or sampling.layers,
+                zones=zones or sampling.zones,
             ),
         )
 
@@ -161,11 +163,11 @@ class Model:
     @property
     def approximation(self) -> Approximation:
         """What the kernels leave out."""
-        dials = self.dials
+        sampling = self.sampling
         return Approximation(
-            shadow=not dials.diffraction,
-            plane_wave=not dials.spherical,
-            point_reading=not dials.binning,
+            shadow=not sampling.diffraction,
+            plane_wave=not sampling.spherical,
+            point_reading=not sampling.binning,
         )
 
     def shown(self, weights: Tensor) -> Tensor:
@@ -179,9 +181,9 @@ class Model:
         """What each channel adds up: samples of its spectrum times samples of the depth."""
         stretch = (1.0, 1.0) if zone is None else zone.stretch
         distances: list[tuple[float | None, float]] = [(None, 1.0)]
-        if self.conditions.depth_range and self.dials.layers > 1:
+        if self.conditions.depth_range and self.sampling.layers > 1:
             # Gauss-Legendre: the layers lie where a smooth function's mean is best sampled.
-            nodes, shares = np.polynomial.legendre.leggauss(self.dials.layers)
+            nodes, shares = np.polynomial.legendre.leggauss(self.sampling.layers)
             half = self.conditions.depth_range / 2
             distances = [
                 (self.scene.distance + half * float(node), float(share) / 2)
@@ -197,10 +199,10 @@ class Model:
     def _spectrum(self, channel: int) -> Iterator[tuple[float, float]]:
         """Wavelengths and shares: Gauss-Hermite quadrature of a Gaussian line."""
         centre, width = self.camera.wavelengths[channel], self.conditions.bandwidth[channel]
-        if not width or self.dials.wavelengths == 1:
+        if not width or self.sampling.wavelengths == 1:
             yield centre, 1.0
             return
-        nodes, shares = np.polynomial.hermite_e.hermegauss(self.dials.wavelengths)
+        nodes, shares = np.polynomial.hermite_e.hermegauss(self.sampling.wavelengths)
         for node, share in zip(nodes, shares / shares.sum(), strict=True):
             yield centre + width / _DEVIATIONS * float(node), float(share)
 
@@ -225,7 +227,7 @@ class Model:
         y, x = self.tangents()
         parts = []
         for positions in (y, x):
-            count = min(self.dials.zones if self.conditions.off_axis else 1, len(positions))
+            count = min(self.sampling.zones if self.conditions.off_axis else 1, len(positions))
             edges = [round(k * len(positions) / count) for k in range(count + 1)]
             parts.append([slice(a, b) for a, b in pairwise(edges)])
         return [

@@ -68,11 +68,11 @@ class ShotNoise:
     def present(self, model: Model) -> bool:
         """Where photons or a signal-to-noise ratio are given."""
         counted = model.conditions.electrons > 0 or model.conditions.snr_db != math.inf
-        return counted and model.dials.shot
+        return counted and model.sampling.shot
 
     def without(self, model: Model) -> Model:
         """Exactly as many as expected."""
-        return replace(model, dials=replace(model.dials, shot=False))
+        return replace(model, sampling=replace(model.sampling, shot=False))
 
     def error(self, comparison: Comparison) -> float:
         """Noise over signal."""

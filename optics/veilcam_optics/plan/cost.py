@@ -46,11 +46,11 @@ class Cost:
 def pairs(model: Model) -> tuple[int, int, int]:
     """(row pairs over all column offsets, row pairs times column pairs, groups) of one zone."""
     rows, columns = model.camera.mask_shape
-    reach = model.dials.reach
-    far_rows = min(reach.rows, rows - 1) if model.dials.diffraction else 0
-    far_columns = min(reach.columns, columns - 1) if model.dials.diffraction else 0
+    reach = model.sampling.reach
+    far_rows = min(reach.rows, rows - 1) if model.sampling.diffraction else 0
+    far_columns = min(reach.columns, columns - 1) if model.sampling.diffraction else 0
     row_pairs = products = groups = 0
-    turned = model.conditions.rotation != 0
+    rotated = model.conditions.rotation != 0
     shares = model.camera.sensor.channel_weights
     beams = [beam.channel for beam in model.beams()]
     for channel in range(len(CHANNELS)):
@@ -65,7 +65,7 @@ def pairs(model: Model) -> tuple[int, int, int]:
             count = sum(by_offset[1 if dc < 0 else 0 :])
             if not count:
                 continue
-            parts = (2 if dc else 1) * beams.count(channel) * (3 if turned else 1)
+            parts = (2 if dc else 1) * beams.count(channel) * (3 if rotated else 1)
             row_pairs += parts * count
             products += parts * count * (columns - abs(dc))
             groups += parts
@@ -76,7 +76,7 @@ def nodes(model: Model) -> tuple[int, int]:
     """Integration nodes along y and x."""
     image = model.scene.pixel_at_sensor(model.actual_camera)
     sensor, scene = model.camera.sensor, model.scene
-    step = model.dials.step
+    step = model.sampling.step
     # Python's integers do not overflow where a scene a mile wide meets a step of a picometre.
     return (
         math.ceil((sensor.height + scene.rows * image) / step),
@@ -86,9 +86,9 @@ def nodes(model: Model) -> tuple[int, int]:
 
 def cost(model: Model, batch: int) -> Cost:
     """Estimated cost of embedding ``batch`` scenes behind a new mask."""
-    if model.dials.method == "grid":
+    if model.sampling.method == "grid":
         return _grid_cost(model, batch)
-    scene, embedding, dtype = model.scene, model.embedding, model.dials.dtype
+    scene, embedding, dtype = model.scene, model.embedding, model.sampling.dtype
     row_pairs, products, groups = pairs(model)
     zones = model.zones()
     down, across = len(zones), len(zones[0])
@@ -96,7 +96,7 @@ def cost(model: Model, batch: int) -> Cost:
     colours = len(CHANNELS) if model.conditions.bayer else 1
     matrix = colours * offsets_y * offsets_x
     kernels = (offsets_y + offsets_x) * row_pairs * max(down, across)
-    if model.dials.method == "transfer":
+    if model.sampling.method == "transfer":
         # Every row of zones spreads the products along x anew.
         multiplied = down * products * offsets_x + row_pairs * offsets_y * offsets_x
         multiplied += batch * scene.rows * scene.columns * embedding.size
@@ -110,7 +110,7 @@ def cost(model: Model, batch: int) -> Cost:
         moved = down * spread + 3 * batch * row_pairs * scene.rows * embedding.columns
         numbers = kernels + spread + 3 * row_pairs * scene.rows * embedding.columns
     calls = 6 * down * across + 3 * groups * down * across
-    if model.dials.method == "factors":
+    if model.sampling.method == "factors":
         calls += batch * groups * down * across * 2
     step = (
         _FIXED_MS
@@ -122,15 +122,15 @@ def cost(model: Model, batch: int) -> Cost:
     nodes_y, nodes_x = nodes(model)
     rows, columns = model.camera.mask_shape
     fields = beams * down * across * (nodes_y * rows + nodes_x * columns)
-    build = 1.0 if not model.dials.diffraction else fields / _FIELD_VALUES_PER_MS
+    build = 1.0 if not model.sampling.diffraction else fields / _FIELD_VALUES_PER_MS
     build += kernels / 2e4
     return Cost(step, build, numbers)
 
 
 def _grid_cost(model: Model, batch: int) -> Cost:
     """One propagation per sample of light and channel, one convolution per scene and channel."""
-    sensor, scene, dtype = model.camera.sensor, model.scene, model.dials.dtype
-    pitch = 8 * sensor.pixel / model.dials.oversampling
+    sensor, scene, dtype = model.camera.sensor, model.scene, model.sampling.dtype
+    pitch = 8 * sensor.pixel / model.sampling.oversampling
     image = scene.pixel_at_sensor(model.actual_camera)
     rows, columns = model.camera.mask_shape
     panel = model.camera.panel

@@ -1,4 +1,4 @@
-"""Errors at the embedding: of every effect if it were ignored, and of every dial setting."""
+"""Errors at the embedding: of every effect if it were ignored, and of every sampling."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Interferences:
     model: Model
 
 
-class Judge:
+class ErrorModel:
     """Compares models with the one that has everything; see :class:`~...effects.Comparison`.
 
     Args:
@@ -63,11 +63,11 @@ class Judge:
         self._shadow_error = shadow_error(model, min(panel.aperture_y, panel.aperture_x))
         # Very near the sensor fringes are too fine to be sampled, and too fine to matter.
         self.resolved = 3 * self._shadow_error > tolerance and _resolved(
-            model.with_dials(reach=Reach(0, 0))
+            model.with_sampling(reach=Reach(0, 0))
         )
         """Whether fringes are sampled; else shadows are all that is known."""
         if not self.resolved:
-            model = replace(model, dials=replace(model.dials, diffraction=False))
+            model = replace(model, sampling=replace(model.sampling, diffraction=False))
         self._full = self.interferences(model)
         self.model = self._full.model
 
@@ -79,14 +79,14 @@ class Judge:
         rows, columns = model.camera.mask_shape
         unit = _row_unit(model.camera)
         reach = Reach(min(2 * unit, rows - 1), min(1, columns - 1))
-        if not model.dials.diffraction:
+        if not model.sampling.diffraction:
             reach = Reach(0, 0)
         enough = self._small
         while True:
-            used = model.with_dials(reach=reach, step=fringe_step(model, reach))
+            used = model.with_sampling(reach=reach, step=fringe_step(model, reach))
             # Light of several colours or distances blurs the fringes of one another: two samples of
             # each show how much.
-            shells = self._probe.shells(used.with_dials(wavelengths=2, layers=2))
+            shells = self._probe.shells(used.with_sampling(wavelengths=2, layers=2))
             size = float(shells.sum((0, 1)).norm()) or 1.0
             down = float(shells[-unit:].sum((0, 1)).norm()) / size if reach.rows else 0.0
             across = float(shells[:, -1].sum(0).norm()) / size if reach.columns else 0.0
@@ -95,7 +95,7 @@ class Judge:
                 min(columns - 1, reach.columns + 1) if across > enough else reach.columns,
             )
             many = (farther.rows // unit + 1) * (farther.columns + 1) > _MOST_SHELLS
-            if farther == reach or many or not _resolved(model.with_dials(reach=farther)):
+            if farther == reach or many or not _resolved(model.with_sampling(reach=farther)):
                 break
             reach = farther
         if reach.rows == rows - 1:
@@ -126,21 +126,21 @@ class Judge:
 
     def error(self, changed: Model) -> float:
         """Relative L2 of the transfer when ``changed`` takes the model's place."""
-        if not changed.dials.diffraction and not self.resolved:
+        if not changed.sampling.diffraction and not self.resolved:
             return self._shadow_error
         filters = _filters(changed.camera) == _filters(self.model.camera)
         channels = self._main if filters else None
-        near = self._near.dials
-        changed = changed.with_dials(reach=near.reach, step=near.step)
+        near = self._near.sampling
+        changed = changed.with_sampling(reach=near.reach, step=near.step)
         transfer = self._probe.transfer(changed, channels)
         return relative(transfer, self._probe.transfer(self._near, channels))
 
     @cached_property
     def _near(self) -> Model:
-        """The model with the nearest interference alone: enough to judge all other effects by."""
-        rows = min(_row_unit(self.model.camera), self.model.dials.reach.rows)
+        """The model with the nearest interference alone: enough for all other effects."""
+        rows = min(_row_unit(self.model.camera), self.model.sampling.reach.rows)
         reach = Reach(rows, 0)
-        return self.model.with_dials(reach=reach, step=fringe_step(self.model, reach))
+        return self.model.with_sampling(reach=reach, step=fringe_step(self.model, reach))
 
     @cached_property
     def _main(self) -> list[int]:
@@ -151,13 +151,13 @@ class Judge:
         """Relative L2 when no two sub-pixels interfere."""
         return float(self._full.errors[0, 0])
 
-    def turned(self, *, first_order: bool = False) -> float:
+    def rotated(self, *, first_order: bool = False) -> float:
         """Relative L2 of ignoring the mask's rotation, or of counting it to first order."""
-        return self._turned[1 if first_order else 0]
+        return self._rotated[1 if first_order else 0]
 
     @cached_property
-    def _turned(self) -> tuple[float, float]:
-        return self._probe.turned(self._near)
+    def _rotated(self) -> tuple[float, float]:
+        return self._probe.rotated(self._near)
 
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
@@ -166,9 +166,9 @@ class Judge:
 
     def _samples(self, name: str, count: int) -> Tensor:
         changed = (
-            self._near.with_dials(wavelengths=count)
+            self._near.with_sampling(wavelengths=count)
             if name == "wavelengths"
-            else self._near.with_dials(layers=count)
+            else self._near.with_sampling(layers=count)
         )
         # Of all channels: their errors partly average out in a gray reading.
         return self._probe.transfer(changed)
@@ -178,7 +178,7 @@ class Judge:
         model = self.model
         y, x = model.tangents()
         stretch_y, stretch_x = _stretch(y[:, None].expand(model.scene.shape), x)
-        used = replace(model, dials=replace(model.dials, zones=zones or 1))
+        used = replace(model, sampling=replace(model.sampling, zones=zones or 1))
         errors = torch.zeros(model.scene.shape, dtype=torch.float64)
         for row in used.zones():
             for zone in row:
@@ -209,7 +209,7 @@ class Judge:
         scene = self.model.scene
         side = scene.pixel * math.sqrt(scene.rows * scene.columns)
         model = replace(self.model, scene=replace(scene, rows=1, columns=1, height=side))
-        model = model.with_dials(reach=Reach(0, 0))
+        model = model.with_sampling(reach=Reach(0, 0))
         probe = Probe(model)
         shares = model.camera.sensor.channel_weights
         channels = [
@@ -235,13 +235,13 @@ class Judge:
         The step has to resolve the fringes of the farthest pairs; below that the error falls with
         its square.
         """
-        if not model.dials.diffraction:
-            return model.dials.step, 0.0
-        step = fringe_step(model, model.dials.reach)
+        if not model.sampling.diffraction:
+            return model.sampling.step, 0.0
+        step = fringe_step(model, model.sampling.reach)
         error = math.inf
         for _ in range(4):
-            coarse = model.with_dials(step=step, wavelengths=1, layers=1)
-            fine = coarse.with_dials(step=step / 2)
+            coarse = model.with_sampling(step=step, wavelengths=1, layers=1)
+            fine = coarse.with_sampling(step=step / 2)
             reference = self._probe.transfer(fine, self._main)
             error = 4 / 3 * relative(self._probe.transfer(coarse, self._main), reference)
             if error <= self._small:
@@ -255,7 +255,7 @@ class Judge:
     @staticmethod
     def rounding(model: Model) -> float:
         """Relative L2 of the number format."""
-        return _FLOAT32_ERROR if model.dials.dtype == torch.float32 else 0.0
+        return _FLOAT32_ERROR if model.sampling.dtype == torch.float32 else 0.0
 
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
@@ -323,13 +323,13 @@ def fringe_step(model: Model, reach: Reach) -> float:
 
 
 def _resolved(model: Model) -> bool:
-    return fringe_step(model, model.dials.reach) > 1.01 * _smallest_step(model)
+    return fringe_step(model, model.sampling.reach) > 1.01 * _smallest_step(model)
 
 
 def _smallest_step(model: Model) -> float:
     """Below it the fields would take too much memory [m]."""
     rows, columns = model.camera.mask_shape
-    nodes_y, nodes_x = nodes(model.with_dials(step=1.0e-6))
+    nodes_y, nodes_x = nodes(model.with_sampling(step=1.0e-6))
     return 1.0e-6 * max(nodes_y * rows, nodes_x * columns) / MAX_VALUES
 
 

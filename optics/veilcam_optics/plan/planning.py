@@ -6,7 +6,6 @@ import io
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import torch
 from rich import box
@@ -20,76 +19,15 @@ from veilcam_optics.effects import EFFECTS, Assessment, Model
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import invalid, require_count
 from veilcam_optics.plan.cost import Cost, cost
-from veilcam_optics.plan.errors import Judge
+from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.plan.search import search, settle_free, together
 from veilcam_optics.simulation.operator import LightOperator
-
-if TYPE_CHECKING:
-    pass
 
 _METHODS = {
     "transfer": "transfer operator (matrix from scene to embedding)",
     "factors": "factored field (its factors, no matrix formed)",
     "grid": "grid (angular spectrum, convolution)",
 }
-
-
-def table(plan: Plan) -> Table:
-    """Every effect: on or off, error if ignored, cost, reason."""
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    shown.add_column("effect", no_wrap=True)
-    shown.add_column("", no_wrap=True)
-    shown.add_column("error if ignored", justify="right", no_wrap=True)
-    shown.add_column("cost [ms]", justify="right", no_wrap=True)
-    shown.add_column("why")
-    for found in plan.assessments:
-        shown.add_row(
-            found.name,
-            "on" if found.matters else "off",
-            f"{found.error:.1e}" if found.error else "-",
-            f"{found.cost_ms:.2f}" if found.cost_ms >= 0.005 else "-",
-            found.reason,
-            style="" if found.matters else "dim",
-        )
-    return shown
-
-
-def setting(plan: Plan) -> list[tuple[str, str]]:
-    """What was chosen, as (name, value)."""
-    model, dials = plan.model, plan.model.dials
-    light = "geometric shadows"
-    if dials.diffraction:
-        light = f"{dials.reach.rows} rows, {dials.reach.columns} columns"
-    chosen = [("method", _METHODS[dials.method])]
-    if dials.method == "grid":
-        chosen.append(("oversampling", f"{dials.oversampling:g} samples per 8 sensor pixels"))
-    else:
-        chosen.append(("reach of interference", light))
-        chosen.append(("integration step", f"{dials.step * 1e6:.3g} um"))
-    samples = dials.wavelengths if any(model.conditions.bandwidth) else 1
-    chosen.append(("wavelengths per channel", str(samples)))
-    if model.conditions.depth_range:
-        chosen.append(("depth layers", str(dials.layers)))
-    if model.conditions.off_axis:
-        chosen.append(("zones of the field", f"{dials.zones} x {dials.zones}"))
-    verdict = "reached" if plan.reached else "NOT reached: this is the most accurate setting"
-    return [
-        *chosen,
-        ("number format", str(dials.dtype).removeprefix("torch.")),
-        ("tolerance", f"{plan.tolerance:.1e}, {verdict}"),
-        ("predicted error", f"{plan.error:.1e} (relative L2 at the embedding)"),
-        ("predicted time", f"{plan.cost.step_ms:.2f} ms for a new mask and {plan.batch} scenes"),
-    ]
-
-
-def explanation(plan: Plan, width: int = 118) -> str:
-    """The table and the setting, as plain text."""
-    text = io.StringIO()
-    console = Console(file=text, width=width, force_terminal=False, color_system=None)
-    console.print(table(plan))
-    for name, value in setting(plan):
-        console.print(f"{name:24} {value}", highlight=False)
-    return text.getvalue()
 
 
 @dataclass(frozen=True)
@@ -179,13 +117,15 @@ def plan(
     if not (math.isfinite(tolerance) and 0 < tolerance < 1):
         raise invalid("tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
     require_count("batch", batch)
-    judge = Judge(Model(camera, scene, embedding, conditions), tolerance)
-    complete = judge.model
-    errors = {effect.name: effect.error(judge) for effect in EFFECTS if effect.present(complete)}
+    error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
+    complete = error_model.model
+    errors = {
+        effect.name: effect.error(error_model) for effect in EFFECTS if effect.present(complete)
+    }
     model, made = settle_free(complete, errors, tolerance)
-    choice, reached = search(judge, model, errors, made=made, batch=batch, method=method)
-    step, quadrature = judge.quadrature(choice.model)
-    chosen = choice.model.with_dials(step=step)
+    choice, reached = search(error_model, model, errors, made=made, batch=batch, method=method)
+    step, quadrature = error_model.quadrature(choice.model)
+    chosen = choice.model.with_sampling(step=step)
     error = together([choice.error, quadrature])
     return Plan(
         model=chosen,
@@ -218,3 +158,61 @@ def _assess(
             )
         )
     return tuple(found)
+
+
+def table(plan: Plan) -> Table:
+    """Every effect: on or off, error if ignored, cost, reason."""
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    shown.add_column("effect", no_wrap=True)
+    shown.add_column("", no_wrap=True)
+    shown.add_column("error if ignored", justify="right", no_wrap=True)
+    shown.add_column("cost [ms]", justify="right", no_wrap=True)
+    shown.add_column("why")
+    for found in plan.assessments:
+        shown.add_row(
+            found.name,
+            "on" if found.matters else "off",
+            f"{found.error:.1e}" if found.error else "-",
+            f"{found.cost_ms:.2f}" if found.cost_ms >= 0.005 else "-",
+            found.reason,
+            style="" if found.matters else "dim",
+        )
+    return shown
+
+
+def setting(plan: Plan) -> list[tuple[str, str]]:
+    """What was chosen, as (name, value)."""
+    model, sampling = plan.model, plan.model.sampling
+    light = "geometric shadows"
+    if sampling.diffraction:
+        light = f"{sampling.reach.rows} rows, {sampling.reach.columns} columns"
+    chosen = [("method", _METHODS[sampling.method])]
+    if sampling.method == "grid":
+        chosen.append(("oversampling", f"{sampling.oversampling:g} samples per 8 sensor pixels"))
+    else:
+        chosen.append(("reach of interference", light))
+        chosen.append(("integration step", f"{sampling.step * 1e6:.3g} um"))
+    samples = sampling.wavelengths if any(model.conditions.bandwidth) else 1
+    chosen.append(("wavelengths per channel", str(samples)))
+    if model.conditions.depth_range:
+        chosen.append(("depth layers", str(sampling.layers)))
+    if model.conditions.off_axis:
+        chosen.append(("zones of the field", f"{sampling.zones} x {sampling.zones}"))
+    verdict = "reached" if plan.reached else "NOT reached: this is the most accurate setting"
+    return [
+        *chosen,
+        ("number format", str(sampling.dtype).removeprefix("torch.")),
+        ("tolerance", f"{plan.tolerance:.1e}, {verdict}"),
+        ("predicted error", f"{plan.error:.1e} (relative L2 at the embedding)"),
+        ("predicted time", f"{plan.cost.step_ms:.2f} ms for a new mask and {plan.batch} scenes"),
+    ]
+
+
+def explanation(plan: Plan, width: int = 118) -> str:
+    """The table and the setting, as plain text."""
+    text = io.StringIO()
+    console = Console(file=text, width=width, force_terminal=False, color_system=None)
+    console.print(table(plan))
+    for name, value in setting(plan):
+        console.print(f"{name:24} {value}", highlight=False)
+    return text.getvalue()

@@ -56,7 +56,7 @@ class Probe:
             model.actual_camera,
             scene,
             model.embedding,
-            step=model.dials.step,
+            step=model.sampling.step,
             variables=Variables(
                 shift_y=torch.tensor(conditions.shift_y, dtype=torch.float64),
                 shift_x=torch.tensor(conditions.shift_x, dtype=torch.float64),
@@ -88,7 +88,7 @@ class Probe:
         """
         return scatter(self.shells(model, channels, stretch).sum((0, 1)), model)
 
-    def turned(self, model: Model) -> tuple[float, float]:
+    def rotated(self, model: Model) -> tuple[float, float]:
         """Relative L2 of ignoring the mask's rotation, and of counting it to first order.
 
         Turned by a small angle, row ``r`` moves along x by ``-angle y_r`` and column ``c`` along y
@@ -144,8 +144,8 @@ class Probe:
         """
         used = self.channels(model) if channels is None else channels
         rows, columns = model.camera.mask_shape
-        reach = model.dials.reach
-        if not model.dials.diffraction:
+        reach = model.sampling.reach
+        if not model.sampling.diffraction:
             reach = type(reach)(0, 0)
         far_rows, far_columns = min(reach.rows, rows - 1), min(reach.columns, columns - 1)
         shells = torch.zeros(
@@ -199,7 +199,7 @@ class Probe:
             model.conditions.shift_y,
             model.conditions.shift_x,
             model.approximation,
-            model.dials.step,
+            model.sampling.step,
             replace(beam, share=1.0),
             stretch,
             near,

@@ -16,7 +16,7 @@ from veilcam_optics.effects.mask import MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
-from veilcam_optics.plan.errors import Interferences, Judge
+from veilcam_optics.plan.errors import ErrorModel, Interferences
 from veilcam_optics.transfer.operator import Reach
 
 MAX_NUMBERS = 1.5e8
@@ -35,7 +35,7 @@ _OVERSAMPLINGS = (1.0, 2.0, 4.0, 8.0)
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One value of one dial: how it changes a model, and the error it leaves."""
+    """One way of sampling one thing: how it changes a model, and the error it leaves."""
 
     change: Callable[[Model], Model]
     error: float
@@ -66,7 +66,7 @@ def settle_free(model: Model, errors: Mapping[str, float], tolerance: float) -> 
 
 
 def search(
-    judge: Judge,
+    error_model: ErrorModel,
     model: Model,
     errors: Mapping[str, float],
     *,
@@ -77,7 +77,7 @@ def search(
     """The cheapest candidate that reaches the tolerance and fits in memory, and whether one does.
 
     Args:
-        judge: knows the tolerance and the errors of the dials.
+        error_model: knows the tolerance and the errors of the sampling.
         model: with the free effects settled.
         errors: of every effect that is there, if it were ignored.
         made: error of the free effects that were switched off.
@@ -89,11 +89,11 @@ def search(
     """
     kinds = []
     if method != "grid":
-        kinds.append(_matrices(judge, model, errors))
+        kinds.append(_matrices(error_model, model, errors))
     if method in (None, "grid"):
-        kinds.append(_grids(judge, model, errors))
+        kinds.append(_grids(error_model, model, errors))
     settings = [(setting, together([made, error])) for kind in kinds for setting, error in kind]
-    reaching = [(m, e) for m, e in settings if e <= judge.tolerance]
+    reaching = [(m, e) for m, e in settings if e <= error_model.tolerance]
     found = _fitting(reaching, batch, method)
     if found:
         return min(found, key=lambda c: (c.cost.rank, c.error)), True
@@ -116,41 +116,43 @@ def _candidates(
     settings: list[tuple[Model, float]], batch: int, method: Method | None
 ) -> Iterator[Candidate]:
     for model, error in settings:
-        if method in (None, model.dials.method):
+        if method in (None, model.sampling.method):
             yield Candidate(model, error, cost(model, batch))
-        if model.dials.method == "transfer" and method != "transfer":
-            factors = replace(model, dials=replace(model.dials, method="factors"))
+        if model.sampling.method == "transfer" and method != "transfer":
+            factors = replace(model, sampling=replace(model.sampling, method="factors"))
             yield Candidate(factors, error, cost(factors, batch))
 
 
 def _matrices(
-    judge: Judge, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the factored field, with or without a matrix that is formed."""
-    filters = [(model, 0.0, judge.full)]
+    filters = [(model, 0.0, error_model.full)]
     if FilterLeakage.name in errors:
         ideal = FilterLeakage().without(model)
-        filters.append((ideal, errors[FilterLeakage.name], judge.ideal_filters))
-    field = _field(judge, model, errors)
+        filters.append((ideal, errors[FilterLeakage.name], error_model.ideal_filters))
+    field = _field(error_model, model, errors)
     if MaskRotation.name in errors:
         ignored = Option(MaskRotation().without, errors[MaskRotation.name])
-        field.append([ignored, Option(_same, judge.turned(first_order=True))])
+        field.append([ignored, Option(_same, error_model.rotated(first_order=True))])
     for base, leaked, interferences in filters:
-        reaches = _reaches(base, interferences, errors, judge.tolerance)
-        for chosen in product(reaches, *field, _formats(judge, model)):
+        reaches = _reaches(base, interferences, errors, error_model.tolerance)
+        for chosen in product(reaches, *field, _formats(error_model, model)):
             yield _apply(base, leaked, chosen)
 
 
 def _grids(
-    judge: Judge, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the grid path: for a turned mask, and where nothing else fits."""
-    dials = replace(model.dials, method="grid", diffraction=True, spherical=True, binning=True)
-    field = _field(judge, model, errors)
+    sampling = replace(
+        model.sampling, method="grid", diffraction=True, spherical=True, binning=True
+    )
+    field = _field(error_model, model, errors)
     for oversampling in _OVERSAMPLINGS:
-        base = replace(model, dials=replace(dials, oversampling=oversampling))
+        base = replace(model, sampling=replace(sampling, oversampling=oversampling))
         for chosen in product(*field):
-            yield _apply(base, judge.grid(oversampling), chosen)
+            yield _apply(base, error_model.grid(oversampling), chosen)
 
 
 def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, float]:
@@ -177,12 +179,12 @@ def _reaches(
 ) -> list[Option]:
     """Shadows, and every reach that no other beats in both accuracy and number of pairs."""
     options = [Option(Diffraction().without, errors[Diffraction.name])]
-    if not interferences.model.dials.diffraction:
+    if not interferences.model.sampling.diffraction:
         return options
     by_work = []
     for rows, row in enumerate(interferences.errors.tolist()):
         for columns, error in enumerate(row):
-            counted = pairs(base.with_dials(reach=Reach(rows, columns)))
+            counted = pairs(base.with_sampling(reach=Reach(rows, columns)))
             by_work.append((counted, error, Reach(rows, columns)))
     least = math.inf
     for _, error, reach in sorted(by_work, key=lambda item: (item[0], item[1])):
@@ -193,20 +195,22 @@ def _reaches(
 
 
 def _with_reach(model: Model, reach: Reach) -> Model:
-    return model.with_dials(reach=reach)
+    return model.with_sampling(reach=reach)
 
 
 def _with_samples(model: Model, name: str, count: int) -> Model:
     if name == "zones":
-        return model.with_dials(zones=count)
+        return model.with_sampling(zones=count)
     if name == "layers":
-        return model.with_dials(layers=count)
-    return model.with_dials(wavelengths=count)
+        return model.with_sampling(layers=count)
+    return model.with_sampling(wavelengths=count)
 
 
-def _field(judge: Judge, model: Model, errors: Mapping[str, float]) -> list[list[Option]]:
+def _field(
+    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
+) -> list[list[Option]]:
     """Options of spectrum, depth, field of view and Bayer pattern, each left out or sampled."""
-    dials = []
+    sampling = []
     effect: Effect
     for effect, name, counts in (
         (Spectrum(), "wavelengths", _SAMPLES),
@@ -217,26 +221,28 @@ def _field(judge: Judge, model: Model, errors: Mapping[str, float]) -> list[list
             continue
         options = [Option(effect.without, errors[effect.name])]
         for count in counts:
-            if options[-1].error <= 0.02 * judge.tolerance:
+            if options[-1].error <= 0.02 * error_model.tolerance:
                 break  # finer is needlessly fine
             if name == "zones" and count > max(model.scene.shape):
                 break
-            left = judge.off_axis(count) if name == "zones" else judge.sampled(name, count)
+            left = (
+                error_model.off_axis(count) if name == "zones" else error_model.sampled(name, count)
+            )
             options.append(Option(partial(_with_samples, name=name, count=count), left))
-        dials.append(_worth_it(options, judge.tolerance))
+        sampling.append(_worth_it(options, error_model.tolerance))
     if Bayer.name in errors:
         options = [Option(Bayer().without, errors[Bayer.name]), Option(_same, 0.0)]
-        dials.append(_worth_it(options, judge.tolerance))
-    return dials
+        sampling.append(_worth_it(options, error_model.tolerance))
+    return sampling
 
 
-def _formats(judge: Judge, model: Model) -> list[Option]:
+def _formats(error_model: ErrorModel, model: Model) -> list[Option]:
     options = []
     for dtype in (torch.float32, torch.float64):
-        error = judge.rounding(_with_dtype(model, dtype))
+        error = error_model.rounding(_with_dtype(model, dtype))
         options.append(Option(partial(_with_dtype, dtype=dtype), error))
-    return _worth_it(options, judge.tolerance)
+    return _worth_it(options, error_model.tolerance)
 
 
 def _with_dtype(model: Model, dtype: torch.dtype) -> Model:
-    return replace(model, dials=replace(model.dials, dtype=dtype))
+    return replace(model, sampling=replace(model.sampling, dtype=dtype))

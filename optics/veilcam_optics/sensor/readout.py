@@ -9,6 +9,9 @@ from veilcam_optics.camera.geometry import Embedding, Sensor
 from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.sensor.noise import shot_noise
 
+_MOST_COUNTED = 1e15
+"""Electrons whose noise stands for that of any more: a count beyond 2^63 wraps around."""
+
 
 def read(
     values: Tensor,
@@ -35,7 +38,7 @@ def read(
     if conditions.electrons:
         electrons = values * conditions.electrons
         if shot:
-            expected = electrons.detach().clamp_min(0)
+            expected = electrons.detach().clamp(0, _MOST_COUNTED)
             counted = torch.poisson(expected, generator=generator)
             electrons = electrons + (counted - expected)
         if conditions.read_noise:

@@ -12,7 +12,7 @@ from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.effects.model import Model, Zone
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.sensor.readout import bayer_shares, read
-from veilcam_optics.simulation.rotated_mask import TurnedLight
+from veilcam_optics.simulation.rotated_mask import RotatedLight
 from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 
 Response = tuple[Tensor, ...]
@@ -32,7 +32,7 @@ class LightOperator(nn.Module):
     def __init__(self, model: Model) -> None:
         super().__init__()
         self.model = model
-        dtype, conditions = model.dials.dtype, model.conditions
+        dtype, conditions = model.sampling.dtype, model.conditions
         self._fades = conditions.off_axis > 0
         self.register_buffer("fade", model.fade().to(dtype))
         shares = torch.tensor(model.camera.sensor.channel_weights, dtype=torch.float64)
@@ -42,8 +42,8 @@ class LightOperator(nn.Module):
         self.register_buffer("shares", shares.to(dtype).contiguous())
         self._parts = model.zones()
         self._zones: list[list[TransferOperator]] = []
-        self._grids: list[tuple[float, Zone, TurnedLight]] = []
-        if model.dials.method == "grid":
+        self._grids: list[tuple[float, Zone, RotatedLight]] = []
+        if model.sampling.method == "grid":
             self._grids = list(_grids(model))
         else:
             self._zones = [[_zone(model, zone) for zone in row] for row in self._parts]
@@ -52,12 +52,12 @@ class LightOperator(nn.Module):
     @property
     def has_transfer(self) -> bool:
         """Whether calling it gives the transfer matrix."""
-        return self.model.dials.method == "transfer"
+        return self.model.sampling.method == "transfer"
 
     @property
     def dtype(self) -> torch.dtype:
         """Of every result."""
-        return self.model.dials.dtype
+        return self.model.sampling.dtype
 
     def forward(self, weights: Tensor) -> Tensor:
         """The transfer matrix of a mask, everything linear included.
@@ -94,7 +94,7 @@ class LightOperator(nn.Module):
         """
         model = self.model
         values = self.collect(scenes, self.response(weights))
-        return read(values, model.conditions, shot=model.dials.shot, generator=generator)
+        return read(values, model.conditions, shot=model.sampling.shot, generator=generator)
 
     def response(self, weights: Tensor) -> Response:
         """What a mask makes of the light, for :meth:`collect` to use with many scenes.
@@ -155,7 +155,7 @@ class LightOperator(nn.Module):
             total = total + share * self._blurred(light, lit, psf)
         return total
 
-    def _blurred(self, light: TurnedLight, scenes: Tensor, psf: Tensor) -> Tensor:
+    def _blurred(self, light: RotatedLight, scenes: Tensor, psf: Tensor) -> Tensor:
         if self.model.conditions.bayer:
             values = light.embed_colour(scenes, psf, self.model.embedding)
             return (values * self.shares).sum(1)
@@ -167,10 +167,10 @@ class LightOperator(nn.Module):
 
     def _transfer(self, weights: Tensor) -> Tensor:
         if not self.has_transfer:
-            method = self.model.dials.method
+            method = self.model.sampling.method
             raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')
         check_weights(weights, self.model.camera)
-        shown = self.model.shown(weights.to(self.model.dials.dtype))
+        shown = self.model.shown(weights.to(self.model.sampling.dtype))
         rows = []
         for row, zones in zip(self._parts, self._zones, strict=True):
             parts = [
@@ -219,10 +219,10 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
         part,
         model.embedding,
         # Shadows do not interfere: their kernels would be zeros.
-        reach=model.dials.reach if model.dials.diffraction else Reach(0, 0),
-        step=model.dials.step,
+        reach=model.sampling.reach if model.sampling.diffraction else Reach(0, 0),
+        step=model.sampling.step,
         colour=model.conditions.bayer,
-        dtype=model.dials.dtype,
+        dtype=model.sampling.dtype,
         variables=Variables(
             shift_y=torch.tensor(model.conditions.shift_y, dtype=torch.float64),
             shift_x=torch.tensor(model.conditions.shift_x, dtype=torch.float64),
@@ -234,7 +234,7 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
     )
 
 
-def _grids(model: Model) -> list[tuple[float, Zone, TurnedLight]]:
+def _grids(model: Model) -> list[tuple[float, Zone, RotatedLight]]:
     """(share, zone, light) for every sample of spectrum, depth and field."""
     lights = []
     for row in model.zones():
@@ -247,7 +247,7 @@ def _grids(model: Model) -> list[tuple[float, Zone, TurnedLight]]:
             for index, sample in enumerate(most):
                 # A channel without a spectrum repeats its one wavelength at each depth.
                 beams = [
-                    own[index if len(own) == len(most) else index % model.dials.layers]
+                    own[index if len(own) == len(most) else index % model.sampling.layers]
                     for own in by_channel
                 ]
                 distance = sample.scene_distance
@@ -259,14 +259,14 @@ def _grids(model: Model) -> list[tuple[float, Zone, TurnedLight]]:
                         for beam in beams
                     ),
                 )
-                light = TurnedLight(
+                light = RotatedLight(
                     camera,
                     scene if distance is None else replace(scene, distance=distance),
                     rotation=model.conditions.rotation,
                     shift_y=model.conditions.shift_y,
                     shift_x=model.conditions.shift_x,
-                    oversampling=model.dials.oversampling,
-                    dtype=model.dials.dtype,
+                    oversampling=model.sampling.oversampling,
+                    dtype=model.sampling.dtype,
                 )
                 lights.append((sample.share, zone, light))
     return lights

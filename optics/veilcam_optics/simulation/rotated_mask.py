@@ -18,7 +18,7 @@ from veilcam_optics.transfer.grid import GridLight
 _SAMPLES_PER_CELL = 5
 
 
-class TurnedMask:
+class RotatedMask:
     """A turned and shifted mask as amplitudes on a grid.
 
     Args:
@@ -83,7 +83,7 @@ class TurnedMask:
         return amplitudes.reshape(self.grid.shape)
 
 
-class TurnedLight:
+class RotatedLight:
     """Light through a turned and shifted mask, from mask to embedding, on a grid."""
 
     def __init__(
@@ -100,7 +100,7 @@ class TurnedLight:
         self.camera, self.dtype = camera, dtype
         self._light = GridLight(camera, scene, oversampling=oversampling, dtype=dtype)
         target: Grid = self._light.grid
-        self._mask = TurnedMask(
+        self._mask = RotatedMask(
             camera,
             as_float(target.pitch_y),
             rotation=rotation,

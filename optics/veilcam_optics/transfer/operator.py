@@ -24,7 +24,7 @@ from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.errors import invalid, require_count, require_positive
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
-from veilcam_optics.transfer.parts import Part, embed_lit
+from veilcam_optics.transfer.regions import Region, embed_lit
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,12 +226,12 @@ class TransferOperator(nn.Module):
                 groups, rows = [], []
         self.readings, self._readings = nn.ModuleList(readings), tuple(readings)
 
-    def forward(self, weights: Tensor, part: Part | None = None) -> Tensor:
+    def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
         """The transfer matrix of a mask.
 
         Args:
             weights: amplitude transmittances, ``camera.mask_shape``. Differentiable.
-            part: of the scene that is asked for; None for all of it. Its cost is its own, so an
+            region: part of the scene that is asked for; None for all of it. Its cost is its own: an
                 object that moves about in a large and black scene costs what the object does.
 
         Returns:
@@ -239,25 +239,25 @@ class TransferOperator(nn.Module):
             irradiance of an embedding pixel relative to an all-white scene seen without a mask.
 
         Raises:
-            OpticsError: the mask has another shape, or holds NaN or infinity; a part that is not
+            OpticsError: the mask has another shape, or holds NaN or infinity; a region that is not
                 wholly in the scene.
         """
         check_weights(weights, self.camera)
         scene, embedding = self.scene, self.embedding
-        part = Part(0, 0, *scene.shape) if part is None else part
-        part.check(scene)
-        # Offsets are in the order of the scene's pixels, so those of a part lie side by side.
+        region = Region(0, 0, *scene.shape) if region is None else region
+        region.check(scene)
+        # Offsets are in the order of the scene's pixels, so those of a region lie side by side.
         y, x = (
             slice(first * pixels, (first + count) * pixels)
             for first, count, pixels in (
-                (part.top, part.rows, embedding.rows),
-                (part.left, part.columns, embedding.columns),
+                (region.top, region.rows, embedding.rows),
+                (region.left, region.columns, embedding.columns),
             )
         )
         values = [reading(weights, y, x) for reading in self._readings]
-        pixels = (part.rows * part.columns, embedding.size)
+        pixels = (region.rows * region.columns, embedding.size)
         transfers = [
-            value.reshape(part.rows, embedding.rows, part.columns, embedding.columns)
+            value.reshape(region.rows, embedding.rows, region.columns, embedding.columns)
             .transpose(1, 2)
             .reshape(pixels)
             for value in values
@@ -283,8 +283,8 @@ class TransferOperator(nn.Module):
             pixels = self.scene.rows * self.scene.columns
             flat = torch.einsum("bcp,cpe->bce", scenes.reshape(-1, 3, pixels), self(weights))
             return flat.reshape(-1, 3, *self.embedding.shape)
-        whole = Part(0, 0, *self.scene.shape)
-        values = embed_lit(scenes, whole, lambda part: self(weights, part))
+        whole = Region(0, 0, *self.scene.shape)
+        values = embed_lit(scenes, whole, lambda region: self(weights, region))
         return values.reshape(-1, *self.embedding.shape)
 
     def embed_by_factors(self, scenes: Tensor, weights: Tensor) -> Tensor:
@@ -370,7 +370,7 @@ def _pairs(
     """
     y, x = axes
     # At an angle of zero, too, a gradient needs the slopes.
-    turned = isinstance(rotation, Tensor) or rotation != 0
+    rotated = isinstance(rotation, Tensor) or rotation != 0
     amplitudes = torch.tensor(camera.row_amplitudes(beam.channel), dtype=torch.float64)
     # A row that its filter closes needs no field.
     fields_y = y.fields(beam.wavelength * beam.stretch[0], of=amplitudes.nonzero().flatten())
@@ -382,13 +382,13 @@ def _pairs(
         first = product.nonzero().flatten()
         down = y.kernel(fields_y, first, first + dr) * product[first]
         # Without a rotation nothing asks for the slopes.
-        slope = y.slope(fields_y, first, first + dr) * product[first] if turned else down
+        slope = y.slope(fields_y, first, first + dr) * product[first] if rotated else down
         below.append((first, first + dr, down, slope))
     beside = []
     for dc in range(min(reach.columns, columns - 1) + 1):
         column = torch.arange(columns - dc)
         across = x.kernel(fields_x, column, column + dc)
-        slope = x.slope(fields_x, column, column + dc) if turned else across
+        slope = x.slope(fields_x, column, column + dc) if rotated else across
         beside.append((column, column + dc, across, slope))
     for dc in range(1 - len(beside), len(beside)):
         used = [pair for pair in below[1 if dc < 0 else 0 :] if len(pair[0])]
@@ -402,7 +402,7 @@ def _pairs(
         if dc < 0:  # the same pairs, the other way round
             across, slope_x = across.conj(), slope_x.conj()
         terms = [(down, across)]
-        if turned:
+        if rotated:
             slope_y = torch.cat([pair[3] for pair in used], dim=1) * twice
             terms += [
                 (slope_y * (-rotation * y.magnification), across * x.middles(column, other)),

@@ -17,8 +17,6 @@ from veilcam_server.calibration import (
 from veilcam_server.calibration.record import RECORD_NAME, check_fits
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.corrected import CalibratedSensor
-from veilcam_server.devices.imx477 import IMX477
-from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
@@ -50,8 +48,8 @@ def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) 
     """Raise :class:`CalibrationError` if ``record`` is of another camera than is set up."""
     check_fits(
         record,
-        display=ST7735R.name,
-        sensor=IMX477.name,
+        display=settings.panel,
+        sensor=settings.sensor,
         simulated=settings.device == "simulated",
         tab=panel_tab(settings),
         exposure=settings.exposure,

@@ -4,39 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import json as encoder
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from veilcam_server.cli import options
-from veilcam_server.cli.terminal import StateDirOption, fail, one_line
-from veilcam_server.settings import Wiring, default_state_dir
+from veilcam_server.cli.options import options_of
+from veilcam_server.cli.terminal import fail
+from veilcam_server.settings import DoctorSettings
 
 _SIGNS = {"ok": ("ok", "green"), "bad": ("FIX", "bold red"), "skipped": ("later", "yellow")}
 
 
+@options_of(DoctorSettings)
 def doctor(
+    settings: DoctorSettings,
     *,
-    bundle: Annotated[
-        Path | None, typer.Option(envvar="VEILCAM_BUNDLE", help="That of 'veilcamd serve'.")
-    ] = None,
-    state_dir: StateDirOption = None,
-    mask_secret: Annotated[
-        Path | None, typer.Option(envvar="VEILCAM_MASK_SECRET", help="That of 'veilcamd serve'.")
-    ] = None,
-    panel_tab: options.PanelTab = None,
-    spi: options.Spi = None,
-    spi_hz: options.SpiClock = None,
-    allow_fast_spi: options.FastSpi = False,
-    gpio_chip: options.GpioChip = None,
-    data_line: options.DataLine = None,
-    reset_line: options.ResetLine = None,
-    camera_number: options.CameraNumber = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Say what this machine lacks to serve a real camera, and what to do about it.
@@ -45,24 +30,13 @@ def doctor(
     daemon first: it holds the camera and the panel's lines.
     """
     # Imported late: --help need not wait for torch.
-    from veilcam_server.doctor import Machine, Plan, examine  # noqa: PLC0415
+    from veilcam_server.devices.errors import DeviceError  # noqa: PLC0415
+    from veilcam_server.doctor import Machine, examine  # noqa: PLC0415
 
-    given: dict[str, Any] = {
-        "panel_tab": panel_tab,
-        "spi": spi,
-        "spi_hz": spi_hz,
-        "allow_fast_spi": allow_fast_spi or None,
-        "gpio_chip": gpio_chip,
-        "data_line": data_line,
-        "reset_line": reset_line,
-        "camera_number": camera_number,
-    }
     try:
-        wiring = Wiring(**{name: value for name, value in given.items() if value is not None})
-    except ValidationError as error:
-        fail(one_line(error))
-    plan = Plan(wiring, state_dir or default_state_dir(), bundle, mask_secret)
-    findings = list(examine(Machine(), plan))
+        findings = list(examine(Machine(), settings))
+    except DeviceError as error:
+        fail(str(error))
     if json:
         typer.echo(encoder.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
     else:

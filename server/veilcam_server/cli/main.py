@@ -15,9 +15,9 @@ from veilcam_server.cli import calibrate as calibration_command
 from veilcam_server.cli import doctor as doctor_command
 from veilcam_server.cli import serve as serve_command
 from veilcam_server.cli import tokens as token_command
-from veilcam_server.cli.serve import hold_up
+from veilcam_server.cli.serve import set_scene
 from veilcam_server.cli.terminal import fail
-from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, load_digits
+from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.settings import SCENE_NAME, default_state_dir
 
@@ -73,7 +73,7 @@ def show(
             fitting = [n for n, label in enumerate(digits.labels) if digit in (None, label)]
             index = secrets.choice(fitting)
         path = scene or default_state_dir() / SCENE_NAME
-        hold_up(path, digits, index)
+        set_scene(path, digits, index)
         typer.echo(f"held up a {digits.labels[index]} (held-out digit {index}) in {path}")
     except StartError as error:
         fail(str(error))
@@ -102,31 +102,27 @@ def demo(
             help="Read every mask as if it were another one: accuracy collapses.",
         ),
     ] = False,
-    figures: Annotated[
-        Path | None, typer.Option(help="Write the accuracy into this JSON file.")
-    ] = None,
 ) -> None:
     """Classify handwritten digits through changing masks, end to end."""
     # Imported late: --help need not wait for torch and matplotlib.
     from rich.console import Console  # noqa: PLC0415
 
     from veilcam_server.demo.run import Plan, demonstrate  # noqa: PLC0415
-    from veilcam_training.errors import TrainingError  # noqa: PLC0415
-    from veilcam_training.experiments.records import record_figures  # noqa: PLC0415
 
-    bundle = bundle or (FRESH if fresh else KEYRING)
-    every = every or (1 if fresh else 10)
+    plan = Plan(
+        fresh=fresh,
+        bundle=bundle,
+        digits=digits,
+        out=out,
+        captures=captures,
+        every=every,
+        seed=seed,
+        wrong_classifier=wrong_classifier,
+    )
     try:
-        if fresh and bundle == FRESH and not FRESH.exists():
-            raise StartError("no bundle of fresh masks came along: give one with --bundle")
-        plan = Plan(bundle, fresh, digits, out, captures, every, seed, wrong_classifier)
         tally = demonstrate(plan, Console())
-        if figures is not None:
-            name = "demo_fresh" if fresh else "demo"
-            name += "_wrong_classifier_accuracy" if wrong_classifier else "_accuracy"
-            record_figures(figures, {name: round(tally.accuracy, 4)})
         typer.echo(tally.summary())
-    except (StartError, VeilcamError, TrainingError) as error:
+    except (StartError, VeilcamError) as error:
         fail(str(error))
     except KeyboardInterrupt:
         raise SystemExit(130) from None

@@ -12,13 +12,6 @@ StateDirOption = Annotated[
     Path | None, typer.Option(envvar="VEILCAM_STATE_DIR", help="That of 'veilcamd serve'.")
 ]
 
-AsBuiltOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="How the simulated camera departs from its drawing: a JSON file (docs/calibration.md)."
-    ),
-]
-
 _OPTIONS = {"seconds": "every-seconds", "captures": "every-captures"}
 
 

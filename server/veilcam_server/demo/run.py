@@ -16,7 +16,7 @@ from veilcam_server.demo.daemon import running
 from veilcam_server.demo.observer import KeyObserver, Observer, PairObserver
 from veilcam_server.demo.report import Row, write_report
 from veilcam_server.demo.tally import Sample, Tally
-from veilcam_server.demo_data import Digits, load_digits
+from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, Digits, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
 from veilcam_server.masks.secret import find_secret, write_secret
@@ -25,21 +25,32 @@ from veilcam_training.bundle import Bundle, BundleError, read_bundle
 REPORT_ROWS = 6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
     """What to demonstrate."""
 
-    bundle: Path
-    fresh: bool
-    """Refuse a bundle of pairs."""
-    digits: Path
-    out: Path
-    captures: int
-    every: int
-    """Captures under one mask."""
-    seed: int
+    fresh: bool = False
+    """Draw every mask from a key, and refuse a bundle of pairs."""
+    bundle: Path | None = None
+    """Instead of the one that comes along."""
+    digits: Path = DIGITS
+    out: Path = Path("demo")
+    captures: int = 200
+    every: int | None = None
+    """Captures under one mask; by default 10, and 1 if ``fresh``."""
+    seed: int = 0
     """Chooses the digits."""
-    wrong_classifier: bool
+    wrong_classifier: bool = False
+
+    @property
+    def path(self) -> Path:
+        """File of the bundle."""
+        return self.bundle or (FRESH if self.fresh else KEYRING)
+
+    @property
+    def captures_per_mask(self) -> int:
+        """How many are taken under one mask."""
+        return self.every or (1 if self.fresh else 10)
 
 
 def demonstrate(plan: Plan, console: Console) -> Tally:
@@ -50,14 +61,14 @@ def demonstrate(plan: Plan, console: Console) -> Tally:
         VeilcamError: the daemon failed on the way.
     """
     try:
-        bundle = read_bundle(plan.bundle)
+        bundle = read_bundle(plan.path)
     except BundleError as error:
         raise StartError(str(error)) from None
     if plan.fresh and bundle.mode != "fresh":
-        raise StartError(f"--fresh: {plan.bundle} holds pairs: give a bundle of mode 'fresh'")
+        raise StartError(f"--fresh: {plan.path} holds pairs: give a bundle of mode 'fresh'")
     digits = load_digits(plan.digits)
     if digits.images.shape[1:] != bundle.scene.shape:
-        raise StartError(f"{plan.digits} holds images of another size than {plan.bundle}")
+        raise StartError(f"{plan.digits} holds images of another size than {plan.path}")
     if plan.captures > len(digits):
         raise StartError(f"--captures {plan.captures}: {plan.digits} holds {len(digits)} digits")
     plan.out.mkdir(parents=True, exist_ok=True)
@@ -68,7 +79,7 @@ def demonstrate(plan: Plan, console: Console) -> Tally:
         options, observer = _mode(bundle, directory)
         if plan.wrong_classifier:
             options = (*options, "--wrong-classifier")
-        with running(plan.bundle, scene, directory, *options) as url:
+        with running(plan.path, scene, directory, *options) as url:
             console.print(f"daemon    {url}, simulated camera in a process of its own")
             with Camera(url) as camera:
                 tally, rows = _classify(
@@ -105,11 +116,11 @@ def _classify(
     rows, columns = status.bundle.embedding_shape
     console.print(
         f"task      {status.bundle.task}, {rows} x {columns} embeddings, "
-        f"{status.bundle.pairs or 'fresh'} masks, a new one every {plan.every} captures"
+        f"{status.bundle.pairs or 'fresh'} masks, a new one every {plan.captures_per_mask} captures"
     )
     if status.experiment:
         console.print(f"[yellow]experiment {status.experiment}: labels mean nothing[/yellow]")
-    camera.set_rotation(EveryCaptures(captures=plan.every))
+    camera.set_rotation(EveryCaptures(captures=plan.captures_per_mask))
     tally, report = Tally(), dict[int, Row]()
     order = np.random.default_rng(plan.seed).choice(len(digits), plan.captures, replace=False)
     masks: dict[str, int] = {}

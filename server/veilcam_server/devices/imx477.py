@@ -13,20 +13,26 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from veilcam_server.devices.base import Exposure, Reading
+from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
     DeviceError,
     SensorError,
     SensorLostError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.picamera import Picamera
-from veilcam_server.devices.raw import GAIN, HALF, Binning, Frame, RawFormat, SensorMode
+from veilcam_server.devices.picamera import Picamera, open_picamera2
+from veilcam_server.devices.raw import GAIN, Binning, Frame, RawFormat, SensorMode
+from veilcam_server.settings import Settings
+
+HALF = SensorMode(1520, 2028, line_time=15.17e-6, frame_duration=0.025)
+"""Two by two pixels binned on the sensor, 40 frames a second."""
 
 _NANO, _MICRO = 1_000_000_000, 1_000_000
 _SATURATED = 1e-3
@@ -291,3 +297,44 @@ class _Failure(Exception):  # noqa: N818 - carries an error
 
     def __init__(self, error: SensorError) -> None:
         self.error = error
+
+
+def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:
+    return IMX477(
+        partial(open_picamera2, settings.camera_number),
+        shape=shape,
+        exposures=ExposureRange(settings.exposure, settings.exposure_factor),
+    )
+
+
+def _emulate(
+    light: RawLight,
+    mode: SensorMode,
+    *,
+    shape: tuple[int, int],
+    exposure: float,
+    full_scale: float,
+    clock: Callable[[], float],
+    sleep: Callable[[float], None],
+) -> IMX477:
+    # Imported late: no real sensor needs it.
+    from veilcam_server.devices.simulated.picamera import FakePicamera2  # noqa: PLC0415
+
+    return IMX477(
+        lambda: FakePicamera2(light, mode=mode, clock=clock, sleep=sleep),
+        shape=shape,
+        mode=mode,
+        exposures=ExposureRange(exposure),
+        full_scale=full_scale,
+        clock=clock,
+    )
+
+
+DRIVER: Final = SensorDriver(
+    name=IMX477.name,
+    model="imx477",
+    product="a Raspberry Pi HQ camera (IMX477)",
+    open=_open,
+    emulate=_emulate,
+    packages=("libcamera", "picamera2"),
+)

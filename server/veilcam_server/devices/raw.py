@@ -1,4 +1,4 @@
-"""How a sensor is read out, and how its raw frames lie in memory."""
+"""Raw frames of a sensor: modes, layout in memory, times, and averages over their pixels."""
 
 from __future__ import annotations
 
@@ -19,52 +19,72 @@ Raw = npt.NDArray[np.uint16]
 """A raw frame, shape (rows, columns)."""
 
 
-class Binning:
-    """From raw frames of one shape to averages over equal boxes.
+@dataclass(frozen=True, slots=True)
+class SensorMode:
+    """A way to read out the whole sensor. Times in seconds."""
 
-    Args:
-        raw: shape (rows, columns) of the frames.
-        embedding: shape (rows, columns) of the boxes.
+    rows: int
+    columns: int
+    line_time: float
+    frame_duration: float
+    bit_depth: int = 12
+    black_level: int = 256
 
-    Raises:
-        ValueError: more boxes than pixels.
-    """
+    @property
+    def size(self) -> tuple[int, int]:
+        """As picamera2 has it: columns, rows."""
+        return self.columns, self.rows
 
-    def __init__(self, raw: tuple[int, int], embedding: tuple[int, int]) -> None:
-        self._raw = raw
-        self._row_cuts, self._row_shares = _axis(raw[0], embedding[0])
-        self._column_cuts, self._column_shares = _axis(raw[1], embedding[1])
+    @property
+    def white_level(self) -> int:
+        """Of a saturated pixel."""
+        return (1 << self.bit_depth) - 1
 
-    def __call__(self, raw: Raw) -> npt.NDArray[np.float64]:
-        """Return the mean of every box, shape of the embedding.
+    @property
+    def readout(self) -> float:
+        """From the first row's readout to the last one's [s]."""
+        return (self.rows - 1) * self.line_time
+
+
+@dataclass(frozen=True, slots=True)
+class RawFormat:
+    """How raw pixels lie in memory, and what they count without light and at most."""
+
+    stride: int
+    black: int
+    white: int
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any] | None, mode: SensorMode) -> RawFormat:
+        """From what picamera2 says of its raw stream, if there is one.
 
         Raises:
-            ValueError: a frame of another shape.
+            SensorError: there is none, or it is packed, compressed or of another size.
         """
-        if raw.shape != self._raw:
-            raise ValueError(f"a raw frame of shape {raw.shape} is not valid: use {self._raw}")
-        # 32 bits hold the sum of 65,537 pixels of 16 bits: more rows than any sensor has.
-        strips = np.stack(
-            [raw[first:last].sum(0, dtype=np.uint32) for first, last in pairwise(self._row_cuts)]
-        )
-        sums = np.add.reduceat(strips, self._column_cuts[:-1], axis=1, dtype=np.uint64)
-        strips.fill(0)
-        return self._row_shares @ sums.astype(np.float64) @ self._column_shares.T
+        if given is None:
+            raise SensorError("the camera gives no raw frames: use a Raspberry Pi HQ camera")
+        name, size = str(given["format"]), tuple(given["size"])
+        # 12 bits in the low end of 16 (Raspberry Pi 4), or in the high end (5).
+        shifts = {str(mode.bit_depth): 0, "16": 16 - mode.bit_depth}
+        bits = name[5:]
+        if not name.startswith("S") or bits not in shifts or size != mode.size:
+            raise SensorError(
+                f"the camera gives raw frames as {name}, {size[0]} x {size[1]}, which cannot be "
+                "read: use one that gives them whole and uncompressed"
+            )
+        shift = shifts[bits]
+        return cls(int(given["stride"]), mode.black_level << shift, mode.white_level << shift)
 
+    def pixels(self, request: Request, mode: SensorMode) -> Raw:
+        """Return a copy of a frame, without what pads its lines.
 
-def _axis(pixels: int, boxes: int) -> tuple[list[int], npt.NDArray[np.float64]]:
-    """Where to cut an axis, and what share each piece has in the mean of each box."""
-    if not 1 <= boxes <= pixels:
-        raise ValueError(f"{boxes} boxes are not valid: use 1 to {pixels}, the number of pixels")
-    edges = [Fraction(box * pixels, boxes) for box in range(boxes + 1)]
-    cuts = sorted({whole for edge in edges for whole in (math.floor(edge), math.ceil(edge))})
-    shares = np.zeros((boxes, len(cuts) - 1))
-    for box, (low, high) in enumerate(pairwise(edges)):
-        for piece, (first, last) in enumerate(pairwise(cuts)):
-            inside = min(high, Fraction(last)) - max(low, Fraction(first))
-            if inside > 0:
-                shares[box, piece] = float(inside / ((last - first) * (high - low)))
-    return cuts, shares
+        Raises:
+            SensorError: the frame has another size.
+        """
+        array = request.make_array("raw")
+        if array.shape != (mode.rows, self.stride):
+            raise SensorError("the camera gave a raw frame of another size: try again")
+        return array.view(np.uint16)[:, : mode.columns]
 
 
 GAIN = 1.0
@@ -113,73 +133,49 @@ class Frame:
         return ""
 
 
-@dataclass(frozen=True, slots=True)
-class SensorMode:
-    """A way to read out the whole sensor. Times in seconds."""
+class Binning:
+    """From raw frames of one shape to averages over equal boxes.
 
-    rows: int
-    columns: int
-    line_time: float
-    frame_duration: float
-    bit_depth: int = 12
-    black_level: int = 256
+    Args:
+        raw: shape (rows, columns) of the frames.
+        embedding: shape (rows, columns) of the boxes.
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """As picamera2 has it: columns, rows."""
-        return self.columns, self.rows
+    Raises:
+        ValueError: more boxes than pixels.
+    """
 
-    @property
-    def white_level(self) -> int:
-        """Of a saturated pixel."""
-        return (1 << self.bit_depth) - 1
+    def __init__(self, raw: tuple[int, int], embedding: tuple[int, int]) -> None:
+        self._raw = raw
+        self._row_cuts, self._row_shares = _axis(raw[0], embedding[0])
+        self._column_cuts, self._column_shares = _axis(raw[1], embedding[1])
 
-    @property
-    def readout(self) -> float:
-        """From the first row's readout to the last one's [s]."""
-        return (self.rows - 1) * self.line_time
-
-
-HALF = SensorMode(1520, 2028, line_time=15.17e-6, frame_duration=0.025)
-"""Two by two pixels binned on the sensor, 40 frames a second."""
-
-
-@dataclass(frozen=True, slots=True)
-class RawFormat:
-    """How raw pixels lie in memory, and what they count without light and at most."""
-
-    stride: int
-    black: int
-    white: int
-
-    @classmethod
-    def of(cls, given: Mapping[str, Any] | None, mode: SensorMode) -> RawFormat:
-        """From what picamera2 says of its raw stream, if there is one.
+    def __call__(self, raw: Raw) -> npt.NDArray[np.float64]:
+        """Return the mean of every box, shape of the embedding.
 
         Raises:
-            SensorError: there is none, or it is packed, compressed or of another size.
+            ValueError: a frame of another shape.
         """
-        if given is None:
-            raise SensorError("the camera gives no raw frames: use a Raspberry Pi HQ camera")
-        name, size = str(given["format"]), tuple(given["size"])
-        # 12 bits in the low end of 16 (Raspberry Pi 4), or in the high end (5).
-        shifts = {str(mode.bit_depth): 0, "16": 16 - mode.bit_depth}
-        bits = name[5:]
-        if not name.startswith("S") or bits not in shifts or size != mode.size:
-            raise SensorError(
-                f"the camera gives raw frames as {name}, {size[0]} x {size[1]}, which cannot be "
-                "read: use one that gives them whole and uncompressed"
-            )
-        shift = shifts[bits]
-        return cls(int(given["stride"]), mode.black_level << shift, mode.white_level << shift)
+        if raw.shape != self._raw:
+            raise ValueError(f"a raw frame of shape {raw.shape} is not valid: use {self._raw}")
+        # 32 bits hold the sum of 65,537 pixels of 16 bits: more rows than any sensor has.
+        strips = np.stack(
+            [raw[first:last].sum(0, dtype=np.uint32) for first, last in pairwise(self._row_cuts)]
+        )
+        sums = np.add.reduceat(strips, self._column_cuts[:-1], axis=1, dtype=np.uint64)
+        strips.fill(0)
+        return self._row_shares @ sums.astype(np.float64) @ self._column_shares.T
 
-    def pixels(self, request: Request, mode: SensorMode) -> Raw:
-        """Return a copy of a frame, without what pads its lines.
 
-        Raises:
-            SensorError: the frame has another size.
-        """
-        array = request.make_array("raw")
-        if array.shape != (mode.rows, self.stride):
-            raise SensorError("the camera gave a raw frame of another size: try again")
-        return array.view(np.uint16)[:, : mode.columns]
+def _axis(pixels: int, boxes: int) -> tuple[list[int], npt.NDArray[np.float64]]:
+    """Where to cut an axis, and what share each piece has in the mean of each box."""
+    if not 1 <= boxes <= pixels:
+        raise ValueError(f"{boxes} boxes are not valid: use 1 to {pixels}, the number of pixels")
+    edges = [Fraction(box * pixels, boxes) for box in range(boxes + 1)]
+    cuts = sorted({whole for edge in edges for whole in (math.floor(edge), math.ceil(edge))})
+    shares = np.zeros((boxes, len(cuts) - 1))
+    for box, (low, high) in enumerate(pairwise(edges)):
+        for piece, (first, last) in enumerate(pairwise(cuts)):
+            inside = min(high, Fraction(last)) - max(low, Fraction(first))
+            if inside > 0:
+                shares[box, piece] = float(inside / ((last - first) * (high - low)))
+    return cuts, shares

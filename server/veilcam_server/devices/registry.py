@@ -1,22 +1,46 @@
-"""From settings to a panel and a sensor, and no other ones than the settings name."""
+"""Panels and sensors by name, and from settings to one of each: no other ones than they name."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
-from functools import partial
+from typing import TypeVar
 
+from veilcam_server.devices import imx477, st7735r
 from veilcam_server.devices.base import Device
+from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceMissingError
-from veilcam_server.devices.imx477 import IMX477, ExposureRange
-from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
 from veilcam_server.devices.simulated.imperfections import AsBuilt, read_as_built
 from veilcam_server.devices.simulated.panel import REFRESH
 from veilcam_server.devices.simulated.scene_files import open_scenes
-from veilcam_server.devices.spi import LinuxLines, LinuxSpi
-from veilcam_server.devices.st7735r import ST7735R, TABS
-from veilcam_server.settings import Settings
+from veilcam_server.settings import Settings, Wiring
 from veilcam_training.bundle import Bundle
+
+DISPLAYS = {
+    driver.name: driver
+    for driver in (
+        st7735r.DRIVER,
+        # Another panel: a file with its driver, and a line here.
+    )
+}
+SENSORS = {
+    driver.name: driver
+    for driver in (
+        imx477.DRIVER,
+        # Another sensor likewise.
+    )
+}
+
+_Driver = TypeVar("_Driver", DisplayDriver, SensorDriver)
+
+
+def drivers(wiring: Wiring) -> tuple[DisplayDriver, SensorDriver]:
+    """Return those of the panel and the sensor that are named; raises DeviceMissingError."""
+    return (
+        _named("panel", wiring.panel, DISPLAYS),
+        _named("sensor", wiring.sensor, SENSORS),
+    )
 
 
 def open_device(settings: Settings, bundle: Bundle) -> Device:
@@ -26,34 +50,32 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
         DeviceError: it is not there, or there is nothing in front of a simulated one.
         StartError: how the simulated one was built cannot be read.
     """
-    return (_simulated if settings.device == "simulated" else _pi)(settings, bundle)
-
-
-def _pi(settings: Settings, bundle: Bundle) -> Device:
-    if settings.panel_tab is None:
-        raise DeviceMissingError(
-            "the panel is not known: say the colour of its film's tab with --panel-tab red, black "
-            "or green (see docs/device.md), or use --simulate"
-        )
+    display, sensor = drivers(settings)
+    if settings.device == "simulated":
+        return _simulated(settings, bundle, display, sensor)
+    for name, what in display.needs.items():
+        if getattr(settings, name) is None:
+            raise DeviceMissingError(
+                f"the panel is not known: give --{name.replace('_', '-')} {what}, or use --simulate"
+            )
     with ExitStack() as undo:
-        spi = LinuxSpi.open(str(settings.spi), settings.spi_hz, allow_fast=settings.allow_fast_spi)
-        undo.callback(spi.close)
-        lines = LinuxLines.open(
-            settings.gpio_chip, data=settings.data_line, reset=settings.reset_line
-        )
-        undo.callback(lines.close)
         # The panel first: it is opaque before there is anybody to see through it.
-        display = ST7735R(spi, lines, camera=bundle.camera, tab=TABS[settings.panel_tab])
-        sensor = IMX477(
-            partial(open_picamera2, settings.camera_number),
-            shape=bundle.embedding.shape,
-            exposures=ExposureRange(settings.exposure, settings.exposure_factor),
-        )
+        panel = display.open(settings, bundle.camera)
+        undo.callback(panel.close)
+        device = Device(panel, sensor.open(settings, bundle.embedding.shape), simulated=False)
         undo.pop_all()
-    return Device(display, sensor, simulated=False)
+    return device
 
 
-def _simulated(settings: Settings, bundle: Bundle) -> Device:
+def _named(kind: str, name: str, known: Mapping[str, _Driver]) -> _Driver:
+    if name not in known:
+        raise DeviceMissingError(f"--{kind} {name} has no driver: use {' or '.join(known)}")
+    return known[name]
+
+
+def _simulated(
+    settings: Settings, bundle: Bundle, display: DisplayDriver, sensor: SensorDriver
+) -> Device:
     built = AsBuilt() if settings.as_built is None else read_as_built(settings.as_built)
     built.require_lines(*bundle.camera.mask_shape)
     return simulated_device(
@@ -71,4 +93,6 @@ def _simulated(settings: Settings, bundle: Bundle) -> Device:
             dead_columns=built.dead_columns,
             dead_level=built.dead_level,
         ),
+        display=display,
+        sensor=sensor,
     )

@@ -1,18 +1,49 @@
-"""The panel's bus and lines on Linux: thin adapters to spidev and gpiod, from the extra ``pi``."""
+"""Bus and lines of a panel; on Linux adapters to spidev and gpiod, from the extra ``pi``."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import structlog
 
 from veilcam_server.devices.errors import DeviceMissingError, DisplayError
 from veilcam_server.devices.extras import import_extra
-from veilcam_server.devices.st7735r import MOST_PER_SECOND
-from veilcam_server.settings import GPIO_CHIPS
+from veilcam_server.settings import Wiring
+
+GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
+"""Labels of the chip with the header's lines: Raspberry Pi 5, and 4."""
 
 log = structlog.get_logger()
+
+
+class Spi(Protocol):
+    """The bus to the panel, mode 0, most significant bit first."""
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Send all bytes and return once the last is out.
+
+        Raises:
+            OSError: they were not sent, or not all.
+        """
+
+    def close(self) -> None:
+        """Let go of the bus."""
+
+
+class Lines(Protocol):
+    """The two lines beside the bus. Both raise ``OSError`` when the line cannot be driven."""
+
+    def data(self, value: bool, /) -> None:
+        """Drive D/C: true for parameters and pixels, false for a command."""
+
+    def reset(self, value: bool, /) -> None:
+        """Drive RST: true holds the panel in reset (the line is low)."""
+
+    def close(self) -> None:
+        """Let go of the lines."""
 
 
 class LinuxSpi:
@@ -22,25 +53,26 @@ class LinuxSpi:
         self._device = device
 
     @classmethod
-    def open(cls, path: str, speed: int, *, allow_fast: bool = False) -> Self:
+    def open(cls, path: str, speed: int, *, fastest: int, allow_fast: bool = False) -> Self:
         """Open a bus.
 
         Args:
             path: of the device node, e.g. ``/dev/spidev0.0``.
             speed: clock of the bus [Hz]; the kernel rounds it down to what the chip can do.
-            allow_fast: whether the clock may be faster than the panel's data sheet allows.
+            fastest: clock that the panel's data sheet allows [Hz].
+            allow_fast: whether the clock may be faster than that.
 
         Raises:
             DeviceMissingError: no such node, no right to open it, or no spidev to import.
             DisplayError: the clock is faster than the panel allows.
         """
-        if speed > MOST_PER_SECOND:
+        if speed > fastest:
             if not allow_fast:
                 raise DisplayError(
                     f"a bus clock of {speed} Hz is too fast for the panel: "
-                    f"use --spi-hz {MOST_PER_SECOND} or less, or --allow-fast-spi"
+                    f"use --spi-hz {fastest} or less, or --allow-fast-spi"
                 )
-            log.warning("fast panel bus", speed=speed, most=MOST_PER_SECOND)
+            log.warning("fast panel bus", speed=speed, most=fastest)
         device = import_extra("spidev").SpiDev()
         try:
             device.open_path(path)
@@ -110,6 +142,29 @@ class LinuxLines:
     def close(self) -> None:
         """Let go of the lines."""
         self._request.release()
+
+
+@contextmanager
+def open_bus(wiring: Wiring, fastest: int) -> Iterator[tuple[LinuxSpi, LinuxLines]]:
+    """Open the bus and the lines of a panel as they are wired; closed again if the block raises.
+
+    Args:
+        wiring: which ones, and how fast.
+        fastest: clock of the bus that the panel's data sheet allows [Hz].
+
+    Raises:
+        DeviceMissingError: the bus or a line is not there.
+        DisplayError: the clock is faster than the panel allows.
+    """
+    with ExitStack() as undo:
+        spi = LinuxSpi.open(
+            str(wiring.spi), wiring.spi_hz, fastest=fastest, allow_fast=wiring.allow_fast_spi
+        )
+        undo.callback(spi.close)
+        lines = LinuxLines.open(wiring.gpio_chip, data=wiring.data_line, reset=wiring.reset_line)
+        undo.callback(lines.close)
+        yield spi, lines
+        undo.pop_all()
 
 
 def gpio_chips() -> dict[str, Path]:

@@ -12,14 +12,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_server.devices.base import Levels, Shown
+from veilcam_server.devices.base import Display, Levels, Shown
+from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel
 from veilcam_server.devices.errors import DisplayError
+from veilcam_server.devices.spi import Lines, Spi, open_bus
+from veilcam_server.settings import Wiring
 
 PIXEL_COLUMNS, PIXEL_ROWS, COLOURS = 128, 160, 3
 FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS
@@ -30,33 +33,6 @@ MOST_PER_SECOND = 15_151_515
 _BITS = 2
 """Of every byte, the two lowest carry nothing in 6-6-6."""
 _OPAQUE = bytes(4096)
-
-
-class Spi(Protocol):
-    """The bus to the panel, mode 0, most significant bit first."""
-
-    def write(self, buffer: memoryview | bytes) -> None:
-        """Send all bytes and return once the last is out.
-
-        Raises:
-            OSError: they were not sent, or not all.
-        """
-
-    def close(self) -> None:
-        """Let go of the bus."""
-
-
-class Lines(Protocol):
-    """The two lines beside the bus. Both raise ``OSError`` when the line cannot be driven."""
-
-    def data(self, value: bool, /) -> None:
-        """Drive D/C: true for parameters and pixels, false for a command."""
-
-    def reset(self, value: bool, /) -> None:
-        """Drive RST: true holds the panel in reset (the line is low)."""
-
-    def close(self) -> None:
-        """Let go of the lines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,3 +250,38 @@ class ST7735R:
             self._spi.write(command.parameters)
         if command.wait:
             self._sleep(command.wait)
+
+
+def _open(wiring: Wiring, camera: Camera) -> ST7735R:
+    assert wiring.panel_tab is not None  # noqa: S101 - the panel needs it
+    with open_bus(wiring, MOST_PER_SECOND) as (spi, lines):
+        return ST7735R(spi, lines, camera=camera, tab=TABS[wiring.panel_tab])
+
+
+def _emulate(
+    camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
+) -> tuple[Display, EmulatedPanel]:
+    # Imported late: no real panel needs it.
+    from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator  # noqa: PLC0415
+
+    emulator = PanelEmulator(
+        TABS["green"],
+        crystal=Crystal(scan=scan, settle=settle),
+        # Nobody need wait for an emulated panel to wake up.
+        reset_time=0.0,
+        clock=clock,
+    )
+    display = ST7735R(
+        emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
+    )
+    return display, emulator
+
+
+DRIVER: Final = DisplayDriver(
+    name=ST7735R.name,
+    open=_open,
+    emulate=_emulate,
+    packages=("spidev", "gpiod"),
+    needs={"panel_tab": "red, black or green, the colour of the tab on its film (docs/device.md)"},
+    fastest=MOST_PER_SECOND,
+)

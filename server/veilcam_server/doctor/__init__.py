@@ -1,7 +1,7 @@
 """What a Raspberry Pi needs to serve the camera: what is missing, and how to get it."""
 
-from veilcam_server.doctor.checkup import Plan, examine
+from veilcam_server.doctor.checkup import examine
 from veilcam_server.doctor.finding import Finding
 from veilcam_server.doctor.machine import Machine
 
-__all__ = ["Finding", "Machine", "Plan", "examine"]
+__all__ = ["Finding", "Machine", "examine"]

@@ -5,57 +5,67 @@ from __future__ import annotations
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Set
-from dataclasses import dataclass
 from pathlib import Path
 
+from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceError
-from veilcam_server.devices.st7735r import MOST_PER_SECOND
+from veilcam_server.devices.registry import drivers
+from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.finding import Finding
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import StartError
 from veilcam_server.masks.secret import find_secret
-from veilcam_server.settings import GPIO_CHIPS, Wiring
+from veilcam_server.settings import DoctorSettings, Wiring
 from veilcam_training.bundle import BundleError, read_bundle
 
-PACKAGES = ("spidev", "gpiod", "libcamera", "picamera2")
 LEAST_SYSTEMD = 250
 """The first with encrypted credentials."""
 LEAST_ROOM = 200 * 2**20
 """On the disk of the state directory [bytes]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What the daemon is going to be told."""
-
-    wiring: Wiring
-    state_dir: Path
-    bundle: Path | None = None
-    mask_secret: Path | None = None
+Probe = tuple[str, Callable[[], Iterable[Finding]]]
 
 
-def examine(machine: Machine, plan: Plan) -> Iterator[Finding]:
-    """Yield a finding for every check; nothing is changed, and no mask is shown."""
+def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
+    """Yield a finding for every check; nothing is changed, and no mask is shown.
+
+    Raises:
+        DeviceMissingError: there is no driver for the panel or the sensor of the settings.
+    """
+    display, sensor = drivers(settings)
     # Once: a compiled package that failed may do worse when it is imported again.
-    packages = {name: _package(machine, name) for name in PACKAGES}
+    packages = {name: _package(machine, name) for name in (*display.packages, *sensor.packages)}
     usable = {name for name, finding in packages.items() if finding.outcome == "ok"}
-    probes: tuple[tuple[str, Callable[[], Iterable[Finding]]], ...] = (
+    probes: tuple[Probe, ...] = (
         ("board", lambda: [_model(machine)]),
         ("packages", packages.values),
-        ("panel bus", lambda: [_spi(machine, plan.wiring)]),
-        ("bus clock", lambda: [_clock_of_bus(plan.wiring)]),
-        ("panel tab", lambda: [_tab(plan.wiring)]),
-        ("GPIO chip", lambda: _lines(machine, plan.wiring, usable)),
+        *_panel_bus(machine, settings, display, usable),
+        ("panel", lambda: [_needed(settings, name, what) for name, what in display.needs.items()]),
         ("frame memory", lambda: [_frame_memory(machine)]),
-        ("camera", lambda: [_camera(machine, plan.wiring, usable)]),
-        ("state directory", lambda: [_state_dir(machine, plan.state_dir)]),
-        ("disk", lambda: [_room(machine, plan.state_dir)]),
-        ("bundle", lambda: _bundle(machine, plan)),
+        ("camera", lambda: [_camera(machine, settings, sensor, usable)]),
+        ("state directory", lambda: [_state_dir(machine, settings.state_dir)]),
+        ("disk", lambda: [_room(machine, settings.state_dir)]),
+        ("bundle", lambda: _bundle(machine, settings)),
         ("wall clock", lambda: [_wall_clock(machine)]),
         ("systemd", lambda: [_systemd(machine)]),
     )
     for name, probe in probes:
         yield from _guarded(name, probe)
+
+
+def _panel_bus(
+    machine: Machine, wiring: Wiring, display: DisplayDriver, usable: Set[str]
+) -> tuple[Probe, ...]:
+    """For a panel on SPI and two lines."""
+    fastest = display.fastest
+    if fastest is None:
+        return ()
+    return (
+        ("panel bus", lambda: [_spi(machine, wiring)]),
+        ("bus clock", lambda: [_clock_of_bus(wiring, fastest)]),
+        ("GPIO chip", lambda: _lines(machine, wiring, usable)),
+    )
 
 
 def _guarded(name: str, probe: Callable[[], Iterable[Finding]]) -> list[Finding]:
@@ -103,26 +113,24 @@ def _spi(machine: Machine, wiring: Wiring) -> Finding:
     return Finding.ok("panel bus", str(wiring.spi))
 
 
-def _clock_of_bus(wiring: Wiring) -> Finding:
+def _clock_of_bus(wiring: Wiring, fastest: int) -> Finding:
     found = f"{wiring.spi_hz:,} Hz"
-    if wiring.spi_hz > MOST_PER_SECOND and not wiring.allow_fast_spi:
+    if wiring.spi_hz > fastest and not wiring.allow_fast_spi:
         return Finding.bad(
             "bus clock",
             f"{found}, too fast for the panel",
-            f"give --spi-hz {MOST_PER_SECOND} or less, or --allow-fast-spi",
+            f"give --spi-hz {fastest} or less, or --allow-fast-spi",
         )
     return Finding.ok("bus clock", found)
 
 
-def _tab(wiring: Wiring) -> Finding:
-    if wiring.panel_tab is None:
-        return Finding.bad(
-            "panel tab",
-            "not known",
-            "give --panel-tab (or VEILCAM_PANEL_TAB) red, black or green, "
-            "the colour of the tab on the panel's film",
-        )
-    return Finding.ok("panel tab", wiring.panel_tab)
+def _needed(wiring: Wiring, name: str, what: str) -> Finding:
+    """A setting without which the panel cannot be opened."""
+    words, value = name.replace("_", " "), getattr(wiring, name)
+    if value is None:
+        option, variable = f"--{name.replace('_', '-')}", f"VEILCAM_{name.upper()}"
+        return Finding.bad(words, "not known", f"give {option} (or {variable}) {what}")
+    return Finding.ok(words, str(value))
 
 
 def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Finding]:
@@ -171,9 +179,9 @@ def _frame_memory(machine: Machine) -> Finding:
     return Finding.ok("frame memory", "/dev/dma_heap")
 
 
-def _camera(machine: Machine, wiring: Wiring, usable: Set[str]) -> Finding:
-    if not {"libcamera", "picamera2"} <= usable:
-        return Finding.skipped("camera", "needs libcamera and picamera2")
+def _camera(machine: Machine, wiring: Wiring, sensor: SensorDriver, usable: Set[str]) -> Finding:
+    if not set(sensor.packages) <= usable:
+        return Finding.skipped("camera", f"needs {' and '.join(sensor.packages)}")
     try:
         camera = machine.open_camera(wiring.camera_number)
     except DeviceError as error:
@@ -182,8 +190,8 @@ def _camera(machine: Machine, wiring: Wiring, usable: Set[str]) -> Finding:
         model = str(camera.camera_properties.get("Model", "unknown"))
     finally:
         camera.close()
-    if "imx477" not in model:
-        return Finding.bad("camera", model, "connect a Raspberry Pi HQ camera (IMX477)")
+    if sensor.model not in model:
+        return Finding.bad("camera", model, f"connect {sensor.product}")
     return Finding.ok("camera", f"{model}, number {wiring.camera_number}")
 
 
@@ -221,32 +229,32 @@ def _room(machine: Machine, directory: Path) -> Finding:
     return Finding.ok("disk", found)
 
 
-def _bundle(machine: Machine, plan: Plan) -> Iterator[Finding]:
-    if plan.bundle is None:
+def _bundle(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
+    if settings.bundle is None:
         yield Finding.bad("bundle", "none named", "give --bundle, or VEILCAM_BUNDLE")
         yield Finding.skipped("mask secret", "needs the bundle")
         return
     try:
-        bundle = read_bundle(plan.bundle)
+        bundle = read_bundle(settings.bundle)
     except BundleError as error:
-        found, remedy = _halves(error, plan.bundle)
-        yield Finding.bad("bundle", f"{plan.bundle}: {found}", remedy)
+        found, remedy = _halves(error, settings.bundle)
+        yield Finding.bad("bundle", f"{settings.bundle}: {found}", remedy)
         yield Finding.skipped("mask secret", "needs the bundle")
         return
-    yield Finding.ok("bundle", f"{plan.bundle}: {bundle.task}, {bundle.mode}")
+    yield Finding.ok("bundle", f"{settings.bundle}: {bundle.task}, {bundle.mode}")
     if bundle.mode != "fresh":
         yield Finding.ok("mask secret", "none needed: the bundle holds pairs")
         return
     sealed = Path("/etc/credstore.encrypted/veilcam.mask-key")
-    if plan.mask_secret is None and machine.path(sealed).exists():
+    if settings.mask_secret is None and machine.path(sealed).exists():
         yield Finding.ok("mask secret", f"{sealed}, given by systemd")
         return
     try:
-        find_secret(plan.mask_secret)
+        find_secret(settings.mask_secret)
     except StartError as error:
         yield Finding.bad("mask secret", *_halves(error))
     else:
-        yield Finding.ok("mask secret", f"{plan.mask_secret or 'credential'}, yours alone")
+        yield Finding.ok("mask secret", f"{settings.mask_secret or 'credential'}, yours alone")
 
 
 def _wall_clock(machine: Machine) -> Finding:

@@ -1,4 +1,4 @@
-"""What a request passes before it reaches the service: tokens, limits, and the audit log."""
+"""Admission of requests to the service: host, tokens, limits, and the audit log."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from starlette.datastructures import Headers
 from veilcam_server.errors import (
     CrossSiteError,
     HostRefusedError,
+    RateLimitError,
     TokenStoreError,
     UnauthorizedError,
 )
@@ -31,7 +32,7 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 
 
 @dataclass(frozen=True, slots=True)
-class Gateway:
+class Admission:
     """The same for all requests to one daemon.
 
     Attributes:
@@ -68,7 +69,7 @@ class Gateway:
             details: what else is known: status, request id, peer.
         """
         # Who asks too often must not push out what others did.
-        if code == "rate_limited":
+        if code == RateLimitError.code:
             return
         log = self.refused if caller is None else self.audit
         if log is None:
@@ -153,7 +154,7 @@ def _with_port(place: str, port: int) -> str:
 
 
 @contextmanager
-def open_gateway(settings: Settings) -> Iterator[Gateway]:
+def open_admission(settings: Settings) -> Iterator[Admission]:
     """Yield what stands in front of a daemon of these settings; raises :class:`StartError`."""
     audit = AuditLog(settings.state_dir / DONE)
     refused = AuditLog(settings.state_dir / REFUSED)
@@ -162,7 +163,7 @@ def open_gateway(settings: Settings) -> Iterator[Gateway]:
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
     audit.write("start", auth=settings.auth)
     try:
-        yield Gateway(
+        yield Admission(
             tokens,
             not settings.serves_others,
             audit,

@@ -31,8 +31,9 @@ from veilcam_optics.decoding import (
     with_dead_rows,
     write_frame,
 )
+from veilcam_optics.decoding.decoder import _cholesky
 from veilcam_optics.decoding.frame import dump_frame
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.sensor.noise import shot_noise
@@ -118,6 +119,111 @@ def test_low_rank_counts_what_it_leaves_out_as_noise() -> None:
     ignoring = SceneStatistics(low.mean, low.basis, torch.zeros_like(low.residual))
     naive = make(Embedding(12, 16), statistics=ignoring).prepare(weights)
     assert errors[1] < float((naive(readings) - scenes).square().sum())
+
+
+@pytest.mark.parametrize("rank", [8, 12, 30])
+def test_a_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) -> None:
+    """Fewer, as many and more components than the 12 numbers of a reading."""
+    noise = ReadingNoise(30.0, model_error=0.02)
+    decoding = make(Embedding(3, 4), statistics=STATISTICS.truncate(rank), noise=noise)
+    statistics, weights = decoding.statistics, mask().double()
+    A = decoding.operator(weights).T
+    mean, lost = A @ statistics.mean, A.square() @ statistics.residual
+    spread = (A @ statistics.basis).square().sum(1) + lost
+    N = noise.variance(mean, spread) + lost
+    S = statistics.basis @ statistics.basis.T
+    gain = S @ A.T @ torch.linalg.inv(A @ S @ A.T + torch.diag(N))
+    readings = torch.rand(4, 3, 4, generator=torch.Generator().manual_seed(3), dtype=DOUBLE)
+    decoder = decoding.prepare(weights)
+    assert float(lost.min()) > 0
+    assert torch.allclose(decoder.noise, N, rtol=1e-9)
+    wanted = statistics.mean + (readings.flatten(1) - mean) @ gain.T
+    # The matrices' condition is below 1e6, so ten digits of sixteen are left.
+    assert torch.allclose(decoder(readings).flatten(1), wanted, atol=1e-7)
+    assert torch.equal(decoder(readings.flatten(1)), decoder(readings))
+    variance = (S - gain @ A @ S).diagonal() + statistics.residual
+    assert torch.allclose(decoder.deviation.flatten().square(), variance, atol=1e-9)
+    share = float(variance.sum() / statistics.variance.sum())
+    assert decoder.remaining == pytest.approx(share, abs=1e-6)
+    by_hand = decoding.prepare_transfer(decoding.operator(weights))
+    assert torch.equal(by_hand(readings), decoder(readings))
+
+
+@pytest.mark.parametrize(("rank", "size"), [(8, 8), (30, 12)])
+def test_the_smaller_matrix_is_factored(
+    monkeypatch: pytest.MonkeyPatch, rank: int, size: int
+) -> None:
+    factored: list[torch.Size] = []
+    factor = torch.linalg.cholesky_ex
+
+    def noted(matrix: Tensor) -> Any:
+        factored.append(matrix.shape)
+        return factor(matrix)
+
+    monkeypatch.setattr(torch.linalg, "cholesky_ex", noted)
+    make(Embedding(3, 4), statistics=STATISTICS.truncate(rank)).prepare(mask().double())
+    assert factored == [(size, size)]
+
+
+@pytest.mark.parametrize("scale", [0.01, 20.0])
+def test_scenes_in_another_unit_are_decoded_in_that_unit(scale: float) -> None:
+    scaled = SceneStatistics(
+        STATISTICS.mean * scale, STATISTICS.basis * scale, STATISTICS.residual * scale**2
+    )
+    one, other = (
+        make(Embedding(6, 8), statistics=statistics).prepare(mask().double())
+        for statistics in (STATISTICS, scaled)
+    )
+    scenes = smooth_scenes(3, 1).double()
+    readings = make(Embedding(6, 8)).operator.embed(scenes, mask().double())
+    found, wanted = other(scale * readings), scale * one(readings)
+    # Statistics are float32: scaling rounds them by 6e-8, which 40 dB can amplify a hundredfold.
+    assert float((found - wanted).norm() / wanted.norm()) < 1e-5
+    assert other.remaining == pytest.approx(one.remaining, rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (6, 8)])
+def test_a_scene_that_never_changes_is_known(shape: tuple[int, int]) -> None:
+    still = SceneStatistics(STATISTICS.mean, torch.zeros(PIXELS, 2), torch.zeros(PIXELS))
+    decoder = make(Embedding(*shape), statistics=still).prepare(mask().double())
+    estimate = decoder(torch.rand(2, *shape))
+    assert torch.equal(estimate[1].flatten(), STATISTICS.mean.double())
+    assert decoder.remaining == 0
+
+
+def test_the_jitter_grows_tenfold_until_the_matrix_can_be_factored(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    added: list[float] = []
+    factor = torch.linalg.cholesky_ex
+
+    def failing(matrix: Tensor) -> Any:
+        added.append(float(matrix[0, 0]) - 4)
+        return factor(matrix)[0], torch.tensor(len(added) < 4)
+
+    monkeypatch.setattr(torch.linalg, "cholesky_ex", failing)
+    found = _cholesky(3 * torch.eye(2, dtype=DOUBLE))
+    eps = torch.finfo(DOUBLE).eps
+    # Of 3 + 1 + jitter the jitter is read off to half a unit in the last place, 2 eps.
+    assert added == [pytest.approx(4 * 10**k * eps, abs=2.001 * eps) for k in range(4)]
+    assert torch.allclose(found @ found.T, 4 * torch.eye(2, dtype=DOUBLE), rtol=1e-11)
+
+
+def test_a_response_that_is_not_finite_is_refused() -> None:
+    decoding = make(Embedding(3, 4))
+    transfer = decoding.operator(mask().double())
+    transfer[5, 2] = math.nan
+    with pytest.raises(OpticsError, match="holds NaN or infinity"):
+        decoding.prepare_transfer(transfer)
+
+
+def test_types_of_each_precision() -> None:
+    types = {p.name: (p.products, p.factors) for p in Precision}
+    assert types == {
+        "SINGLE": (torch.float32, torch.float32),
+        "MIXED": (torch.float32, torch.float64),
+        "DOUBLE": (torch.float64, torch.float64),
+    }
 
 
 @pytest.mark.parametrize("shape", [(6, 8), (24, 32)])
@@ -251,8 +357,11 @@ def test_refuses_what_does_not_fit() -> None:
         decoder(torch.zeros(2, 4, 3))
     with pytest.raises(OpticsError, match=r"gain\.shape"):
         decoding.prepare(mask().double(), gain=torch.ones(11))
-    with pytest.raises(OpticsError, match="gain is not valid"):
-        decoding.prepare(mask().double(), gain=0.0)
+    for gain in (0.0, -1.0, math.inf, math.nan, torch.tensor([math.inf, *[1.0] * 11])):
+        with pytest.raises(OpticsError, match="gain is not valid"):
+            decoding.prepare(mask().double(), gain=gain)
+    with pytest.raises(OpticsError, match=r"readings\.shape"):
+        decoder(torch.zeros(2, 5, 3, 4))
     with pytest.raises(OpticsError, match=r"statistics\.pixels"):
         SceneDecoding(TransferOperator(CAMERA, Scene(5, 5), Embedding(3, 4)), STATISTICS)
     with pytest.raises(OpticsError, match="dtype"):
@@ -382,7 +491,7 @@ def test_a_calibration_is_what_conditions_describe() -> None:
     }
     calibration = Calibration(**amounts)
     weights = random_mask(camera, torch.Generator().manual_seed(2))
-    model = Model(camera, scene, embedding, Conditions(**amounts), Dials("transfer"))
+    model = Model(camera, scene, embedding, Conditions(**amounts), Sampling("transfer"))
     expected = LightOperator(model)(weights)
     found = calibration.operator(camera, scene, embedding)(calibration.shown(weights))
     assert float((found - expected).norm() / expected.norm()) < 1e-6

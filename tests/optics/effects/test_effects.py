@@ -11,16 +11,14 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
-from veilcam_optics.effects import EFFECTS, Dials, Effect, Model
+from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
 from veilcam_optics.effects.model import Zone
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.cost import pairs
-from veilcam_optics.plan.errors import Judge
-from veilcam_optics.sensor.photons import mosaic
-from veilcam_optics.sensor.readout import bayer_shares, read
+from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.simulation.rotated_mask import TurnedMask
+from veilcam_optics.simulation.rotated_mask import RotatedMask
 from veilcam_optics.transfer.kernels import shadow_kernel
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 
@@ -90,7 +88,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
     return float((value - reference).norm() / reference.norm())
 
 
-def model_of(called: Called, **dials: object) -> Model:
+def model_of(called: Called, **sampling: object) -> Model:
     camera = replace(CAMERA, panel=called.panel)
     settings = {"reach": Reach(3, 1), "wavelengths": 3, "layers": 3, "dtype": torch.float64}
     return Model(
@@ -98,7 +96,7 @@ def model_of(called: Called, **dials: object) -> Model:
         SCENE,
         called.embedding,
         called.conditions,
-        Dials(**{**settings, **dials}),  # type: ignore[arg-type]
+        Sampling(**{**settings, **sampling}),  # type: ignore[arg-type]
     )
 
 
@@ -124,7 +122,9 @@ def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
     found = relative(readings(effect.without(model), pictures), readings(model, pictures))
     assert effect.present(model)
     assert found > called.least
-    estimated = effect.error(Judge(model_of(called, wavelengths=1, layers=1), called.tolerance))
+    estimated = effect.error(
+        ErrorModel(model_of(called, wavelengths=1, layers=1), called.tolerance)
+    )
     # One small mask, and the mean over many.
     assert found / 2.5 < estimated < found * 2.5
 
@@ -200,7 +200,7 @@ def test_what_is_always_there_is_off_where_it_hardly_shows(
 def test_what_is_off_is_not_computed() -> None:
     """The plan of an ordinary scene holds what the plain operator holds, and not a number more."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
-    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=chosen.model.dials.reach)
+    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=chosen.model.sampling.reach)
     held = sum(
         buffer.numel() for name, buffer in chosen.operator.named_buffers() if "zones" in name
     )
@@ -343,8 +343,8 @@ def test_zones_cut_the_field_without_a_seam() -> None:
 
 def test_small_rotation_against_every_sub_pixel_on_its_own() -> None:
     angle, camera = 1e-2, replace(CAMERA, window=Window(7, 4))
-    dials = Dials(reach=Reach(0, 0), step=3e-6, dtype=torch.float64)
-    straight = Model(camera, SCENE, EMBEDDING, IDEAL, dials)
+    sampling = Sampling(reach=Reach(0, 0), step=3e-6, dtype=torch.float64)
+    straight = Model(camera, SCENE, EMBEDDING, IDEAL, sampling)
     turned = replace(straight, conditions=Conditions(rotation=angle))
     total = torch.zeros(3, *EMBEDDING.shape, dtype=torch.float64)
     for row, y in enumerate(camera.row_centres):
@@ -362,7 +362,7 @@ def test_turned_mask_lets_the_same_power_through() -> None:
     panel = CAMERA.panel
     power = float(weights.square().sum()) * panel.aperture_y * panel.aperture_x
     for angle in (0.0, 0.3, -1.2):
-        turned = TurnedMask(
+        turned = RotatedMask(
             CAMERA, 9e-6, rotation=angle, shift_y=2e-5, shift_x=0.0, dtype=torch.float64
         )
         found = float(turned(weights).square().sum()) * 9e-6**2
@@ -373,7 +373,7 @@ def test_quarter_turn_of_a_square_panel_is_a_turned_array() -> None:
     panel = Panel(pitch_y=80e-6, pitch_x=80e-6, aperture_y=60e-6, aperture_x=60e-6)
     camera = Camera(panel=panel, window=Window(4, 4))
     straight, turned = (
-        TurnedMask(camera, 10e-6, rotation=angle, shift_y=0, shift_x=0, dtype=torch.float64)
+        RotatedMask(camera, 10e-6, rotation=angle, shift_y=0, shift_x=0, dtype=torch.float64)
         for angle in (0.0, math.pi / 2)
     )
     weights = mask(camera)
@@ -410,58 +410,6 @@ def test_light_that_no_row_passes_is_dark(by_factors: bool) -> None:
     values = embed(pictures, torch.ones(camera.mask_shape))
     assert float(values[:, :2].min()) > 0
     assert float(values[:, 2].abs().max()) == 0
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 4), (7, 5), (13, 10)])
-def test_bayer_shares_are_those_of_a_mosaic(shape: tuple[int, int]) -> None:
-    """Averages over embedding pixels, cut where sensor pixels are cut, of what a mosaic sees."""
-    sensor = Sensor(rows=13, columns=10)
-    shares = bayer_shares(sensor, Embedding(*shape))
-
-    def cover(pixels: int, parts: int) -> Tensor:
-        edges = torch.arange(parts + 1, dtype=torch.float64) * pixels / parts
-        index = torch.arange(pixels, dtype=torch.float64)
-        upper = torch.minimum(edges[1:, None], index + 1)
-        lower = torch.maximum(edges[:-1, None], index)
-        return (upper - lower).clamp_min(0) * parts / pixels
-
-    for channel in range(3):
-        planes = torch.zeros(3, 13, 10, dtype=torch.float64)
-        planes[channel] = 1
-        seen = cover(13, shape[0]) @ mosaic(planes) @ cover(10, shape[1]).T
-        assert torch.allclose(shares[channel], seen)
-
-
-def test_counted_photons_have_the_variance_of_their_mean() -> None:
-    values = torch.full((1, 200_000), 0.02, dtype=torch.float64)
-    counted = read(values, Conditions(electrons=500.0), generator=torch.Generator().manual_seed(0))
-    electrons = counted * 500
-    assert float(electrons.mean()) == pytest.approx(10, rel=0.01)
-    assert float(electrons.var()) == pytest.approx(10, rel=0.02)
-    assert float((electrons - electrons.round()).abs().max()) < 1e-9
-    quiet = read(values, Conditions(electrons=500.0), shot=False)
-    assert torch.allclose(quiet, values)
-
-
-def test_readings_are_noisy_saturate_and_are_rounded() -> None:
-    values = torch.linspace(0, 1, 4001, dtype=torch.float64)[None]
-    generator = torch.Generator().manual_seed(0)
-    noisy = read(values, Conditions(electrons=1e4, read_noise=50), shot=False, generator=generator)
-    assert float((noisy - values).std()) == pytest.approx(50 / 1e4, rel=0.05)
-    full = read(values, Conditions(electrons=1e4, full_well=3e3), shot=False)
-    assert float(full.max()) == pytest.approx(0.3)
-    rounded = read(values, Conditions(adc_bits=3, black_level=0.1))
-    assert len(set(rounded.flatten().tolist())) == 7  # 0.1 is above the lowest of eight
-    assert float(rounded.max()) == 1
-    assert torch.allclose(read(values, Conditions(black_level=0.1)), values + 0.1)
-
-
-def test_reading_passes_gradients_straight_through() -> None:
-    values = torch.rand(2, 9, dtype=torch.float64, requires_grad=True)
-    conditions = Conditions(electrons=1e3, read_noise=2.0, adc_bits=8, adc_range=2.0)
-    readings_ = read(values, conditions, generator=torch.Generator().manual_seed(0))
-    (gradient,) = torch.autograd.grad(readings_.sum(), values)
-    assert torch.allclose(gradient, torch.ones_like(gradient))
 
 
 @pytest.mark.parametrize(
@@ -503,17 +451,17 @@ def test_conditions_that_do_not_fit_the_camera_are_named(
 
 
 @pytest.mark.parametrize(
-    ("dials", "message"),
+    ("sampling", "message"),
     [
-        ({"method": "magic"}, "dials.method"),
-        ({"wavelengths": 0}, "dials.wavelengths = 0"),
-        ({"step": -1.0}, "dials.step = -1.0 m"),
-        ({"dtype": torch.float16}, "dials.dtype"),
+        ({"method": "magic"}, "sampling.method"),
+        ({"wavelengths": 0}, "sampling.wavelengths = 0"),
+        ({"step": -1.0}, "sampling.step = -1.0 m"),
+        ({"dtype": torch.float16}, "sampling.dtype"),
     ],
 )
-def test_impossible_dials_are_named(dials: dict[str, object], message: str) -> None:
+def test_impossible_dials_are_named(sampling: dict[str, object], message: str) -> None:
     with pytest.raises(OpticsError, match=message):
-        Dials(**dials)  # type: ignore[arg-type]
+        Sampling(**sampling)  # type: ignore[arg-type]
 
 
 def test_wrong_shapes_are_named() -> None:

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
 from veilcam_optics.cli.main import app
-from veilcam_optics.effects import EFFECTS, Dials, Model
+from veilcam_optics.effects import EFFECTS, Model, Sampling
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import Plan, plan
@@ -80,22 +80,24 @@ def test_no_cheaper_dial_would_have_done() -> None:
     finest = LightOperator(
         replace(
             chosen.model,
-            dials=replace(chosen.model.dials, reach=Reach(11, 5), step=1e-6, dtype=torch.float64),
+            sampling=replace(
+                chosen.model.sampling, reach=Reach(11, 5), step=1e-6, dtype=torch.float64
+            ),
         )
     )(mask(CAMERA))
-    reach = chosen.model.dials.reach
+    reach = chosen.model.sampling.reach
     assert reach != Reach(0, 0)
     for rows in range(reach.rows + 1):
         for columns in range(reach.columns + 1):
-            model = chosen.model.with_dials(reach=Reach(rows, columns))
+            model = chosen.model.with_sampling(reach=Reach(rows, columns))
             if cost(model, 64).step_ms < chosen.cost.step_ms:
                 assert relative(LightOperator(model)(mask(CAMERA)).double(), finest) > 0.8e-3
 
 
 def test_plan_equals_no_plan() -> None:
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
-    dials = chosen.model.dials
-    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=dials.reach, step=dials.step)
+    sampling = chosen.model.sampling
+    plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=sampling.reach, step=sampling.step)
     scenes = torch.rand(3, 5, 4, generator=torch.Generator().manual_seed(0))
     weights = mask(CAMERA).float()
     assert torch.equal(chosen.transfer(weights), plain(weights))
@@ -229,7 +231,7 @@ def test_what_cannot_be_reached_is_said() -> None:
     assert chosen.error > 1e-4
     assert "NOT reached" in chosen.explain()
     turned = plan(CAMERA, SCENE, EMBEDDING, 3e-2, Conditions(rotation=0.4))
-    assert turned.model.dials.method == "grid"
+    assert turned.model.sampling.method == "grid"
     assert turned.reached
     with pytest.raises(OpticsError, match="forms no transfer matrix: use embed"):
         turned.transfer(mask(CAMERA))
@@ -238,7 +240,7 @@ def test_what_cannot_be_reached_is_said() -> None:
 def test_matrices_that_do_not_fit_are_not_formed() -> None:
     scene = Scene(300, 300, height=0.06)
     chosen = plan(replace(CAMERA, window=Window(3, 2)), scene, Embedding(100, 120), 5e-2)
-    assert chosen.model.dials.method != "transfer"
+    assert chosen.model.sampling.method != "transfer"
     assert chosen.cost.numbers <= MAX_NUMBERS
 
 
@@ -246,9 +248,9 @@ def test_batch_moves_work_to_where_it_is_cheaper() -> None:
     """One scene behind a mask is not worth a matrix; many are."""
     scene = Scene(60, 60, height=0.06)
     few, many = (plan(CAMERA, scene, Embedding(24, 32), 1e-2, batch=n) for n in (1, 5000))
-    assert many.model.dials.method == "transfer"
+    assert many.model.sampling.method == "transfer"
     assert few.cost.step_ms < many.cost.step_ms
-    assert few.model.dials.method == "factors"
+    assert few.model.sampling.method == "factors"
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3, math.nan, math.inf])
@@ -266,11 +268,12 @@ def test_no_batch_is_named() -> None:
 def test_explanation_says_what_was_chosen() -> None:
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
     text = chosen.explain()
-    dials = chosen.model.dials
+    sampling = chosen.model.sampling
     assert (
-        f"reach of interference    {dials.reach.rows} rows, {dials.reach.columns} columns" in text
+        f"reach of interference    {sampling.reach.rows} rows, {sampling.reach.columns} columns"
+        in text
     )
-    assert f"wavelengths per channel  {dials.wavelengths}" in text
+    assert f"wavelengths per channel  {sampling.wavelengths}" in text
     assert "number format            float32" in text
     assert "tolerance                1.0e-03" in text
     for found in chosen.assessments:
@@ -280,16 +283,16 @@ def test_explanation_says_what_was_chosen() -> None:
 
 def test_costs_count_what_is_computed() -> None:
     """More of anything costs more, and a matrix is not free."""
-    plain = Model(CAMERA, SCENE, EMBEDDING, IDEAL, Dials(reach=Reach(0, 0)))
+    plain = Model(CAMERA, SCENE, EMBEDDING, IDEAL, Sampling(reach=Reach(0, 0)))
     least = cost(plain, 64).step_ms
     for dearer in (
-        plain.with_dials(reach=Reach(2, 0)),
-        plain.with_dials(reach=Reach(0, 1)),
-        replace(plain, conditions=SOME).with_dials(wavelengths=2),
+        plain.with_sampling(reach=Reach(2, 0)),
+        plain.with_sampling(reach=Reach(0, 1)),
+        replace(plain, conditions=SOME).with_sampling(wavelengths=2),
         replace(plain, conditions=Conditions(rotation=1e-3)),
         replace(plain, conditions=Conditions(bayer=True)),
-        replace(plain, dials=replace(plain.dials, dtype=torch.float64)),
-        replace(plain, dials=replace(plain.dials, method="grid")),
+        replace(plain, sampling=replace(plain.sampling, dtype=torch.float64)),
+        replace(plain, sampling=replace(plain.sampling, method="grid")),
     ):
         assert cost(dearer, 64).step_ms > least
     assert cost(plain, 65).step_ms > least
@@ -329,5 +332,5 @@ def test_plan_holds_no_mask() -> None:
 @pytest.mark.parametrize("method", ["transfer", "factors", "grid"])
 def test_a_method_that_is_asked_for_is_the_one_that_is_chosen(method: Method) -> None:
     chosen = plan(CAMERA, SCENE, EMBEDDING, 0.05, method=method)
-    assert chosen.model.dials.method == method
+    assert chosen.model.sampling.method == method
     assert chosen.reached

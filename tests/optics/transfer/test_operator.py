@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,12 +15,19 @@ from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
 from veilcam_optics.transfer.kernels import box_kernel
-from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator, Variables
+from veilcam_optics.transfer.regions import Region
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
 SCENE = Scene(rows=4, columns=3, height=0.03)
 EMBEDDING = Embedding(rows=4, columns=5)
+
+
+def assert_same(value: Tensor, reference: Tensor) -> None:
+    """Equal but for rounding."""
+    # Sums in float64 of fewer than 1000 terms, in any order: 1000 units of 1.1e-16, ten times over;
+    # entries that far below the largest, 1e-2, are sums of terms that cancel.
+    torch.testing.assert_close(value, reference, rtol=1e-12, atol=1e-14)
 
 
 def mask(camera: Camera, seed: int = 0) -> Tensor:
@@ -219,9 +227,9 @@ def test_a_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
     weights = random_mask(camera, torch.Generator().manual_seed(0))
     whole = operator(weights)
     of_pixels = whole.reshape(-1, 7, 9, 20)[:, 1:5, 4:9].reshape(*whole.shape[:-2], 20, 20)
-    torch.testing.assert_close(operator(weights, Part(1, 4, 4, 5)), of_pixels)
-    assert torch.equal(operator(weights, Part(0, 0, 7, 9)), whole)
-    for bad in (Part(-1, 0, 2, 2), Part(0, 8, 2, 2), Part(6, 0, 2, 2), Part(0, 0, 0, 2)):
+    torch.testing.assert_close(operator(weights, Region(1, 4, 4, 5)), of_pixels)
+    assert torch.equal(operator(weights, Region(0, 0, 7, 9)), whole)
+    for bad in (Region(-1, 0, 2, 2), Region(0, 8, 2, 2), Region(6, 0, 2, 2), Region(0, 0, 0, 2)):
         with pytest.raises(OpticsError, match="a part of the scene's 7 x 9 pixels"):
             operator(weights, bad)
 
@@ -232,6 +240,238 @@ def test_leakage_brings_light_through_foreign_rows() -> None:
     ideal = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64)(weights)
     real = TransferOperator(leaky, SCENE, EMBEDDING, dtype=torch.float64)(weights)
     assert relative(real, ideal) > 1e-2
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_an_embedding_is_a_scene_times_the_transfer(colour: bool, count: int) -> None:
+    operator = TransferOperator(
+        SMALL, SCENE, EMBEDDING, reach=Reach(3, 1), colour=colour, dtype=torch.float64
+    )
+    weights = mask(SMALL)
+    channels, sum_up = ((3,), "bcyx,cyxij->bcij") if colour else ((), "byx,yxij->bij")
+    generator = torch.Generator().manual_seed(4)
+    scenes = torch.rand(count, *channels, *SCENE.shape, generator=generator, dtype=torch.float64)
+    transfer = operator(weights).reshape(*channels, *SCENE.shape, *EMBEDDING.shape)
+    wanted = torch.einsum(sum_up, scenes, transfer)
+    for embed in (operator.embed, operator.embed_by_factors):
+        assert_same(embed(scenes, weights), wanted)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_scenes_of_another_shape_are_refused(colour: bool) -> None:
+    operator = TransferOperator(SMALL, SCENE, EMBEDDING, colour=colour)
+    wrong = [(2, 3, 4), (2, 12), (2, 2, 4, 3), (4, 3), (2, 4, 4, 3)]
+    wrong.append((2, 4, 3) if colour else (2, 3, 4, 3))
+    for shape in wrong:
+        for embed in (operator.embed, operator.embed_by_factors):
+            with pytest.raises(OpticsError, match=r"scenes\.shape"):
+                embed(torch.zeros(shape), mask(SMALL))
+    with pytest.raises(OpticsError, match="window"):
+        operator.embed_by_factors(torch.zeros(2, *((3,) if colour else ()), 4, 3), torch.ones(2, 2))
+
+
+def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
+    large, weights = Scene(rows=9, columns=8, height=9 * SCENE.pixel), mask(SMALL)
+
+    def make(scene: Scene, centre: tuple[float, float]) -> TransferOperator:
+        return TransferOperator(
+            SMALL,
+            scene,
+            EMBEDDING,
+            reach=Reach(3, 1),
+            step=0.5e-6,
+            dtype=torch.float64,
+            centre=centre,
+        )
+
+    for top, left in ((0, 0), (1, 5), (5, 2)):
+        # From the middle of the large scene to that of the part, in whole and half pixels.
+        centre = ((top + 2 - 4.5) * SCENE.pixel, (left + 1.5 - 4) * SCENE.pixel)
+        part = make(large, (0.0, 0.0))(weights, Region(top, left, 4, 3))
+        # Both are relative to a white scene of their own size. Between the nodes of the integral,
+        # which lie elsewhere, the fields are smooth on the scale of a step: far below 1e-6.
+        assert relative(make(SCENE, centre)(weights), part * 72 / 12) < 1e-6
+
+
+@pytest.mark.parametrize("pairs", [Reach(0, 0), Reach(3, 1)])
+def test_a_small_rotation_moves_every_sub_pixel_by_itself(pairs: Reach) -> None:
+    """Row r moves along x by -angle y_r, and column c along y by angle x_c."""
+    angle, weights = 1e-5, mask(SMALL)
+    straight, turned = (
+        TransferOperator(
+            SMALL, SCENE, EMBEDDING, reach=pairs, step=3e-6, dtype=torch.float64, rotation=rotation
+        )(weights)
+        for rotation in (0.0, angle)
+    )
+    slope = (turned - straight) / angle
+    if pairs == Reach(0, 0):  # nothing interferes, so each sub-pixel may be moved on its own
+        # The error of a central difference is (move / 45 um)^2, the Fresnel zone being that wide.
+        assert relative(slope, sum_of_slopes(weights, pairs, move=1e-7)) < 1e-3
+    # A tensor takes the same way, at an angle of zero too.
+    zero = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    probe = torch.arange(float(EMBEDDING.size), dtype=torch.float64)
+    found = TransferOperator(
+        SMALL, SCENE, EMBEDDING, reach=pairs, step=3e-6, dtype=torch.float64, rotation=zero
+    )(weights)
+    assert_same(found.detach(), straight)
+    (gradient,) = torch.autograd.grad((found @ probe).sum(), zero)
+    assert float(gradient) == pytest.approx(float((slope @ probe).sum()), rel=1e-6)
+
+
+def sum_of_slopes(weights: Tensor, pairs: Reach, move: float) -> Tensor:
+    """Derivative for the angle, by moving one sub-pixel at a time along y and along x."""
+    total = torch.zeros(12, 20, dtype=torch.float64)
+    for row, y in enumerate(SMALL.row_centres):
+        for column, x in enumerate(SMALL.column_centres):
+            one = torch.zeros_like(weights)
+            one[row, column] = weights[row, column]
+            for name, speed in (("shift_y", x), ("shift_x", -y)):
+                for sign in (1, -1):
+                    shift = torch.tensor(sign * move, dtype=torch.float64)
+                    operator = TransferOperator(
+                        SMALL,
+                        SCENE,
+                        EMBEDDING,
+                        reach=pairs,
+                        step=3e-6,
+                        dtype=torch.float64,
+                        variables=Variables(**{name: shift}),
+                    )
+                    total += speed * sign * operator(one) / (2 * move)
+    return total
+
+
+def test_a_rotation_and_its_mirror_image() -> None:
+    """A mask and camera flipped left to right, and turned the other way, flip the embedding."""
+    weights, angle = mask(SMALL), 3e-2
+    one, other = (
+        TransferOperator(
+            SMALL, SCENE, EMBEDDING, reach=Reach(3, 2), dtype=torch.float64, rotation=rotation
+        )(flipped).reshape(4, 3, 4, 5)
+        for rotation, flipped in ((angle, weights), (-angle, weights.flip(1)))
+    )
+    # The same sums in another order, of terms some of which cancel.
+    assert relative(other.flip(1, 3), one) < 1e-9
+
+
+def test_beams_are_added_up_by_their_shares() -> None:
+    weights = mask(SMALL)
+    red, green, blue = SMALL.wavelengths
+
+    def transfer(*beams: Beam, colour: bool = True) -> Tensor:
+        operator = TransferOperator(
+            SMALL,
+            SCENE,
+            EMBEDDING,
+            reach=Reach(3, 1),
+            colour=colour,
+            dtype=torch.float64,
+            beams=beams or None,
+        )
+        result: Tensor = operator(weights)
+        return result
+
+    one, two = Beam(1, green), Beam(1, 1.1 * green)
+    rest = (Beam(0, red), Beam(2, blue))
+    first, second = transfer(one, *rest), transfer(two, *rest)
+    assert_same(first, transfer())
+    assert relative(second[1], first[1]) > 1e-4
+    both = transfer(replace(one, share=0.25), *rest, replace(two, share=0.75))
+    assert_same(both[1], 0.25 * first[1] + 0.75 * second[1])
+    assert_same(both[0], first[0])
+    gray = transfer(replace(one, share=0.25), *rest, replace(two, share=0.75), colour=False)
+    shares = torch.tensor(SMALL.sensor.channel_weights, dtype=torch.float64)
+    assert_same(gray, torch.einsum("c,cpe->pe", shares, both))
+    with pytest.raises(OpticsError, match="at least one for each of R, G and B"):
+        transfer(one, two)
+    with pytest.raises(OpticsError, match="at least one for each of R, G and B"):
+        transfer(one, *rest, Beam(3, green))
+
+
+def test_a_beam_that_is_stretched_both_ways_is_one_of_a_longer_wavelength() -> None:
+    weights = mask(SMALL)
+
+    def transfer(wavelength: float, stretch: tuple[float, float]) -> Tensor:
+        beams = [Beam(channel, wavelength, stretch=stretch) for channel in range(3)]
+        operator = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64, beams=beams)
+        result: Tensor = operator(weights)
+        return result
+
+    assert_same(transfer(500e-9, (1.2, 1.2)), transfer(600e-9, (1.0, 1.0)))
+    # One sub-pixel alone: what spreads along one axis leaves the other's profile as it is.
+    weights = torch.zeros_like(weights)
+    weights[2, 1] = 1
+    along_y, along_x = transfer(500e-9, (1.2, 1.0)), transfer(500e-9, (1.0, 1.2))
+    (plain_y, plain_x), stretched_y, stretched_x = map(
+        profiles, (transfer(500e-9, (1.0, 1.0)), along_y, along_x)
+    )
+    assert_same(stretched_y[1], plain_x)
+    assert_same(stretched_x[0], plain_y)
+    assert relative(stretched_y[0], plain_y) > 1e-4
+    assert relative(stretched_x[1], plain_x) > 1e-4
+
+
+def profiles(transfer: Tensor) -> list[Tensor]:
+    """How the light of a transfer is shared out along y, and along x."""
+    shared = (transfer / transfer.sum()).reshape(*SCENE.shape, *EMBEDDING.shape)
+    return [shared.sum((1, 3)), shared.sum((0, 2))]
+
+
+def test_a_beam_comes_from_its_own_distance() -> None:
+    weights = mask(SMALL)
+    near = replace(SCENE, distance=0.1)
+    beams = [
+        Beam(channel, wavelength, scene_distance=0.1)
+        for channel, wavelength in enumerate(SMALL.wavelengths)
+    ]
+    moved = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64, beams=beams)(weights)
+    truth = TransferOperator(SMALL, near, EMBEDDING, dtype=torch.float64)(weights)
+    assert_same(moved, truth)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_colour_that_no_row_passes_is_dark(rows: int) -> None:
+    camera = Camera(window=Window(rows, 3, 0, 5), sensor=SMALL.sensor)
+    weights = torch.ones(camera.mask_shape, dtype=torch.float64)
+    operator = TransferOperator(
+        camera, SCENE, EMBEDDING, reach=Reach(3, 1), colour=True, dtype=torch.float64
+    )
+    lit = operator(weights).abs().amax((1, 2)) > 0
+    assert lit.tolist() == [True, rows > 1, False]
+    assert not operator.embed_by_factors(torch.ones(2, 3, 4, 3).double(), weights)[:, 2].any()
+
+
+def test_a_colour_that_the_sensor_does_not_see_costs_nothing() -> None:
+    blind = replace(SMALL, sensor=replace(SMALL.sensor, channel_weights=(0.0, 1.0, 0.0)))
+    gray, seen = (
+        TransferOperator(blind, SCENE, EMBEDDING, dtype=torch.float64, colour=colour)
+        for colour in (False, True)
+    )
+    torch.testing.assert_close(gray(mask(SMALL)), seen(mask(SMALL))[1])
+    sizes = [sum(buffer.numel() for buffer in each.buffers()) for each in (gray, seen)]
+    assert 2 * sizes[0] < sizes[1]
+
+
+def test_what_is_counted_unless_it_is_said_otherwise() -> None:
+    assert (Reach().rows, Reach().columns) == (1, 0)
+    beam = Beam(0, 500e-9)
+    assert (beam.share, beam.scene_distance, beam.stretch) == (1.0, None, (1.0, 1.0))
+    weights = mask(SMALL)
+    given = TransferOperator(
+        SMALL, SCENE, EMBEDDING, reach=Reach(1, 0), step=1.55e-6, centre=(0.0, 0.0), rotation=0.0
+    )
+    found = TransferOperator(SMALL, SCENE, EMBEDDING)
+    assert torch.equal(found(weights.float()), given(weights.float()))
+    assert found(weights.float()).dtype == torch.float32
+
+
+def test_buffers_move_with_the_operator() -> None:
+    """As a module of torch: a type or device that is asked for reaches all of it."""
+    operator = TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(3, 1))
+    names = {name.rpartition(".")[2] for name, _ in operator.named_buffers()}
+    assert names == {"first", "second", "columns", "rows"}
+    assert operator.double()(mask(SMALL)).dtype == torch.float64
 
 
 def _wrong_shape() -> object:
@@ -251,7 +491,9 @@ def _nan_mask() -> object:
         (_nan_mask, "NaN"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=-1.0), "step = -1.0 m"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=1e-12), "step = 1e-12 m .* memory"),
+        (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, step=0.0), "step = 0.0 m"),
         (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(-1, 0)), "reach.rows"),
+        (lambda: TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(0, -1)), "reach.columns"),
         (lambda: Camera(distance=-4e-3), "camera.distance = -0.004 m"),
         (lambda: Panel(aperture_y=1e-3), "at most the pitch"),
         (lambda: Embedding(0, 4), "embedding.rows = 0"),

@@ -8,7 +8,7 @@ from tests.server.devices.clock import Clock
 
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.effects import Dials, Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_server.calibration import Calibrated, CalibrationScene, Effort, Geometry, calibrate
 from veilcam_server.calibration.rig import Patterns
@@ -46,7 +46,7 @@ class Built:
                 GEOMETRY.scene,
                 Embedding(*raw_shape(GEOMETRY.embedding)),
                 conditions,
-                Dials("transfer", step=6.2e-6),
+                Sampling("transfer", step=6.2e-6),
             )
         )
         self.device: Device = simulated_device(

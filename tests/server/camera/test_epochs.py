@@ -6,12 +6,13 @@ import sqlite3
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from veilcam_server.camera.epochs import EpochStore
-from veilcam_server.errors import StartError
+from veilcam_server.errors import EpochError, StartError
 
 
 def no_clock() -> float:
@@ -82,9 +83,67 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
         EpochStore(tmp_path)
 
 
+def test_a_directory_that_cannot_be_one_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "taken" / "epochs.sqlite3").mkdir(parents=True)
+    for directory in (tmp_path / "file", tmp_path / "taken"):
+        # Nobody else uses it: to stop another daemon would not help.
+        with pytest.raises(StartError, match=r"epochs\.sqlite3 cannot be used .* --state-dir"):
+            EpochStore(directory)
+
+
 def test_the_state_directory_is_private(tmp_path: Path) -> None:
     with EpochStore(tmp_path / "new"):
         assert (tmp_path / "new").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_state_directory_is_made_where_none_is(tmp_path: Path) -> None:
+    with EpochStore(tmp_path / "var" / "lib" / "veilcam"):
+        assert (tmp_path / "var" / "lib" / "veilcam" / "epochs.sqlite3").is_file()
+
+
+def test_the_clock_counts_in_microseconds(tmp_path: Path) -> None:
+    with EpochStore(tmp_path, lambda: 1.8e9 + 0.25) as store:
+        assert [store.next(), store.next()] == [1_800_000_000_250_001, 1_800_000_000_250_002]
+
+
+def test_one_thread_prepares_epochs_and_another_shows_them(tmp_path: Path) -> None:
+    with EpochStore(tmp_path, no_clock) as store, ThreadPoolExecutor(1) as other:
+        assert other.submit(store.next).result() == 1
+        store.mark = "a1"
+        assert other.submit(lambda: store.mark).result() == "a1"
+        assert store.next() == 2
+
+
+def test_a_mark_is_written_where_it_is_another_one_alone(tmp_path: Path) -> None:
+    with EpochStore(tmp_path, no_clock) as store:
+        store.mark = "a1"
+        writes = store._database.total_changes
+        store.mark = "a1"
+        assert store._database.total_changes == writes
+        store.mark = "b2"
+        assert (store.mark, store._database.total_changes) == ("b2", writes + 1)
+
+
+def test_a_store_that_was_closed_lets_go_of_the_directory(tmp_path: Path) -> None:
+    store = EpochStore(tmp_path, no_clock)
+    store.close()
+    with EpochStore(tmp_path, no_clock) as again:
+        assert again.next() == 1
+
+
+def test_what_cannot_be_recorded_is_an_error_and_not_an_epoch(tmp_path: Path) -> None:
+    with EpochStore(tmp_path, no_clock) as store:
+        store.next()
+        store.mark = "a1"
+        store._database.execute("PRAGMA query_only = ON")
+        with pytest.raises(EpochError, match=r"cannot be recorded .*: check the state directory"):
+            store.next()
+        with pytest.raises(EpochError):
+            store.mark = "b2"
+        assert store.mark == "a1"
+        store._database.execute("PRAGMA query_only = OFF")
+        assert store.next() == 2
 
 
 def test_nothing_but_a_counter_and_a_mark_is_stored(tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ from veilcam_server.devices.st7735r import ST7735R, TABS
 from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
 from veilcam_server.masks.source import Mask
 
+pytestmark = pytest.mark.numerical
+
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
 FENCE = Fence(settle=0.05)
 FINER = 2

@@ -22,9 +22,9 @@ from veilcam_server.devices import (
     SensorLostError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.imx477 import HALF, IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2
-from veilcam_server.devices.raw import HALF, Raw, SensorMode
+from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 
 from .clock import Clock

@@ -17,13 +17,12 @@ import numpy as np
 import pytest
 import torch
 from structlog.testing import capture_logs
-from typer.testing import CliRunner
 
 from veilcam_optics.propagation.sampling import area_average
-from veilcam_server.cli.main import app
 from veilcam_server.daemon import build_service
 from veilcam_server.devices import DeviceError, DeviceMissingError
-from veilcam_server.devices.raw import HALF, Raw
+from veilcam_server.devices.imx477 import HALF
+from veilcam_server.devices.raw import Raw
 from veilcam_server.devices.registry import open_device
 from veilcam_server.devices.simulated.panel import Faults, PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
@@ -269,38 +268,3 @@ def test_a_bundle_for_another_panel_is_refused(board: Board, settings: Settings)
     with pytest.raises(DeviceError, match="for another panel"):
         open_device(settings, replace(make_bundle(), camera=camera))
     assert board.asked["spi closed"]
-
-
-WIRING = {
-    "panel_tab": "red",
-    "spi": Path("/dev/spidev1.1"),
-    "spi_hz": 16_000_000,
-    "allow_fast_spi": True,
-    "gpio_chip": "my expander",
-    "data_line": 5,
-    "reset_line": 6,
-    "camera_number": 1,
-}
-
-
-@pytest.mark.parametrize("command", ["serve", "calibrate"])
-def test_every_command_takes_the_same_wiring(
-    command: str, bundle_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Settings] = []
-
-    def note(settings: Settings, *_: object, **__: object) -> None:
-        asked.append(settings)
-
-    monkeypatch.setattr("veilcam_server.daemon.serve", note)
-    monkeypatch.setattr("veilcam_server.calibration.session.calibrate_device", note)
-    options = ["--bundle", str(bundle_file)]
-    for name, value in WIRING.items():
-        option = f"--{name.replace('_', '-')}"
-        options += [option] if value is True else [option, str(value)]
-    if command == "serve":
-        options += ["--exposure-factor", "3"]
-    result = CliRunner().invoke(app, [command, *options])
-    assert result.exit_code == 0, result.output
-    assert WIRING.items() <= asked[0].model_dump().items()
-    assert asked[0].exposure_factor == (3 if command == "serve" else 1)

@@ -11,7 +11,7 @@ import pytest
 from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
 from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
-from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS, Tab
+from veilcam_server.devices.st7735r import FULL_FRAME, MOST_PER_SECOND, ST7735R, TABS, Tab
 
 from .clock import Clock
 
@@ -162,6 +162,152 @@ def test_it_waits_where_the_data_sheet_says_so(wire: Wire) -> None:
     # Opaque is in the memory before the display is on.
     assert list(sent).index(b"\x2c") < list(sent).index(b"\x29")
     assert (True, b"\x06") in wire.sent
+
+
+SETUP = """
+    reset 1   wait 0.0001
+    reset 0   wait 0.12
+    01        wait 0.15       # SWRESET
+    11        wait 0.5        # SLPOUT
+    B1 01 2C 2D               # FRMCTR1
+    B2 01 2C 2D               # FRMCTR2
+    B3 01 2C 2D 01 2C 2D      # FRMCTR3
+    B4 07                     # INVCTR
+    C0 A2 02 84               # PWCTR1
+    C1 C5                     # PWCTR2
+    C2 0A 00                  # PWCTR3
+    C3 8A 2A                  # PWCTR4
+    C4 8A EE                  # PWCTR5
+    C5 0E                     # VMCTR1
+    20                        # INVOFF
+    36 {turned}               # MADCTL
+    3A 06                     # COLMOD
+    E0 02 1C 07 12 37 32 29 2D 29 25 2B 39 00 01 03 10  # GMCTRP1
+    E1 03 1D 07 06 2E 2C 29 2D 2E 2E 37 3F 00 00 02 10  # GMCTRN1
+    13        wait 0.01       # NORON
+    2A 00 {left} 00 {right}   # CASET
+    2B 00 {top} 00 {bottom}   # RASET
+    2C {black}                # RAMWR
+    29        wait 0.1        # DISPON
+"""
+"""All from power to picture: no emulator shows a wrong voltage, a wrong gamma, a missing pause."""
+
+
+@pytest.mark.parametrize(
+    ("tab", "places"),
+    [
+        ("red", {"turned": "C8", "left": "00", "right": "7F", "top": "00", "bottom": "9F"}),
+        ("black", {"turned": "00", "left": "00", "right": "7F", "top": "00", "bottom": "9F"}),
+        ("green", {"turned": "C8", "left": "02", "right": "81", "top": "01", "bottom": "A0"}),
+    ],
+)
+def test_the_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock: Clock) -> None:
+    done: list[tuple[str, object]] = []
+
+    class Noting:
+        is_data = False
+
+        def write(self, buffer: memoryview | bytes) -> None:
+            if self.is_data and done[-1][0] == "data":
+                _, before = done.pop()
+                done.append(("data", before + bytes(buffer)))  # type: ignore[operator]
+            else:
+                done.append(("data" if self.is_data else "command", bytes(buffer)))
+
+        def data(self, value: bool, /) -> None:
+            self.is_data = value
+
+        def reset(self, value: bool, /) -> None:
+            done.append(("reset", value))
+
+        def close(self) -> None:
+            pass
+
+    wanted: list[tuple[str, object]] = []
+    for line in SETUP.strip().splitlines():
+        words, _, wait = line.partition("#")[0].partition("wait")
+        first, *rest = words.split()
+        if first == "reset":
+            wanted.append(("reset", rest == ["1"]))
+        else:
+            wanted.append(("command", bytes.fromhex(first)))
+            filled = " ".join(rest).format(black="00" * 61_440, **places)
+            wanted += [("data", bytes.fromhex(filled))] if filled else []
+        wanted += [("wait", float(wait))] if wait else []
+    noting = Noting()
+    ST7735R(
+        noting,
+        noting,
+        camera=CAMERA,
+        tab=TABS[tab],
+        sleep=lambda seconds: done.append(("wait", seconds)),
+        clock=clock,
+    )
+    assert done == wanted
+
+
+def test_what_a_panel_is_told_of_itself(wire: Wire) -> None:
+    panel = driver(wire)
+    assert (panel.name, panel.resets) == ("ST7735R", 1)
+    assert {tab.name: tab.memory for tab in TABS.values()} == {
+        "red": (128, 160),
+        "black": (128, 160),
+        "green": (132, 162),
+    }
+    assert list(TABS) == ["red", "black", "green"]
+    # At most a bit in 66 ns, the data sheet's write cycle of the serial clock.
+    assert MOST_PER_SECOND == 10**9 // 66
+
+
+def test_every_set_up_is_counted(wire: Wire) -> None:
+    panel = driver(wire)
+    panel.show(draw())
+    panel.blank()
+    assert panel.resets == 1
+    for count in (2, 3):
+        wire.fault, wire.failing = OSError(5, "Input/output error"), wire.writes + 1
+        with pytest.raises(DisplayError):
+            panel.blank()
+        panel.blank()
+        assert panel.resets == count
+
+
+def test_pixels_that_the_window_cuts_are_opaque_outside(wire: Wire) -> None:
+    """Sub-pixel rows 4 and 5 are green and blue of pixel 1: its red is outside, and not lit."""
+    panel = driver(wire, TABS["red"], Camera(window=Window(2, 1, 4, 7)))
+    panel.show(np.full((2, 1), 63, np.uint8))
+    assert wire.sent[1] == (True, b"\x00\x01\x00\x01")
+    assert wire.sent[3] == (True, b"\x00\x07\x00\x07")
+    assert wire.sent[5] == (True, b"\x00\xfc\xfc")
+
+
+@pytest.mark.parametrize("cycle", [(), (0, 1, 2)])
+def test_a_panel_with_or_without_colours_is_driven(cycle: tuple[int, ...], wire: Wire) -> None:
+    camera = Camera(panel=Panel(filter_cycle=cycle))
+    driver(wire, camera=camera).show(np.full(camera.mask_shape, 63, np.uint8))
+    assert wire.sent
+
+
+def test_a_driver_that_breaks_off_sets_the_panel_up_anew(wire: Wire) -> None:
+    """Whatever it was, nobody knows which bytes were sent."""
+    panel = driver(wire)
+    wire.fault, wire.failing = KeyboardInterrupt(), wire.writes + 6
+    with pytest.raises(KeyboardInterrupt):
+        panel.show(draw())
+    assert not any(wire.buffers[-1])
+    panel.show(draw())
+    assert panel.resets == 2
+
+
+def test_lines_are_let_go_although_the_bus_is_not(wire: Wire) -> None:
+    class Stuck(Wire):
+        def close(self) -> None:
+            raise OSError("busy")
+
+    panel = ST7735R(Stuck(wire.clock), wire, camera=CAMERA, tab=TABS["red"], sleep=wire.clock.sleep)
+    with pytest.raises(OSError, match="busy"):
+        panel.close()
+    assert wire.closed == 1
 
 
 @pytest.mark.parametrize("tab", TABS.values(), ids=TABS)

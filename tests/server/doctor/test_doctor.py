@@ -17,8 +17,8 @@ from veilcam_server import doctor as package
 from veilcam_server.cli.main import app
 from veilcam_server.devices import DeviceMissingError
 from veilcam_server.devices.extras import import_extra
-from veilcam_server.doctor import Finding, Machine, Plan, examine
-from veilcam_server.settings import Wiring
+from veilcam_server.doctor import Finding, Machine, examine
+from veilcam_server.settings import DoctorSettings
 
 runner = CliRunner()
 PROGRAMS = {
@@ -93,11 +93,11 @@ def bed(tmp_path: Path) -> Bed:
 
 
 @pytest.fixture
-def plan(bundle_file: Path) -> Plan:
-    return Plan(Wiring(panel_tab="green"), Path("/var/lib/veilcam"), bundle_file)
+def plan(bundle_file: Path) -> DoctorSettings:
+    return DoctorSettings(panel_tab="green", state_dir=Path("/var/lib/veilcam"), bundle=bundle_file)
 
 
-def findings(bed: Bed, plan: Plan) -> dict[str, Finding]:
+def findings(bed: Bed, plan: DoctorSettings) -> dict[str, Finding]:
     found = list(examine(bed.machine, plan))
     assert len({finding.name for finding in found}) == len(found)
     # Whatever is wrong, there is something to do about it, and it fits a line.
@@ -107,7 +107,7 @@ def findings(bed: Bed, plan: Plan) -> dict[str, Finding]:
     return {finding.name: finding for finding in found}
 
 
-def test_a_machine_that_has_everything(bed: Bed, plan: Plan) -> None:
+def test_a_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
     found = findings(bed, plan)
     assert {finding.outcome for finding in found.values()} == {"ok"}
     assert len(found) == 19
@@ -170,7 +170,7 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
 
 @pytest.mark.parametrize(("illness", "name", "found", "remedy"), ILLNESSES)
 def test_what_is_missing_is_named_and_how_to_get_it(
-    bed: Bed, plan: Plan, *, illness: Illness, name: str, found: str, remedy: str
+    bed: Bed, plan: DoctorSettings, *, illness: Illness, name: str, found: str, remedy: str
 ) -> None:
     illness(bed)
     finding = findings(bed, plan)[name]
@@ -190,7 +190,7 @@ BROKEN = {
 @pytest.mark.parametrize(("kind", "text"), BROKEN.items())
 def test_a_package_that_fails_at_import_is_named_with_its_error(
     bed: Bed,
-    plan: Plan,
+    plan: DoctorSettings,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     *,
@@ -219,7 +219,7 @@ def test_a_package_that_fails_at_import_is_named_with_its_error(
     assert found["systemd"].outcome == "ok"
 
 
-def test_a_check_that_fails_keeps_back_no_other(bed: Bed, plan: Plan) -> None:
+def test_a_check_that_fails_keeps_back_no_other(bed: Bed, plan: DoctorSettings) -> None:
     def fail(*_: object) -> Any:
         raise KeyError("no such\nthing")
 
@@ -235,24 +235,32 @@ def test_a_check_that_fails_keeps_back_no_other(bed: Bed, plan: Plan) -> None:
     assert found["bundle"].outcome == "ok"
 
 
-def test_spi_that_is_off_is_switched_on(bed: Bed, plan: Plan) -> None:
+def test_spi_that_is_off_is_switched_on(bed: Bed, plan: DoctorSettings) -> None:
     bed.remove("/dev/spidev0.0")
     bed.write("/boot/firmware/config.txt", "#dtparam=spi=on\n")
     assert "raspi-config nonint do_spi 0" in str(findings(bed, plan)["panel bus"].remedy)
 
 
-def test_what_needs_something_else_waits_for_it(bed: Bed, plan: Plan) -> None:
+def test_what_needs_something_else_waits_for_it(bed: Bed, plan: DoctorSettings) -> None:
     bed.missing += ["gpiod", "libcamera"]
-    found = findings(bed, replace(plan, bundle=None))
+    found = findings(bed, plan.model_copy(update={"bundle": None}))
     waiting = {name for name, finding in found.items() if finding.outcome == "skipped"}
     assert waiting == {"GPIO chip", "line of D/C", "line of RESET", "camera", "mask secret"}
     assert not bed.opened
 
 
-def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: Plan) -> None:
-    wiring = Wiring(spi=Path("/dev/spidev1.0"), spi_hz=16_000_000, data_line=5, camera_number=1)
+def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: DoctorSettings) -> None:
+    wiring = plan.model_copy(
+        update={
+            "panel_tab": None,
+            "spi": Path("/dev/spidev1.0"),
+            "spi_hz": 16_000_000,
+            "data_line": 5,
+            "camera_number": 1,
+        }
+    )
     bed.users[5] = "somebody"
-    found = findings(bed, replace(plan, wiring=wiring))
+    found = findings(bed, wiring)
     for name, text in (
         ("panel bus", "/dev/spidev1.0"),
         ("bus clock", "too fast"),
@@ -262,12 +270,12 @@ def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: Plan) -> None:
         assert found[name].outcome == "bad"
         assert text in found[name].found
     assert bed.opened == [1]
-    fast = replace(plan, wiring=wiring.model_copy(update={"allow_fast_spi": True}))
+    fast = wiring.model_copy(update={"allow_fast_spi": True})
     assert findings(bed, fast)["bus clock"].outcome == "ok"
 
 
-def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: Plan) -> None:
-    elsewhere = replace(plan, state_dir=Path("/var/lib/other/deep"))
+def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: DoctorSettings) -> None:
+    elsewhere = plan.model_copy(update={"state_dir": Path("/var/lib/other/deep")})
     assert "made at the first start" in findings(bed, elsewhere)["state directory"].found
     bed.locked.append("/var/lib")
     finding = findings(bed, elsewhere)["state directory"]
@@ -276,17 +284,17 @@ def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: Plan) -> None:
 
 
 def test_bundle_and_secret(
-    bed: Bed, plan: Plan, fresh_file: Path, secret_file: Path, tmp_path: Path
+    bed: Bed, plan: DoctorSettings, fresh_file: Path, secret_file: Path, tmp_path: Path
 ) -> None:
     assert "holds pairs" in findings(bed, plan)["mask secret"].found
     damaged = tmp_path / "damaged.veilcam"
     damaged.write_bytes(fresh_file.read_bytes()[:-100])
-    found = findings(bed, replace(plan, bundle=damaged))
+    found = findings(bed, plan.model_copy(update={"bundle": damaged}))
     assert (found["bundle"].outcome, found["mask secret"].outcome) == ("bad", "skipped")
 
-    fresh = replace(plan, bundle=fresh_file)
+    fresh = plan.model_copy(update={"bundle": fresh_file})
     assert "veilcamd secret FILE" in str(findings(bed, fresh)["mask secret"].remedy)
-    given = replace(fresh, mask_secret=secret_file)
+    given = fresh.model_copy(update={"mask_secret": secret_file})
     found = findings(bed, given)
     assert found["mask secret"].outcome == "ok"
     assert secret_file.read_text().strip()[:8] not in repr(found)
@@ -316,7 +324,7 @@ def test_the_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
 
 
 def test_the_command_ends_well_where_all_is_well(
-    bed: Bed, plan: Plan, monkeypatch: pytest.MonkeyPatch
+    bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(package, "Machine", lambda: bed.machine)
     options = ["--state-dir", str(plan.state_dir), "--bundle", str(plan.bundle)]

@@ -12,6 +12,8 @@ from veilcam_server.masks.classifier import Classifier
 from veilcam_training.bundle import BundleError
 from veilcam_training.bundle.layers import Linear
 
+pytestmark = pytest.mark.numerical
+
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
 

@@ -11,6 +11,8 @@ from veilcam_server.devices.simulated.device import Conditions, planned_light, s
 from veilcam_server.masks.pairs import PairSource, load_pairs
 from veilcam_training.bundle import Bundle, read_bundle
 
+pytestmark = pytest.mark.numerical
+
 DIGITS = 20
 """Shown under every mask."""
 

@@ -6,6 +6,8 @@ import itertools
 import sqlite3
 import stat
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,7 @@ from typer.testing import CliRunner
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
 from veilcam_server.cli.main import app
 from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 
@@ -212,6 +214,137 @@ def test_a_file_that_is_no_database_is_a_reason_not_to_start(tmp_path: Path) -> 
         TokenStore(tmp_path)
 
 
+def test_what_others_could_read_before_is_for_the_owner_alone(tmp_path: Path) -> None:
+    path = tmp_path / "tokens.sqlite3"
+    path.touch(0o666)
+    path.chmod(0o666)
+    TokenStore(tmp_path).close()
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_a_state_directory_is_made_for_the_owner_alone(tmp_path: Path) -> None:
+    directory = tmp_path / "var" / "state"
+    store = TokenStore(directory)
+    assert stat.S_IMODE(directory.stat().st_mode) == 0o700
+    assert store.patience == 5.0
+    store.close()
+
+
+def test_a_list_tells_all_but_the_secret(store: TokenStore, clock: Clock) -> None:
+    endless, ending = make(store, "metrics"), make(store, lifetime=60.0)
+    store.revoke(endless.id)
+    first, second = store.tokens()
+    made_at = datetime.fromtimestamp(clock.wall, UTC)
+    assert (first.id, first.label, first.scopes) == (endless.id, "for a test", ("metrics",))
+    assert (first.created_at, first.expires_at, first.revoked_at) == (made_at, None, made_at)
+    assert (second.id, second.scopes) == (ending.id, ("classify",))
+    assert (second.expires_at, second.revoked_at) == (made_at + timedelta(seconds=60), None)
+    assert first.last_used_on is second.last_used_on is None
+    assert endless.created_at == made_at
+    assert len(endless.id) == 12  # 48 bits: a name, not a secret
+
+
+def test_a_store_that_is_opened_knows_the_tokens_of_before(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    made = make(store)
+    store.close()
+    again = TokenStore(tmp_path / "state")
+    assert [token.id for token in again.tokens()] == [made.id]
+    assert who(again, made.secret).id == made.id
+    again.close()
+
+
+def test_how_long_a_caller_may_still_come(store: TokenStore, clock: Clock) -> None:
+    caller = who(store, make(store, lifetime=60.0).secret)
+    assert caller.expires == clock.wall + 60.0
+    clock.sleep(45)
+    assert store.lifetime(caller) == 15.0
+    clock.sleep(14.5)
+    assert store.lifetime(caller) == 0.5
+    clock.sleep(1)
+    assert store.lifetime(caller) == 0.0
+    assert store.lifetime(who(store, make(store).secret)) is None
+
+
+def test_a_clock_that_stands_still_does_not_keep_a_token(store: TokenStore, clock: Clock) -> None:
+    made = make(store, lifetime=60.0)
+    for _ in range(6):
+        who(store, made.secret)
+        clock.elapsed += 10
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+
+
+def test_a_revocation_tells_the_time_to_the_next_start(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    ending, other = make(store, lifetime=60.0), make(store)
+    clock.sleep(60)
+    store.revoke(other.id)
+    clock.wall = 0.0
+    again = TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+    with pytest.raises(UnauthorizedError):
+        who(again, ending.secret)
+    again.close()
+
+
+def test_a_secret_opens_no_token_but_its_own(store: TokenStore) -> None:
+    first, second = make(store), make(store)
+    secret = second.secret.rpartition("_")[2]
+    with pytest.raises(UnauthorizedError):
+        who(store, f"vc_{first.id}_{secret}")
+
+
+def test_tokens_are_asked_and_made_on_any_thread(store: TokenStore) -> None:
+    with ThreadPoolExecutor(1) as other:
+        made = other.submit(make, store).result()
+        assert who(store, made.secret).id == made.id
+        assert other.submit(who, store, made.secret).result().id == made.id
+
+
+def test_what_is_made_is_flushed_to_the_disk(store: TokenStore) -> None:
+    assert store._reader.execute("PRAGMA synchronous").fetchone() == (2,)
+    assert store._reader.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+def test_two_processes_that_write_wait_for_each_other(store: TokenStore, tmp_path: Path) -> None:
+    """A change is one transaction from its beginning: what another one holds, it waits for."""
+    blocker = sqlite3.connect(
+        tmp_path / "state" / "tokens.sqlite3", isolation_level=None, check_same_thread=False
+    )
+    blocker.execute("BEGIN IMMEDIATE")
+    with ThreadPoolExecutor(1) as other:
+        waiting = other.submit(make, store)
+        with pytest.raises(TimeoutError):
+            waiting.result(0.05)
+        blocker.execute("COMMIT")
+        assert who(store, waiting.result().secret)
+    blocker.close()
+
+
+def test_a_change_that_breaks_off_leaves_nothing(store: TokenStore, tmp_path: Path) -> None:
+    made = make(store)
+    blocker = sqlite3.connect(tmp_path / "state" / "tokens.sqlite3")
+    blocker.execute("CREATE TRIGGER no BEFORE UPDATE ON token BEGIN SELECT RAISE(ABORT, 'no'); END")
+    blocker.commit()
+    seen = blocker.execute("SELECT seen FROM clock").fetchone()
+    store._wall = lambda: 1.9e9
+    with pytest.raises(TokenStoreError, match="cannot be written"):
+        store.revoke(made.id)
+    # The clock was advanced in the same change, and so is not.
+    assert blocker.execute("SELECT seen FROM clock").fetchone() == seen
+    assert who(store, made.secret).id == made.id
+    blocker.close()
+
+
+def test_a_store_that_was_closed_answers_no_more(store: TokenStore) -> None:
+    make(store)
+    store.close()
+    with pytest.raises(TokenStoreError, match="cannot be read"):
+        store.tokens()
+
+
 # Over HTTP.
 
 
@@ -222,7 +355,7 @@ def bearer(token: NewToken) -> dict[str, str]:
 @pytest.mark.anyio
 async def test_tokens_over_http(running: Running, store: TokenStore) -> None:
     admin = make(store, "admin:tokens", "read:status")
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         client.headers.update(bearer(admin))
         asked = {"label": "a lamp", "scopes": ["read:status"], "seconds": 60}
         answer = await client.post("/v1/tokens", json=asked, headers={"Idempotency-Key": "k"})
@@ -250,7 +383,7 @@ async def test_nobody_makes_a_token_that_allows_more_or_lasts_longer(
     running: Running, store: TokenStore
 ) -> None:
     admin = make(store, "admin:tokens", "read:status", lifetime=100.0)
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         client.headers.update(bearer(admin))
 
         async def ask(seconds: int | None, *scopes: str) -> httpx.Response:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -387,3 +388,163 @@ def test_a_reason_is_one_short_line(path: Path) -> None:
         read_bundle(path)
     assert len(str(caught.value)) < 500
     assert "\n" not in str(caught.value)
+
+
+MEBIBYTE = 2**20
+
+
+def test_limits_are_those_of_the_format() -> None:
+    """As docs/bundle.md and the parts' table have them."""
+    assert archive.MAX_FILE == 1024 * MEBIBYTE
+    assert {name: size / MEBIBYTE for name, size in archive.MAX_PART.items()} == {
+        "bundle.json": 8,
+        "masks.safetensors": 256,
+        "weights.safetensors": 1024,
+        "scene_stats.safetensors": 256,
+    }
+    assert (archive.FREE, archive.RATIO) == (16 * MEBIBYTE, 4)
+
+
+def test_a_file_may_be_as_long_as_the_limit(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = path.stat().st_size
+    monkeypatch.setattr(archive, "MAX_FILE", size)
+    read_bundle(path)
+    monkeypatch.setattr(archive, "MAX_FILE", size - 1)
+    refuse(path, f"has {size} bytes: a bundle has at most {size - 1}")
+
+
+@pytest.mark.parametrize("name", ["bundle.json", "masks.safetensors", "weights.safetensors"])
+def test_a_part_may_be_as_long_as_its_limit(
+    path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    size = len(unpack(path)[name])
+    monkeypatch.setitem(archive.MAX_PART, name, size)
+    assert read_bundle(path).labels == make_bundle().labels
+    write_bundle(path, make_bundle())
+    before = path.read_bytes()
+    monkeypatch.setitem(archive.MAX_PART, name, size - 1)
+    refuse(path, f"{name} has {size} bytes: use at most {size - 1}")
+    with pytest.raises(BundleError, match=f"{name} has {size} bytes: use at most {size - 1}"):
+        write_bundle(path, make_bundle())
+    assert path.read_bytes() == before
+
+
+def test_all_parts_together_may_unpack_to_so_much(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    together = sum(map(len, unpack(path).values()))
+    monkeypatch.setattr(archive, "FREE", together - 4 * path.stat().st_size)
+    read_bundle(path)
+    monkeypatch.setattr(archive, "FREE", together - 4 * path.stat().st_size - 1)
+    refuse(path, "use at most")
+
+
+def test_a_part_that_is_longer_than_it_says_is_refused(path: Path) -> None:
+    """Its size in the archive's directory is what somebody wrote there."""
+    parts = unpack(path)
+    parts["bundle.json"] += bytes(archive.MAX_PART["bundle.json"])
+    pack(path, parts)
+    size = len(parts["bundle.json"])
+    data = path.read_bytes()
+    directory = data.rindex(b"PK\x01\x02", 0, data.rindex(b"bundle.json"))
+    place = data.index(size.to_bytes(4, "little"), directory)
+    path.write_bytes(data[:place] + (100).to_bytes(4, "little") + data[place + 4 :])
+    refuse(path, "not a whole bundle")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_parts_may_be_stored_or_deflated(path: Path, method: int) -> None:
+    parts = unpack(path)
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, data in parts.items():
+            file.writestr(name, data)
+    assert read_bundle(path).labels == make_bundle().labels
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_another_compression_is_refused(path: Path, method: int) -> None:
+    parts = unpack(path)
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, data in parts.items():
+            file.writestr(name, data)
+    refuse(path, "bundle.json is encrypted or oddly compressed")
+
+
+def test_an_encrypted_part_is_refused(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    # The flags of the first entry, in its own header and in the archive's directory.
+    data[6] |= 1
+    data[data.index(b"PK\x01\x02") + 8] |= 1
+    path.write_bytes(bytes(data))
+    refuse(path, "bundle.json is encrypted")
+
+
+def test_parts_are_deflated(path: Path) -> None:
+    with zipfile.ZipFile(path) as file:
+        assert {entry.compress_type for entry in file.infolist()} == {zipfile.ZIP_DEFLATED}
+
+
+def test_a_digest_of_a_part_that_is_not_there_is_refused(path: Path) -> None:
+    edit_manifest(path, lambda m: m["parts"].update({"scene_stats.safetensors": 64 * "0"}))
+    refuse(path, "lacks the digest of a part")
+
+
+def test_a_part_of_the_other_mode_is_refused(path: Path) -> None:
+    pack(path, {**unpack(path), "scene_stats.safetensors": b"x"})
+    refuse(path, "mode 'pairs' has the parts masks.safetensors, weights.safetensors only")
+
+
+@pytest.mark.parametrize("length", [300, 301])
+def test_a_reason_is_cut_after_300_letters(
+    path: Path, monkeypatch: pytest.MonkeyPatch, length: int
+) -> None:
+    def fail(_: Path) -> Bundle:
+        raise BundleError("x" * length)
+
+    monkeypatch.setattr(archive, "_read", fail)
+    with pytest.raises(BundleError) as caught:
+        read_bundle(path)
+    assert str(caught.value) == f"{path}: {'x' * 300}{'...' if length > 300 else ''}"
+
+
+def test_a_bundle_is_on_the_disk_before_it_has_its_name_and_so_is_the_name(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, done = path.read_bytes(), []
+    sync, move = os.fsync, os.replace
+
+    def synced(descriptor: int) -> None:
+        place = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        done.append(("folder" if place.is_dir() else "file", place.stat().st_size))
+        assert place.is_dir() or path.read_bytes() == before
+        sync(descriptor)
+
+    def moved(source: str, target: Path) -> None:
+        done.append(("moved", Path(source).stat().st_size))
+        move(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", moved)
+    open_files = len(os.listdir("/proc/self/fd"))
+    write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
+    size = path.stat().st_size
+    assert done[:2] == [("file", size), ("moved", size)]
+    assert [what for what, _ in done[2:]] == ["folder"]
+    assert len(os.listdir("/proc/self/fd")) == open_files
+    assert read_bundle(path).task == "another"
+
+
+@pytest.mark.parametrize("broken", ["fsync", "replace"])
+def test_a_disk_that_fails_leaves_the_old_bundle_and_nothing_else(
+    path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    before = path.read_bytes()
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, broken, fail)
+    with pytest.raises(OSError, match="No space left"):
+        write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == [path.name]

@@ -15,7 +15,7 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.regions import Region
 from veilcam_training.encoders import (
     ENCODERS,
     Encoder,
@@ -87,13 +87,13 @@ def test_a_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:
     encoder = make(name, psf_file, colour=colour)
     whole = torch.zeros_like(scenes(colour))
     whole[..., 2:6, 3:8] = scenes(colour)[..., 2:6, 3:8]
-    part = Part(2, 3, 4, 5)
+    part = Region(2, 3, 4, 5)
     inside = whole[..., 2:6, 3:8]
     torch.testing.assert_close(encoder(inside, part), encoder(whole))
     with pytest.raises(OpticsError, match="a part of the scene's 7 x 9 pixels"):
-        encoder.transfer(Part(4, 3, 4, 5))
+        encoder.transfer(Region(4, 3, 4, 5))
     with pytest.raises(OpticsError, match="a part of the scene's"):
-        encoder.transfer(Part(-1, 3, 4, 5))
+        encoder.transfer(Region(-1, 3, 4, 5))
 
 
 @pytest.mark.parametrize("name", ENCODERS)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.transfer.parts import Part, embed_lit
+from veilcam_optics.transfer.regions import Region, embed_lit
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Encoder(nn.Module, ABC):
         self.setup = setup
 
     @abstractmethod
-    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+    def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T, of shape ``setup.matrix_shape``; for a part of the scene only the rows of its pixels.
 
         Args:
@@ -89,7 +89,7 @@ class Encoder(nn.Module, ABC):
             OpticsError: a part that is not wholly in the scene.
         """
 
-    def forward(self, scenes: Tensor, part: Part | None = None, grid: int = 0) -> Tensor:
+    def forward(self, scenes: Tensor, part: Region | None = None, grid: int = 0) -> Tensor:
         """Noiseless embeddings.
 
         Args:
@@ -104,12 +104,12 @@ class Encoder(nn.Module, ABC):
             transfer = self.transfer(part, grid)
             seen = torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
         else:
-            whole = Part(0, 0, *self.setup.grids[grid].shape)
+            whole = Region(0, 0, *self.setup.grids[grid].shape)
             seen = embed_lit(scenes, part or whole, lambda lit: self.transfer(lit, grid))
         # A transfer is relative to a white scene of its own size.
         return seen * self.setup.light(grid) if grid else seen
 
-    def _of_part(self, matrix: Tensor, part: Part | None, grid: int) -> Tensor:
+    def _of_part(self, matrix: Tensor, part: Region | None, grid: int) -> Tensor:
         """Those rows of the whole T that belong to pixels of ``part``."""
         if part is None:
             return matrix
@@ -142,6 +142,6 @@ class FixedEncoder(Encoder):
         for grid, matrix in enumerate(matrices):
             self.register_buffer(f"matrix_{grid}", matrix)
 
-    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+    def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T, a constant."""
         return self._of_part(self.get_buffer(f"matrix_{grid}"), part, grid)

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.regions import Region
 from veilcam_training.encoders.base import Encoder, Setup
 
 
@@ -26,7 +26,7 @@ class Digital(Encoder):
         matrix = torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
         self.matrix = nn.Parameter(matrix)
 
-    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+    def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T, all parameters; on a finer grid, pixels share those of the pixel they lie in."""
         coarse, fine = self.setup.scene, self.setup.grids[grid]
         matrix: Tensor = self.matrix

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.regions import Region
 from veilcam_training.encoders.base import Encoder, Setup
 from veilcam_training.encoders.imperfections import PanelErrors, make_places
 
@@ -31,7 +31,7 @@ class Mask(Encoder):
         # Held in a tuple: kernels are constants of the camera and belong in no state_dict.
         self._operators = make_places(setup, errors, generator)
 
-    def _transfer(self, shown: Tensor, part: Part | None, grid: int) -> Tensor:
+    def _transfer(self, shown: Tensor, part: Region | None, grid: int) -> Tensor:
         """T of the mask that an ideal panel would show."""
         place = 0
         if self.training and self.errors.any:
@@ -95,7 +95,7 @@ class LearnedMask(Mask):
             self.weights[top : top + 3, (columns - 1) // 2] = 1
         self.project()
 
-    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+    def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T of the mask as the panel shows it, differentiable in the weights."""
         shown = quantise(self.weights, self.setup.camera.panel)
         if self.training:
@@ -135,7 +135,7 @@ class FixedMask(Mask):
         for grid, operator in enumerate(self._operators[0]):
             self.register_buffer(f"matrix_{grid}", operator(to_weights(levels, panel)))
 
-    def transfer(self, part: Part | None = None, grid: int = 0) -> Tensor:
+    def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T, a constant as long as the panel does not err."""
         if self.training and self.errors.any:
             panel = self.setup.camera.panel

@@ -169,7 +169,7 @@ class _BatchNormOverRanks(_BatchNorm):
             return super().forward(values)
         axes = [axis for axis in range(values.ndim) if axis != 1]
         shape = [-1 if axis == 1 else 1 for axis in range(values.ndim)]
-        wide = values.float()
+        wide = values.to(torch.promote_types(values.dtype, torch.float32))
         mean = _mean_over_ranks(wide.mean(axes))
         centred = wide - mean.view(shape)
         variance = _mean_over_ranks(centred.square().mean(axes))

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Scene
-from veilcam_optics.transfer.parts import Part
+from veilcam_optics.transfer.regions import Region
 from veilcam_training.errors import TrainingError
 from veilcam_training.transforms.warp import homographies, warp
 
@@ -42,7 +42,7 @@ class Shown:
 
     chosen: Tensor
     scenes: Tensor
-    part: Part | None = None
+    part: Region | None = None
     grid: int = 0
 
 
@@ -132,7 +132,7 @@ class Shift(Change):
         groups = torch.arange(len(images)).tensor_split(max(1, min(PLACES, len(images))))
         tops, lefts = self._places(images, len(groups), generator)
         for group, top, left in zip(groups, tops.tolist(), lefts.tolist(), strict=True):
-            yield Shown(group, images[group], Part(top, left, *images.shape[-2:]))
+            yield Shown(group, images[group], Region(top, left, *images.shape[-2:]))
 
     def _places(
         self, images: Tensor, count: int, generator: torch.Generator

@@ -26,13 +26,12 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator, Response
+from veilcam_server.devices import imx477, st7735r
 from veilcam_server.devices.base import Device, Levels
-from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel, SensorDriver
+from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.raw import Raw, SensorMode
-from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
-from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
-from veilcam_server.devices.st7735r import ST7735R, TABS
 
 _CACHED_MASKS = 8
 """Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway."""
@@ -124,7 +123,7 @@ class SimulatedLight:
 
     def __init__(
         self,
-        panel: PanelEmulator,
+        panel: EmulatedPanel,
         scenes: Scenes,
         light: Light,
         *,
@@ -224,6 +223,8 @@ def simulated_device(
     conditions: Conditions,
     full_scale: float | None = None,
     seed: int | None = None,
+    display: DisplayDriver = st7735r.DRIVER,
+    sensor: SensorDriver = imx477.DRIVER,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Device:
@@ -238,13 +239,20 @@ def simulated_device(
         full_scale: reading of saturated pixels; by default a little more than that of a white scene
             through an open panel.
         seed: fixes the noise.
+        display: whose emulated panel it is.
+        sensor: whose emulated sensor it is.
         clock: monotonic time [s].
         sleep: waits so many seconds.
 
     Raises:
         SensorError: there is nothing to see yet.
         DisplayError: the camera's panel is not the one that is emulated.
+        DeviceMissingError: one of them has no emulator.
     """
+    if display.emulate is None or sensor.emulate is None:
+        raise DeviceMissingError(
+            f"nobody wrote an emulator for {display.name} and {sensor.name}: leave --simulate out"
+        )
     scenes = Scenes(deck, clock=clock)
     rows, columns = raw_shape(embedding)
     mode = SensorMode(rows, columns, line_time=0.0, frame_duration=0.0)
@@ -253,18 +261,11 @@ def simulated_device(
             opened = light.response(torch.ones(camera.mask_shape))
             white = light.collect(torch.ones((1, *scenes.shape)), opened)
         full_scale = _HEADROOM * float(white.max())
-    emulator = PanelEmulator(
-        TABS["green"],
-        crystal=Crystal(scan=conditions.scan, settle=conditions.settle),
-        # Nobody need wait for an emulated panel to wake up.
-        reset_time=0.0,
-        clock=clock,
-    )
-    display = ST7735R(
-        emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
+    panel, emulated = display.emulate(
+        camera, scan=conditions.scan, settle=conditions.settle, clock=clock
     )
     frames = SimulatedLight(
-        emulator,
+        emulated,
         scenes,
         light,
         camera=camera,
@@ -275,12 +276,13 @@ def simulated_device(
         seed=seed,
         began_at=clock(),
     )
-    sensor = IMX477(
-        lambda: FakePicamera2(frames, mode=mode, clock=clock, sleep=sleep),
+    reader = sensor.emulate(
+        frames,
+        mode,
         shape=embedding.shape,
-        mode=mode,
-        exposures=ExposureRange(conditions.exposure),
+        exposure=conditions.exposure,
         full_scale=full_scale,
         clock=clock,
+        sleep=sleep,
     )
-    return Device(display, sensor, simulated=True, scenes=scenes)
+    return Device(panel, reader, simulated=True, scenes=scenes)

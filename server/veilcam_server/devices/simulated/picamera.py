@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.devices.driver import RawLight
+from veilcam_server.devices.raw import SensorMode
 
-Light = Callable[[float, float], Raw]
-"""Takes begin and end of an exposure [s, monotonic], gives a raw frame of (rows, columns)."""
 _NANO = 1_000_000_000
 _ALIGNED = 64
 """Bytes to a multiple of which lines are padded."""
@@ -69,7 +68,7 @@ class FakePicamera2:
 
     def __init__(
         self,
-        light: Light,
+        light: RawLight,
         *,
         mode: SensorMode,
         delay: int = 2,

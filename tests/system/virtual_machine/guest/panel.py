@@ -14,7 +14,7 @@ from unittest.mock import patch
 import numpy as np
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_server.devices.simulated import device as simulated
+from veilcam_server.devices import st7735r
 from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.spi import LinuxLines, LinuxSpi
 from veilcam_server.devices.st7735r import ST7735R, TABS
@@ -33,7 +33,7 @@ class Both:
 
     def __init__(self, emulator: PanelEmulator) -> None:
         self._emulator, self._data = emulator, True
-        self._spi = LinuxSpi.open(str(SPI), SPEED)
+        self._spi = LinuxSpi.open(str(SPI), SPEED, fastest=st7735r.MOST_PER_SECOND)
         self._lines = LinuxLines.open(LABEL, data=DATA, reset=RESET)
         self.sent: list[Byte] = []
         self._closed = False
@@ -121,7 +121,7 @@ def serve() -> None:
         bus = Both(spi)
         return ST7735R(bus, bus, **more)  # type: ignore[arg-type]
 
-    with patch.object(simulated, "ST7735R", on_both):
+    with patch.object(st7735r, "ST7735R", on_both):
         cli.main()
 
 

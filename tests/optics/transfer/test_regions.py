@@ -8,7 +8,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.parts import Part, embed_lit
+from veilcam_optics.transfer.regions import Region, embed_lit
 
 
 def _digits(rows: int = 9, columns: int = 11) -> Tensor:
@@ -20,7 +20,7 @@ def _digits(rows: int = 9, columns: int = 11) -> Tensor:
     return scenes
 
 
-def _transfer(asked: list[Part], matrix: Tensor, columns: int) -> Tensor:
+def _transfer(asked: list[Region], matrix: Tensor, columns: int) -> Tensor:
     part = asked[-1]
     whole = matrix.reshape(-1, columns, matrix.shape[1])
     rows = slice(part.top, part.top + part.rows)
@@ -33,32 +33,32 @@ def test_only_the_lit_part_is_asked_for(shift: tuple[int, int]) -> None:
     big = torch.zeros(5, 14, 16)
     big[:, shift[0] : shift[0] + 9, shift[1] : shift[1] + 11] = scenes
     matrix = torch.rand(14 * 16, 6, generator=torch.Generator().manual_seed(1))
-    asked: list[Part] = []
+    asked: list[Region] = []
 
-    def transfer(part: Part) -> Tensor:
+    def transfer(part: Region) -> Tensor:
         asked.append(part)
         return _transfer(asked, matrix, 16)
 
-    found = embed_lit(scenes, Part(*shift, 9, 11), transfer)
+    found = embed_lit(scenes, Region(*shift, 9, 11), transfer)
     torch.testing.assert_close(found, big.flatten(1) @ matrix)
-    assert asked == [Part(shift[0] + 2, shift[1], 7, 8)]
+    assert asked == [Region(shift[0] + 2, shift[1], 7, 8)]
 
 
 @pytest.mark.parametrize("scenes", [torch.ones(3, 9, 11), torch.zeros(3, 9, 11)])
 def test_lit_or_dark_throughout_is_taken_whole(scenes: Tensor) -> None:
     matrix = torch.rand(99, 4)
-    asked: list[Part] = []
+    asked: list[Region] = []
 
-    def transfer(part: Part) -> Tensor:
+    def transfer(part: Region) -> Tensor:
         asked.append(part)
         return matrix
 
-    assert embed_lit(scenes, Part(0, 0, 9, 11), transfer).equal(scenes.flatten(1) @ matrix)
-    assert asked == [Part(0, 0, 9, 11)]
+    assert embed_lit(scenes, Region(0, 0, 9, 11), transfer).equal(scenes.flatten(1) @ matrix)
+    assert asked == [Region(0, 0, 9, 11)]
 
 
 def test_no_scenes_have_no_embeddings() -> None:
-    found = embed_lit(torch.zeros(0, 3, 3), Part(0, 0, 3, 3), lambda _: torch.rand(9, 4))
+    found = embed_lit(torch.zeros(0, 3, 3), Region(0, 0, 3, 3), lambda _: torch.rand(9, 4))
     assert found.shape == (0, 4)
 
 
@@ -66,7 +66,7 @@ def test_light_may_be_negative() -> None:
     """Differences of scenes are embedded too."""
     matrix = torch.rand(99, 4)
     scenes = -_digits()
-    found = embed_lit(scenes, Part(0, 0, 9, 11), lambda p: _transfer([p], matrix, 11))
+    found = embed_lit(scenes, Region(0, 0, 9, 11), lambda p: _transfer([p], matrix, 11))
     torch.testing.assert_close(found, scenes.flatten(1) @ matrix)
 
 

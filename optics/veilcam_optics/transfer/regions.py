@@ -19,7 +19,7 @@ MOSTLY_LIT = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Region:
     """Part of a scene: ``rows x columns`` of its pixels, the first of them at (top, left)."""
 
     top: int
@@ -36,16 +36,16 @@ class Part:
             or (below > scene.rows or beside > scene.columns)
         ):
             valid = f"a part of the scene's {scene.rows} x {scene.columns} pixels"
-            raise invalid("part", self, "", valid)
+            raise invalid("region", self, "", valid)
 
 
-def embed_lit(scenes: Tensor, part: Part, transfer: Callable[[Part], Tensor]) -> Tensor:
+def embed_lit(scenes: Tensor, region: Region, transfer: Callable[[Region], Tensor]) -> Tensor:
     """Embeddings of scenes, at the cost of those pixels that are lit in any of them.
 
     Args:
-        scenes: (batch, rows, columns) of ``part``.
-        part: which part of a scene that is; the rest is black.
-        transfer: from a part to its matrix (pixels, embedding pixels).
+        scenes: (batch, rows, columns) of ``region``.
+        region: which part of a scene that is; the rest is black.
+        transfer: from a region to its matrix (pixels, embedding pixels).
 
     Returns:
         (batch, embedding pixels).
@@ -53,13 +53,13 @@ def embed_lit(scenes: Tensor, part: Part, transfer: Callable[[Part], Tensor]) ->
     flat = scenes.flatten(1)
     lit = _lit(scenes)
     if lit is None:
-        return flat @ transfer(part)
+        return flat @ transfer(region)
     rows, columns = lit
     top, left = int(rows.min()), int(columns.min())
     height, width = int(rows.max()) - top + 1, int(columns.max()) - left + 1
-    matrix = transfer(Part(part.top + top, part.left + left, height, width))
+    matrix = transfer(Region(region.top + top, region.left + left, height, width))
     wanted = matrix.index_select(0, (rows - top) * width + (columns - left))
-    return flat.index_select(1, rows * part.columns + columns) @ wanted
+    return flat.index_select(1, rows * region.columns + columns) @ wanted
 
 
 def _lit(scenes: Tensor) -> tuple[Tensor, Tensor] | None:

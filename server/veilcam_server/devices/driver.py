@@ -1,0 +1,111 @@
+"""Drivers of panels and sensors: what each needs, how it is opened, and what stands in for it.
+
+A driver is a file here with one of these two, and a line in ``registry.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_optics.camera.geometry import Camera
+from veilcam_server.devices.base import Display, Levels, Sensor
+from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.settings import Settings, Wiring
+
+RawLight = Callable[[float, float], Raw]
+"""Takes begin and end of an exposure [s, monotonic], gives a raw frame of (rows, columns)."""
+
+
+class EmulatedPanel(Protocol):
+    """What a simulated camera looks through; arrays have the shape of the whole panel."""
+
+    def framebuffer(self) -> Levels:
+        """Return the levels that the panel was asked to show."""
+
+    def visible(self, at: float) -> npt.NDArray[np.float32]:
+        """Return the levels that it shows at a time [s, monotonic], also between two masks."""
+
+    def settled(self, at: float) -> bool:
+        """Whether it shows its framebuffer from a time on [s, monotonic], until that changes."""
+
+
+class EmulateDisplay(Protocol):
+    """Opens an emulated panel."""
+
+    def __call__(
+        self, camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
+    ) -> tuple[Display, EmulatedPanel]:
+        """Return the panel from both sides.
+
+        Args:
+            camera: whose window is the mask.
+            scan: time between two refreshes of a line [s].
+            settle: what a sub-pixel takes to turn after that [s].
+            clock: monotonic time [s].
+        """
+
+
+class EmulateSensor(Protocol):
+    """Starts a sensor before a simulated light."""
+
+    def __call__(
+        self,
+        light: RawLight,
+        mode: SensorMode,
+        *,
+        shape: tuple[int, int],
+        exposure: float,
+        full_scale: float,
+        clock: Callable[[], float],
+        sleep: Callable[[float], None],
+    ) -> Sensor:
+        """Return the sensor.
+
+        Args:
+            light: gives raw frames.
+            mode: of these frames.
+            shape: of an embedding.
+            exposure: of every frame [s].
+            full_scale: reading of saturated pixels.
+            clock: monotonic time [s].
+            sleep: waits so many seconds.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplayDriver:
+    """A kind of panel."""
+
+    name: str
+    """As settings and the API have it."""
+    open: Callable[[Wiring, Camera], Display]
+    """Opens it, opaque, for the camera whose window is the mask; raises :class:`DeviceError`."""
+    emulate: EmulateDisplay | None = None
+    packages: tuple[str, ...] = ()
+    """To import when it is opened."""
+    needs: Mapping[str, str] = field(default_factory=dict)
+    """Settings without which it cannot be opened, and what to give for each."""
+    fastest: int | None = None
+    """Fastest clock of its bus [Hz]; None for a panel that is not on SPI and two lines."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorDriver:
+    """A kind of sensor."""
+
+    name: str
+    """As settings and the API have it."""
+    model: str
+    """Part of what libcamera calls it."""
+    product: str
+    """What to buy."""
+    open: Callable[[Settings, tuple[int, int]], Sensor]
+    """Starts it, for embeddings of a shape; raises :class:`DeviceError`."""
+    emulate: EmulateSensor | None = None
+    packages: tuple[str, ...] = ()
+    """To import when it is opened."""

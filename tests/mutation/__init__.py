@@ -1,0 +1,1 @@
+"""Mutation testing: would a room's own tests notice if one of its modules were wrong?"""

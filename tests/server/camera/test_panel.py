@@ -1,0 +1,338 @@
+"""The panel and its state: what is on the glass, what is recorded and what is told."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from tests.server.devices.clock import Clock
+
+from veilcam_client.wire.events import Event, MaskChanged, StateChanged
+from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.epochs import EpochStore, Preparation, Prepared
+from veilcam_server.camera.panel import MaskedPanel
+from veilcam_server.camera.self_test import SelfTestStatus
+from veilcam_server.devices import Device, DisplayError, SensorError
+from veilcam_server.errors import EpochError, FenceError, SelfTestError, UndecidedError
+from veilcam_server.masks.pairs import load_pairs
+
+if TYPE_CHECKING:
+    from tests.server.conftest import Bench
+
+EVERY = 60.0
+TESTED = ("self-test", "the panel is being tested")
+READY = ("ready", None)
+OPAQUE = ("safe", "the panel failed and was made opaque: it is tried again")
+
+
+class Rig:
+    """A panel with everything around it within reach."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.display, self.test, self.clock = bench.display, bench.test, Clock()
+        self.epochs = EpochStore(bench.state_dir)
+        self.preparation = Preparation(bench.source, self.epochs)
+        device = Device(bench.display, bench.sensor, simulated=True)
+        self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
+        self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
+        self.states: list[tuple[str, str | None]] = []
+        self.masks: list[str] = []
+        self.panel.publish = self._note
+
+    def _note(self, make: Callable[..., Event]) -> None:
+        event = make(id="0-0", at=datetime.now(UTC))
+        if isinstance(event, StateChanged):
+            self.states.append((event.state, event.detail))
+        else:
+            assert isinstance(event, MaskChanged)
+            self.masks.append(event.epoch)
+
+    def show(self) -> Prepared:
+        """Show the next mask; gives what was shown."""
+        prepared = self.preparation.take()
+        self.panel.show(prepared)
+        return prepared
+
+    def shows(self, prepared: Prepared) -> bool:
+        """Whether this mask is on the glass, and the last one recorded."""
+        same = np.array_equal(self.display.shown[-1], prepared.mask.levels)
+        return same and self.epochs.mark == prepared.mask.mark
+
+    @property
+    def opaque(self) -> bool:
+        """Whether the glass is, and no mask counts as shown."""
+        return self.panel.active is None and not self.display.shown[-1].any()
+
+    @property
+    def preparing(self) -> bool:
+        """Whether the next epoch is ready or on its way."""
+        return self.preparation.under_way or self.preparation.ready
+
+
+@pytest.fixture
+def rig(bench: Bench) -> Iterator[Rig]:
+    rig = Rig(bench)
+    yield rig
+    rig.preparation.close()
+
+
+def test_before_the_first_mask_nothing_is_shown_and_a_test_is_due(rig: Rig) -> None:
+    assert rig.panel.state == ("starting", None)
+    assert rig.panel.active is None
+    assert rig.panel.proven_for() == 0
+    rig.panel.test()  # there is no mask to put back
+    assert rig.test.runs == 0
+    assert not rig.display.shown
+
+
+def test_the_first_mask_is_tested_recorded_shown_and_told(rig: Rig) -> None:
+    first = rig.show()
+    showing = rig.panel.active
+    assert showing is not None
+    assert showing.mask is first.mask
+    assert showing.epoch == first.epoch.name
+    assert showing.since == showing.completed_at
+    assert rig.shows(first)
+    assert rig.test.runs == 1
+    assert rig.states == [TESTED, READY]
+    assert rig.panel.state == READY
+    assert rig.masks == [first.epoch.name]
+    assert rig.panel.proven_for() == EVERY
+    assert rig.preparing
+
+
+def test_while_the_proof_holds_a_mask_is_changed_without_a_test(rig: Rig) -> None:
+    rig.show()
+    rig.clock.sleep(EVERY - 0.5)
+    second = rig.show()
+    assert rig.shows(second)
+    assert rig.test.runs == 1
+    assert rig.states == [TESTED, READY]
+    assert len(rig.masks) == 2
+
+
+@pytest.mark.parametrize("late", [0.0, 5.0])
+def test_a_mask_is_changed_after_a_test_once_that_is_due(rig: Rig, late: float) -> None:
+    rig.show()
+    rig.clock.sleep(EVERY + late)
+    assert rig.panel.proven_for() == 0
+    rig.show()
+    assert rig.test.runs == 2
+    assert rig.states == [TESTED, READY] * 2
+
+
+def test_a_test_that_is_not_due_touches_nothing(rig: Rig) -> None:
+    rig.show()
+    showing = rig.panel.active
+    rig.clock.sleep(EVERY - 0.5)
+    rig.panel.test()
+    assert rig.panel.active is showing
+    assert (rig.test.runs, len(rig.display.shown)) == (1, 1)
+
+
+@pytest.mark.parametrize("late", [0.0, 5.0])
+def test_after_a_test_the_same_mask_is_put_back_and_must_settle(rig: Rig, late: float) -> None:
+    first = rig.show()
+    showing = rig.panel.active
+    assert showing is not None
+    since = showing.since
+    rig.clock.sleep(EVERY + late)
+    rig.panel.test()
+    assert rig.test.runs == 2
+    assert rig.panel.active is showing
+    assert rig.shows(first)
+    assert showing.since == since < showing.completed_at
+    assert rig.states == [TESTED, READY] * 2
+    assert len(rig.masks) == 1  # no new epoch
+    assert rig.panel.proven_for() == EVERY
+
+
+def test_while_the_panel_is_tested_no_mask_counts_as_shown(rig: Rig) -> None:
+    rig.show()
+    rig.clock.sleep(EVERY)
+    seen: list[object] = []
+    run = rig.test.run
+
+    def watched(device: Device, fence: Fence) -> None:
+        seen.extend((rig.panel.active, rig.panel.state))
+        run(device, fence)
+
+    rig.test.run = watched  # type: ignore[method-assign]
+    rig.show()
+    assert seen == [None, TESTED]
+
+
+@pytest.mark.parametrize(
+    ("fault", "state"),
+    [
+        (SelfTestError("it lets light through"), ("safe", "it lets light through")),
+        (DisplayError("no answer"), ("safe", "no answer")),
+        (UndecidedError("it is too dark"), ("degraded", "it is too dark")),
+        (SensorError("no frame"), ("degraded", "no frame")),
+        (FenceError("too early"), ("degraded", "too early")),
+        # What nobody foresaw may quote anything, so it is not told.
+        (ZeroDivisionError("level 37"), ("safe", "the self test broke off")),
+    ],
+)
+def test_a_test_that_fails_ends_opaque_and_says_who_is_to_blame(
+    rig: Rig, fault: Exception, state: tuple[str, str]
+) -> None:
+    rig.show()
+    rig.clock.sleep(EVERY)
+    rig.test.faults = [fault]
+    with pytest.raises(type(fault)):
+        rig.panel.test()
+    assert rig.opaque
+    assert rig.panel.state == rig.states[-1] == state
+    assert rig.panel.proven_for() == 0
+
+
+@pytest.mark.parametrize("fault", [SelfTestError("dark"), UndecidedError("dark")])
+def test_a_test_from_a_failed_state_tells_no_state_of_its_own(rig: Rig, fault: Exception) -> None:
+    rig.test.faults = [fault, fault]
+    for _ in range(2):
+        with pytest.raises(SelfTestError):
+            rig.show()
+    failed = rig.panel.state
+    rig.show()
+    assert rig.states == [TESTED, failed, READY]
+
+
+def test_a_failed_write_puts_the_mask_before_back_and_records_it(rig: Rig) -> None:
+    first = rig.show()
+    showing = rig.panel.active
+    rig.display.faults = [DisplayError("no answer")]
+    with pytest.raises(DisplayError, match="the mask could not be changed: no answer"):
+        rig.show()
+    assert rig.panel.active is showing
+    assert rig.shows(first)
+    assert rig.masks == [first.epoch.name]
+    assert rig.states == [TESTED, READY]
+    assert rig.preparing
+
+
+def test_a_mask_is_put_back_though_that_cannot_be_recorded(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = rig.show()
+    second = rig.preparation.take()
+
+    class FullDisk:
+        def execute(self, *_: object) -> None:
+            raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patched:
+        record = rig.preparation.record
+
+        def full_from_now_on(mask: object) -> None:
+            record(second.mask)
+            patched.setattr(rig.epochs, "_database", FullDisk())
+
+        patched.setattr(rig.preparation, "record", full_from_now_on)
+        rig.display.faults = [DisplayError("no answer")]
+        with pytest.raises(DisplayError):
+            rig.panel.show(second)
+    assert np.array_equal(rig.display.shown[-1], first.mask.levels)
+    assert rig.panel.state == READY
+
+
+def test_an_epoch_that_cannot_be_recorded_changes_nothing(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = rig.show()
+    rig.clock.sleep(EVERY)
+    second = rig.preparation.take()
+
+    def full(mask: object) -> None:
+        raise EpochError("disk full")
+
+    monkeypatch.setattr(rig.preparation, "record", full)
+    with pytest.raises(EpochError):
+        rig.panel.show(second)
+    assert rig.shows(first)
+    assert rig.panel.state == READY
+    assert rig.test.runs == 1
+
+
+@pytest.mark.parametrize("fault", [DisplayError("no answer"), KeyboardInterrupt()])
+def test_a_first_mask_that_fails_leaves_the_panel_opaque(rig: Rig, fault: Exception) -> None:
+    rig.display.faults = [fault]
+    with pytest.raises(type(fault)):
+        rig.show()
+    assert rig.opaque
+    assert rig.panel.state == rig.states[-1] == OPAQUE
+    assert not rig.masks
+
+
+def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> None:
+    rig.test.faults = [UndecidedError("it is too dark")]
+    rig.display.faults = [DisplayError("no answer")]
+    with pytest.raises(UndecidedError):
+        rig.show()
+    reason = "the panel failed and cannot be made opaque: check its power and wiring"
+    assert rig.panel.state == rig.states[-1] == ("safe", reason)
+
+
+def test_a_panel_that_is_lent_is_opaque_until_it_shows_a_mask(rig: Rig) -> None:
+    rig.show()
+    rig.panel.lend()
+    assert rig.opaque
+    assert rig.panel.state == ("calibrating", "the camera is being calibrated")
+    rig.proof.void(Device(rig.display, rig.test, simulated=True), Fence())  # type: ignore[arg-type]
+    shown = rig.show()
+    rig.panel.strand()  # a mask is shown: there is nothing to do
+    assert rig.shows(shown)
+    lent = ("calibrating", "the camera is being calibrated")
+    assert rig.states == [TESTED, READY, lent, TESTED, READY]
+
+
+def test_a_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
+    rig.show()
+    rig.panel.lend()
+    rig.display.show(np.ones((9, 5), np.uint8))  # what the borrower left
+    rig.panel.strand()
+    assert rig.opaque
+    reason = "no mask is shown after the calibration: it is tried again"
+    assert rig.panel.state == rig.states[-1] == ("degraded", reason)
+
+
+def test_after_the_end_no_mask_counts_as_shown(rig: Rig) -> None:
+    rig.show()
+    rig.panel.end()
+    assert rig.panel.active is None
+    assert rig.panel.state == rig.states[-1] == ("stopping", "the daemon is stopping")
+    told = len(rig.states)
+    rig.panel.end()
+    assert len(rig.states) == told  # a state is told once
+
+
+def test_the_masks_after_that_of_another_source_come_from_there(rig: Rig, bench: Bench) -> None:
+    rig.show()
+    other = load_pairs(bench.bundle)
+    rig.panel.show(rig.preparation.first_of(other), other)
+    after = rig.preparation.take()
+    assert any(after.mask is mask for mask in other._masks)
+
+
+def test_a_lone_mask_is_not_prepared_again(lone_bench: Bench) -> None:
+    rig = Rig(lone_bench)
+    rig.show()
+    assert not rig.preparing
+    rig.display.faults = [DisplayError("no answer")]
+    with suppress(DisplayError):
+        rig.show()
+    assert not rig.preparing
+    rig.preparation.close()
+
+
+def test_nobody_has_to_listen(bench: Bench) -> None:
+    rig = Rig(bench)
+    panel = MaskedPanel(rig.display, rig.preparation, rig.proof)
+    panel.show(rig.preparation.take())
+    assert panel.state == READY
+    rig.preparation.close()

@@ -1,0 +1,194 @@
+"""A panel and a sensor of other kinds: a file each with a driver, and a line of the registry."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from veilcam_server.daemon import build_service
+from veilcam_server.devices import DeviceMissingError
+from veilcam_server.devices.registry import DISPLAYS, SENSORS, drivers, open_device
+from veilcam_server.doctor import Machine, examine
+from veilcam_server.errors import StartError
+from veilcam_server.settings import DoctorSettings, Settings, Wiring
+
+if TYPE_CHECKING:
+    from veilcam_training.bundle import Bundle
+
+PANEL = '''
+import numpy as np
+
+from veilcam_server.devices.base import Shown
+from veilcam_server.devices.driver import DisplayDriver
+
+
+class Prompt:
+    """Obeys at once."""
+
+    name, resets = "PROMPT", 1
+
+    def __init__(self, camera, clock):
+        self._window, self._clock = camera.window, clock
+        self._levels = np.zeros((camera.panel.rows, camera.panel.columns), np.uint8)
+
+    def show(self, levels):
+        first_row, first_column = self._window.first_row, self._window.first_column
+        rows, columns = levels.shape
+        self._levels[first_row : first_row + rows, first_column : first_column + columns] = levels
+        return Shown(self._clock())
+
+    def blank(self):
+        self._levels.fill(0)
+
+    def close(self):
+        pass
+
+    def framebuffer(self):
+        return self._levels.copy()
+
+    def visible(self, at):
+        return self._levels.astype(np.float32)
+
+    def settled(self, at):
+        return True
+
+
+def _emulate(camera, *, scan, settle, clock):
+    panel = Prompt(camera, clock)
+    return panel, panel
+
+
+DRIVER = DisplayDriver(
+    name="PROMPT",
+    open=lambda wiring, camera: Prompt(camera, lambda: 0.0),
+    emulate=_emulate,
+    packages=("prompt_bus",),
+    needs={"gpio_chip": "the label on its board"},
+)
+'''
+
+SENSOR = """
+from veilcam_server.devices.driver import SensorDriver
+from veilcam_server.devices.imx477 import DRIVER as IMX477
+
+
+class Other:
+    def __init__(self, sensor):
+        self.capture, self.close = sensor.capture, sensor.close
+        self.name, self.full_scale = "OTHER", sensor.full_scale
+
+
+DRIVER = SensorDriver(
+    name="OTHER",
+    model="other",
+    product="the other camera",
+    open=lambda settings, shape: Other(IMX477.open(settings, shape)),
+    emulate=lambda *given, **more: Other(IMX477.emulate(*given, **more)),
+    packages=("other_camera",),
+)
+"""
+
+
+@pytest.fixture
+def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for file, text, registry in (("prompt", PANEL, DISPLAYS), ("other", SENSOR, SENSORS)):
+        (tmp_path / f"veilcam_driver_{file}.py").write_text(text)
+        monkeypatch.syspath_prepend(tmp_path)
+        driver = importlib.import_module(f"veilcam_driver_{file}").DRIVER
+        monkeypatch.setitem(registry, driver.name, driver)
+
+
+@pytest.mark.usefixtures("others")
+def test_a_panel_and_a_sensor_that_were_added_serve(
+    bundle_file: Path, scene_file: Path, tmp_path: Path
+) -> None:
+    settings = Settings(
+        bundle=bundle_file,
+        device="simulated",
+        panel="PROMPT",
+        sensor="OTHER",
+        scenes=(str(scene_file),),
+        state_dir=tmp_path / "state",
+        settle=0.01,
+        exposure=0.001,
+    )
+    service = build_service(settings)
+    try:
+        status = service.status()
+        assert (status.state, status.detail) == ("ready", None)
+        assert (status.device.display, status.device.sensor) == ("PROMPT", "OTHER")
+        service._camera.capture()
+    finally:
+        service.stop()
+
+
+@pytest.mark.usefixtures("others")
+def test_a_panel_that_was_added_is_opened_with_what_it_needs(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[tuple[int, int]] = []
+
+    class Started:
+        name, full_scale = "OTHER", 1.0
+
+        def close(self) -> None:
+            """Nothing was opened."""
+
+    def start(settings: Settings, shape: tuple[int, int]) -> Any:
+        opened.append(shape)
+        return Started()
+
+    monkeypatch.setitem(SENSORS, "OTHER", replace(SENSORS["OTHER"], open=start))
+    given: dict[str, Any] = {"bundle": Path("x.veilcam"), "panel": "PROMPT", "sensor": "OTHER"}
+    with pytest.raises(DeviceMissingError, match="give --gpio-chip the label on its board"):
+        open_device(Settings(**given), bundle)
+    assert not opened
+    device = open_device(Settings(**given, gpio_chip="mine"), bundle)
+    assert (device.display.name, device.sensor.name) == ("PROMPT", "OTHER")
+    assert opened == [bundle.embedding.shape]
+    device.close()
+
+
+@pytest.mark.usefixtures("others")
+def test_the_doctor_looks_for_what_an_added_driver_needs(tmp_path: Path) -> None:
+    machine = Machine(root=tmp_path, run=lambda *_: None)
+    settings = DoctorSettings(panel="PROMPT", sensor="OTHER", state_dir=Path("/"))
+    found = {finding.name: finding for finding in examine(machine, settings)}
+    assert {"prompt_bus", "other_camera", "gpio chip"} <= set(found)
+    assert found["gpio chip"].remedy == (
+        "give --gpio-chip (or VEILCAM_GPIO_CHIP) the label on its board"
+    )
+    assert found["camera"].found == "needs other_camera"
+    # It is on no bus of this machine, and no other panel's packages are asked for.
+    assert not {"panel bus", "bus clock", "GPIO chip", "panel tab", "spidev"} & set(found)
+
+
+@pytest.mark.usefixtures("others")
+def test_a_driver_without_an_emulator_is_not_simulated(
+    bundle: Bundle, scene_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(DISPLAYS, "PROMPT", replace(DISPLAYS["PROMPT"], emulate=None))
+    settings = Settings.model_validate(
+        {"device": "simulated", "panel": "PROMPT", "scenes": (str(scene_file),)}
+    )
+    with pytest.raises(DeviceMissingError, match="emulator for PROMPT and IMX477"):
+        open_device(settings, bundle)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("panel", "--panel NONE has no driver: use ST7735R"),
+        ("sensor", "--sensor NONE has no driver: use IMX477"),
+    ],
+)
+def test_a_name_without_a_driver_is_refused(bundle_file: Path, name: str, message: str) -> None:
+    given: dict[str, Any] = {name: "NONE"}
+    with pytest.raises(DeviceMissingError, match=message):
+        drivers(Wiring(**given))
+    with pytest.raises(StartError, match=message):
+        build_service(Settings(bundle=bundle_file, device="simulated", **given))
