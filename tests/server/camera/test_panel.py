@@ -278,10 +278,10 @@ def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> 
     assert rig.panel.state == rig.states[-1] == ("safe", reason)
 
 
-def test_a_panel_that_is_lent_is_opaque_until_it_shows_a_mask(rig: Rig) -> None:
+def test_a_panel_that_is_lent_has_no_mask_until_it_shows_one(rig: Rig) -> None:
     rig.show()
     rig.panel.lend()
-    assert rig.opaque
+    assert rig.panel.active is None
     assert rig.panel.state == ("calibrating", "the camera is being calibrated")
     rig.proof.void(Device(rig.display, rig.test, simulated=True), Fence())  # type: ignore[arg-type]
     shown = rig.show()
