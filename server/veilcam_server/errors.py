@@ -94,8 +94,8 @@ class SceneNotWantedError(Exception):
         super().__init__(f"{what} waited for, not {given!r}: see GET /v1/calibration")
 
 
-class CalibrationImpossibleError(Exception):
-    """This camera cannot be measured with itself."""
+class CalibrationError(Exception):
+    """A measurement or a record that cannot be used, or made; the message says what to do."""
 
 
 class ReplayingError(Exception):

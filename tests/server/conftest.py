@@ -16,7 +16,6 @@ import pytest
 import structlog
 import torch
 
-from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Device as DeviceInfo
 from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
@@ -26,7 +25,7 @@ from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, Keys, Opener, bundle_info
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.bundles.store import KeyringStore
-from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
@@ -38,6 +37,7 @@ from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.security.admission import Gateway
 from veilcam_server.service.service import Service
+from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,
@@ -196,8 +196,7 @@ class Bench:
     test: FakeTest = field(default_factory=FakeTest)
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
-    calibration: SignedCalibration | None = None
-    workshop: Workshop | None = None
+    calibration: CalibrationService | None = None
 
     def camera(
         self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
@@ -235,18 +234,18 @@ class Bench:
 
     def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
         keyrings = self.keyrings()
+        settings = Settings(bundle=self.state_dir / "configured.veilcam", state_dir=self.state_dir)
         service = Service(
             camera,
             Identity(
                 DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
                 keyrings.info,
-                calibration=self.calibration,
             ),
             keyrings,
+            self.calibration or CalibrationService(settings, None),
             form=self.release,
             queue_limit=queue_limit,
             heartbeat=0.05,
-            workshop=self.workshop,
         )
         on_mask, on_state = camera._panel.on_mask, camera._panel.on_state
 

@@ -16,7 +16,7 @@ from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, FieldError, Problem
 from veilcam_server.devices.errors import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.errors import (
     CalibratingError,
-    CalibrationImpossibleError,
+    CalibrationError,
     EpochError,
     FenceError,
     ForbiddenError,
@@ -113,7 +113,7 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (UnknownTokenError, "unknown_token"),
     (NotCalibratingError, "not_calibrating"),
     (SceneNotWantedError, "scene_not_wanted"),
-    (CalibrationImpossibleError, "calibration_impossible"),
+    (CalibrationError, "calibration_impossible"),
     (UnknownKeyringError, "unknown_keyring"),
     (KeyringUnfitError, "keyring_unfit"),
     (KeyringInUseError, "keyring_in_use"),

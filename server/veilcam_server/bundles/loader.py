@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import (
     BundleInfo,
     Device,
@@ -38,7 +37,6 @@ class Identity:
     device: Device
     bundle: BundleInfo
     experiment: str | None = None
-    calibration: SignedCalibration | None = None
 
 
 def bundle_info(bundle: Bundle) -> BundleInfo:

@@ -13,13 +13,13 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Calibration
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, Sight, align, strayed
-from veilcam_server.calibration.errors import CalibrationError
 from veilcam_server.calibration.lines import Lines
 from veilcam_server.calibration.measurements import Observations
 from veilcam_server.calibration.response import Response, Staircase, fit_response, uncertainties
-from veilcam_server.calibration.result import Findings
+from veilcam_server.calibration.result import CalibrationResult
 from veilcam_server.calibration.rig import Geometry, Patterns, Values
 from veilcam_server.devices.base import Levels
+from veilcam_server.errors import CalibrationError
 
 
 def split_darkness(
@@ -87,7 +87,7 @@ def fit(
     reach: Reach,
     patterns: Patterns,
     check: Callable[[], None],
-) -> Findings:
+) -> CalibrationResult:
     """Find the camera that would read what was read.
 
     Args:
@@ -112,11 +112,11 @@ class _Fit:
     stuck_uncertainty: float = 0.0
     """Of what dead lines let through."""
 
-    def fit(self, seen: Observations) -> Findings:
+    def fit(self, seen: Observations) -> CalibrationResult:
         """Return everything that was found."""
         response, alignment = self._fit(seen.levels, seen.sights, seen.lines, seen.staircase)
         predicted, errors = self._verdict(seen.levels, seen.sights, alignment)
-        return Findings(
+        return CalibrationResult(
             unlit=seen.unlit,
             settling=seen.settling,
             lines=seen.lines,

@@ -17,7 +17,7 @@ from veilcam_server.devices.base import Device
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Findings:
+class CalibrationResult:
     """What a calibration came to."""
 
     unlit: Values = field(repr=False)
@@ -46,7 +46,7 @@ class Findings:
 
 
 def make_record(
-    found: Findings, device: Device, *, exposure: float, tab: str | None, geometry: str
+    found: CalibrationResult, device: Device, *, exposure: float, tab: str | None, geometry: str
 ) -> CalibrationRecord:
     """Return what a daemon needs to know.
 

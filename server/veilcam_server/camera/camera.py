@@ -17,7 +17,6 @@ from typing import TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import RotationOff, RotationPolicy, State
-from veilcam_server.calibration.loading import calibrated
 from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
@@ -25,6 +24,7 @@ from veilcam_server.camera.rotation import due_in, reusable
 from veilcam_server.camera.self_test import EVERY, Proof, SelfTest
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device
+from veilcam_server.devices.corrected import calibrated
 from veilcam_server.errors import (
     CalibratingError,
     FenceError,

@@ -21,6 +21,7 @@ from veilcam_client.wire.captures import Device as DeviceInfo
 from veilcam_client.wire.captures import Form, Replay, RotationOff, RotationPolicy, State
 from veilcam_server.bundles.loader import Identity
 from veilcam_server.bundles.manager import Change, Keyrings
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured, Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
@@ -59,6 +60,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
             experiment=status.experiment,
         ),
         _NoKeyrings(),
+        CalibrationService(settings, None),
         form=status.release,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,

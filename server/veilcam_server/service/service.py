@@ -34,14 +34,14 @@ from veilcam_client.wire.simulation import HeldScene
 from veilcam_server.api.problems import code_of
 from veilcam_server.bundles.loader import Identity, Keys
 from veilcam_server.bundles.manager import Keyrings
-from veilcam_server.calibration.service import Calibrator
-from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
 from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, decode, fitted
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
+    CalibrationError,
     ReplayingError,
     RotationImpossibleError,
     SceneApiOffError,
@@ -69,11 +69,11 @@ class Service:
         camera: with its first mask on the panel.
         identity: for the status.
         keyrings: of which one is in use.
+        calibration: that measures the camera.
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
-        workshop: that measures the camera; None: it cannot be measured.
     """
 
     def __init__(
@@ -81,25 +81,19 @@ class Service:
         camera: MaskedCamera,
         identity: Identity,
         keyrings: Keyrings,
+        calibration: CalibrationService,
         *,
         form: Release = "none",
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
-        workshop: Workshop | None = None,
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
         self.keyrings, self._scenes = keyrings, scenes
         self._queue, self._news = DeviceQueue(queue_limit), News(heartbeat)
         self._upkeep = Upkeep(camera, rotating=self._on_device, testing=self._watched)
-        self.calibrator = Calibrator(
-            camera,
-            keyrings,
-            workshop,
-            identity.calibration,
-            on_device=self._on_device,
-            tell=self._news.calibration_changed,
-        )
+        self.calibration = calibration
+        calibration.serve(Served(camera, keyrings, self._on_device, self._news.calibration_changed))
         self._on_lost: Callable[[], None] = _ignore
         self._lost: SensorLostError | None = None
         self._captures = 0
@@ -122,7 +116,7 @@ class Service:
     async def _close(self) -> None:
         self.end_streams()
         try:
-            await self.calibrator.close()
+            await self.calibration.close()
             await self._queue.run(self._camera.stop)
         finally:
             self._queue.close()
@@ -274,7 +268,7 @@ class Service:
     @contextmanager
     def _admitted(self) -> Iterator[None]:
         """Take a place in the queue, unless the device will be busy for minutes."""
-        self.calibrator.require_idle()
+        self.calibration.require_idle()
         with self._queue.admitted():
             yield
 
@@ -314,7 +308,7 @@ class Service:
     async def _on_device(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
         try:
             return await self._watched(work, counted=counted)
-        except (RotationImpossibleError, ReplayingError):
+        except (RotationImpossibleError, ReplayingError, CalibrationError):
             raise
         except Exception as error:
             code = code_of(error)

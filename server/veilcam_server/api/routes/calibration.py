@@ -25,7 +25,7 @@ async def calibration(service: ServiceDep) -> CalibrationStatus:
 
     There is no mask in it.
     """
-    return service.calibrator.status
+    return service.calibration.status
 
 
 @router.post(
@@ -42,7 +42,7 @@ async def start(
     What is found is used from then on, and after a restart. Nothing changes if it fails.
     """
     repeats = (question or CalibrationRequest()).repeats
-    return await once(lambda: service.calibrator.start(repeats))
+    return await once(lambda: service.calibration.start(repeats))
 
 
 @router.post(
@@ -50,11 +50,13 @@ async def start(
     dependencies=_CALIBRATES,
     responses=problems(*BODY, "leased", "not_calibrating", "scene_not_wanted"),
 )
-async def presented(service: ServiceDep, once: OnceDep, question: ScenePresented) -> CalibrationRun:
-    """Say that the scene that the calibration waits for is there."""
+async def confirm(
+    service: ServiceDep, once: OnceDep, question: ScenePresented
+) -> CalibrationRun:
+    """Confirm that the scene that the calibration waits for is set."""
 
     async def work() -> CalibrationRun:
-        return service.calibrator.presented(question.scene)
+        return service.calibration.confirm(question.scene)
 
     return await once(work)
 
@@ -66,4 +68,4 @@ async def presented(service: ServiceDep, once: OnceDep, question: ScenePresented
 )
 async def cancel(service: ServiceDep) -> CalibrationRun:
     """End the calibration that is under way; answered once the camera is back."""
-    return await service.calibrator.cancel()
+    return await service.calibration.cancel()
