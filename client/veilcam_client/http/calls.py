@@ -18,8 +18,8 @@ from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
     CalibrationStatus,
+    SceneConfirmation,
     SceneName,
-    ScenePresented,
 )
 from veilcam_client.wire.captures import (
     Capture,
@@ -73,9 +73,9 @@ def start_calibration(repeats: int) -> Call[CalibrationRun]:
     return Call("POST", "/v1/calibration", CalibrationRun, body, _headers(body=True, post=True))
 
 
-def scene_presented(scene: SceneName) -> Call[CalibrationRun]:
+def confirm_scene(scene: SceneName) -> Call[CalibrationRun]:
     """POST /v1/calibration/scene."""
-    body = ScenePresented(scene=scene).model_dump_json().encode()
+    body = SceneConfirmation(scene=scene).model_dump_json().encode()
     path = "/v1/calibration/scene"
     return Call("POST", path, CalibrationRun, body, _headers(body=True, post=True))
 

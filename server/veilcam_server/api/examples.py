@@ -15,7 +15,7 @@ from veilcam_client.wire.calibration import (
     CalibrationRun,
     CalibrationStatus,
     Quantity,
-    ScenePresented,
+    SceneConfirmation,
     SignedCalibration,
 )
 from veilcam_client.wire.captures import (
@@ -161,7 +161,7 @@ _ALL: tuple[BaseModel, ...] = (
         audit_lost=0,
     ),
     CalibrationRequest(repeats=2),
-    ScenePresented(scene="lamp"),
+    SceneConfirmation(scene="lamp"),
     _RUN,
     CalibrationStatus(
         signed=SignedCalibration(record=_RECORD, public_key=_DIGEST, signature=2 * _DIGEST),

@@ -8,7 +8,7 @@ from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
     CalibrationStatus,
-    ScenePresented,
+    SceneConfirmation,
 )
 from veilcam_server.api.dependencies import BODY, OnceDep, ServiceDep, problems
 from veilcam_server.api.routes.lease import unleased
@@ -51,7 +51,7 @@ async def start(
     responses=problems(*BODY, "leased", "not_calibrating", "scene_not_wanted"),
 )
 async def confirm(
-    service: ServiceDep, once: OnceDep, question: ScenePresented
+    service: ServiceDep, once: OnceDep, question: SceneConfirmation
 ) -> CalibrationRun:
     """Confirm that the scene that the calibration waits for is set."""
 
