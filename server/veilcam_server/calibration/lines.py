@@ -34,12 +34,6 @@ class Lines:
         """From 0."""
         return _dead(self.columns)
 
-    @property
-    def scatter(self) -> float:
-        """Relative scatter of the lines that obey."""
-        alive = np.concatenate([each[each >= _DEAD] for each in (self.rows, self.columns)])
-        return float(alive.std())
-
 
 def measure_lines(rig: Rig, geometry: Geometry, image: Values, operator: TransferOperator) -> Lines:
     """Open each row and each column alone.

@@ -1,4 +1,4 @@
-"""Everything that a calibration reads: three scenes, behind patterns."""
+"""Measurements of a calibration: three scenes, read behind patterns."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _DRIFT = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Observations:
+class Measurements:
     """Everything that was read."""
 
     unlit: Values
@@ -58,7 +58,7 @@ class Observations:
     drift: float
 
 
-def observe(
+def measure(
     make: Callable[[float], Rig],
     geometry: Geometry,
     set_scene: Callable[[CalibrationScene], None],
@@ -66,7 +66,7 @@ def observe(
     longest: float,
     reach: Reach,
     budget: Budget,
-) -> Observations:
+) -> Measurements:
     """Ask for scenes, and read them behind patterns.
 
     Args:
@@ -116,7 +116,7 @@ def observe(
         )
     set_scene(lamp)
     sights = (before_card, _look(rig, levels, lamp, black))
-    return Observations(unlit, settling, lines, staircase, levels, sights, drift)
+    return Measurements(unlit, settling, lines, staircase, levels, sights, drift)
 
 
 def _look(rig: Rig, levels: Sequence[Levels], scene: CalibrationScene, black: float) -> Sight:

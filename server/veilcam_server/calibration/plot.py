@@ -40,22 +40,22 @@ def write_picture(path: Path, found: Calibrated) -> None:
         color=FAINT,
         fontsize=10,
     )
-    _settling(figure.add_subplot(curves[0, 0]), result.settling)
+    _settling(figure.add_subplot(curves[0, 0]), result.measured.settling)
     _staircase(figure.add_subplot(curves[0, 1]), found)
-    _lines(figure.add_subplot(curves[1, 0]), "rows opened alone", result.lines.rows)
-    _lines(figure.add_subplot(curves[1, 1]), "columns opened alone", result.lines.columns)
+    _lines(figure.add_subplot(curves[1, 0]), "rows opened alone", result.measured.lines.rows)
+    _lines(figure.add_subplot(curves[1, 1]), "columns opened alone", result.measured.lines.columns)
     # A pattern is held out; what it shows of the lamp is the point spread function, binned.
-    top = float(result.seen.max())
-    _image(figure.add_subplot(below[0]), "lamp, as read", result.seen / top)
+    top = float(result.lamp.max())
+    _image(figure.add_subplot(below[0]), "lamp, as read", result.lamp / top)
     _image(
         figure.add_subplot(below[1]),
         f"predicted: {100 * record.psf_residual:.2g} % off",
-        result.predicted / top,
+        result.lamp_predicted / top,
     )
     _image(
         figure.add_subplot(below[2]),
         "difference x 10",
-        0.5 + 10 * (result.seen - result.predicted) / top,
+        0.5 + 10 * (result.lamp - result.lamp_predicted) / top,
     )
     _table(figure.add_subplot(below[3]), record)
     figure.savefig(path, facecolor=PAPER)
@@ -85,7 +85,7 @@ def _settling(axes: Axes, settling: Settling) -> None:
 
 
 def _staircase(axes: Axes, found: Calibrated) -> None:
-    staircase, response = found.result.staircase, found.result.response
+    staircase, response = found.result.measured.staircase, found.result.response
     _styled(axes, f"panel: gamma {response.gamma:.3f}, contrast floor {response.floor:.3f}")
     fine = np.linspace(0, 1, 200)
     # Lines that do not obey add the same light to every step.

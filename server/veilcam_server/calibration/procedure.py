@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.fit import fit
-from veilcam_server.calibration.measurements import Budget, observe
+from veilcam_server.calibration.measurements import Budget, measure
 from veilcam_server.calibration.result import CalibrationResult, make_record
 from veilcam_server.calibration.rig import Geometry, Rig
 from veilcam_server.calibration.targets import CalibrationScene
@@ -53,9 +53,9 @@ def calibrate(
         reach: which sub-pixels decoders let interfere.
         timeout: longest wait for one reading [s].
         budget: how much is read.
-        advance: called after each of ``budget.captures(geometry)`` exposures.
-        check: called after each of them and before each evaluation of a fit; what it raises ends
-            the calibration.
+        advance: called after each of ``budget.captures(geometry)`` exposures; what it raises ends
+            the calibration, as what ``check`` does.
+        check: called before each evaluation of a fit.
         fitting: called once everything is read; the panel is opaque from then on.
         clock: monotonic time [s].
 
@@ -71,19 +71,15 @@ def calibrate(
             geometry.embedding.shape,
             fence=Fence(settle, timeout),
             repeats=budget.repeats,
-            advance=advanced,
+            advance=advance,
             clock=clock,
         )
 
-    def advanced() -> None:
-        advance()
-        check()
-
     try:
-        seen = observe(rig, geometry, set_scene, longest=longest, reach=reach, budget=budget)
+        measured = measure(rig, geometry, set_scene, longest=longest, reach=reach, budget=budget)
     finally:
         device.display.blank()
     fitting()
-    found = fit(seen, geometry, reach=reach, patterns=budget.patterns, check=check)
+    found = fit(measured, geometry, reach=reach, patterns=budget.patterns, check=check)
     record = make_record(found, device, exposure=exposure, tab=tab, geometry=geometry.digest)
     return Calibrated(record, found)

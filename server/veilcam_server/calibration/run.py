@@ -83,12 +83,13 @@ class Run:
         self.check()
 
     def advance(self) -> None:
-        """One more exposure was taken."""
+        """One more exposure was taken; raises :class:`CancelledError` if it is to end."""
         with self._lock:
             exposures = self._state.exposures + 1
             self._state = self._state.model_copy(update={"exposures": exposures})
             if exposures % self._every == 0:
                 self._report(self._state)
+        self.check()
 
     def cancel(self) -> None:
         """Let the next exposure, fit or wait end it."""
