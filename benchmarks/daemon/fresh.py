@@ -28,6 +28,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -37,7 +38,9 @@ import torch
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from veilcam_client.wire.captures import EveryCaptures, Form
+from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.wire.events import Event, MaskChanged
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.epoch_names import EpochNames
@@ -50,7 +53,6 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, Display, Shown
 from veilcam_server.devices.base import Levels, Reading
 from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Mask, Reader
 from veilcam_training.bundle import Bundle, Fresh, build_untrained
@@ -135,7 +137,7 @@ class MarkedReader:
     reader: Reader
     fingerprint: bytes
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Classify as the reader does."""
         return self.reader.classify(embedding)
 
@@ -314,7 +316,13 @@ def soak(
         outcome.masks.append(setting.fingerprints.of(levels))
 
     camera = setting.camera(directory, tell, settle=settle, granted=granted)
-    camera.listen(outcome.names.append, lambda *_: None, lambda: None)
+
+    def note(make: Callable[..., Event]) -> None:
+        event = make(id="", at=datetime.now(UTC))
+        if isinstance(event, MaskChanged):
+            outcome.names.append(event.epoch)
+
+    camera.listen(note)
     ended = threading.Event()
 
     def meddle() -> None:

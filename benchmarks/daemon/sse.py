@@ -26,8 +26,8 @@ import typer
 
 from veilcam_client import AsyncCamera
 from veilcam_client.http.sse import Decoder
-from veilcam_client.wire.captures import EveryCaptures, RotationOff
 from veilcam_client.wire.events import EVENT, Event, Gap, RotationChanged
+from veilcam_client.wire.rotation import EveryCaptures, RotationOff
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import KEYRING, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene

@@ -34,17 +34,7 @@ from veilcam_client.wire.calibration import (
     CalibrationStatus,
     SignedCalibration,
 )
-from veilcam_client.wire.captures import (
-    Capture,
-    Classification,
-    Embedding,
-    EveryCaptures,
-    EverySeconds,
-    Rotation,
-    RotationOff,
-    RotationPolicy,
-    Status,
-)
+from veilcam_client.wire.captures import Capture, Classification, Embedding
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
     CalibrationChanged,
@@ -59,7 +49,15 @@ from veilcam_client.wire.events import (
     StateChanged,
 )
 from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.rotation import (
+    EveryCaptures,
+    EverySeconds,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
+)
 from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token
 
 __version__ = version("veilcam")

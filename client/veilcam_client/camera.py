@@ -15,11 +15,13 @@ from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.transport import HttpClient, Options, RetryPolicy, Transport
 from veilcam_client.wire.bundles import Keyring
 from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
-from veilcam_client.wire.captures import Capture, Classification, Rotation, RotationPolicy, Status
+from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import HeldScene, picture_bytes
+from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token
 
 DEFAULT_URL = "http://127.0.0.1:8787"

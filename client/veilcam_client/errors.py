@@ -17,9 +17,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 
-from veilcam_client.wire.captures import FieldError, Problem
+
+@dataclass(frozen=True, slots=True)
+class FieldError:
+    """One field that was refused."""
+
+    location: str
+    message: str
 
 
 class VeilcamError(Exception):
@@ -84,16 +90,26 @@ class RecordingError(VeilcamError):
 class ApiError(VeilcamError):
     """The daemon answered with a problem; ``errors`` names the fields at fault."""
 
-    def __init__(self, problem: Problem, retry_after: float | None = None) -> None:
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: str,
+        status: int,
+        request_id: str,
+        retryable: bool,
+        retry_after: float | None,
+        errors: tuple[FieldError, ...],
+    ) -> None:
         super().__init__(
-            problem.detail,
-            code=problem.code,
-            status=problem.status,
-            request_id=problem.request_id,
-            retryable=problem.retryable,
+            message,
+            code=code,
+            status=status,
+            request_id=request_id,
+            retryable=retryable,
             retry_after=retry_after,
         )
-        self.errors: tuple[FieldError, ...] = problem.errors
+        self.errors = errors
 
 
 class UnauthorizedError(ApiError):
@@ -122,18 +138,3 @@ class DeviceError(ApiError):
 
 class ServerError(ApiError):
     """A defect of the daemon."""
-
-
-_BY_CODE: Mapping[str, type[ApiError]] = {
-    "unauthorized": UnauthorizedError,
-    "forbidden": ForbiddenError,
-    "leased": LeasedError,
-}
-_BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
-
-
-def error_from_problem(problem: Problem, retry_after: float | None = None) -> ApiError:
-    """Return the error for a problem, chosen by its code or else by its HTTP status."""
-    other = ServerError if problem.status >= 500 else InvalidRequestError
-    kind = _BY_CODE.get(problem.code) or _BY_STATUS.get(problem.status, other)
-    return kind(problem, retry_after)

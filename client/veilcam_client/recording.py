@@ -11,13 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import BinaryIO, Literal, Protocol
 
 from pydantic import ValidationError
 
-from veilcam_client.camera import Camera
 from veilcam_client.errors import RecordingError
-from veilcam_client.wire.captures import Answer, Capture, Classification, Exposure, Status
+from veilcam_client.wire.base import Answer
+from veilcam_client.wire.captures import Capture, Classification, Exposure, Prediction
+from veilcam_client.wire.status import Status
 
 MAX_BYTES = 2**28
 """Of a recording: some 16,000 captures of 24 x 32 [bytes]."""
@@ -33,19 +34,11 @@ class Header(Answer):
     """Of the camera when the recording began."""
 
 
-class Verdict(Answer):
-    """What the camera said of a capture."""
-
-    label: str
-    confidence: float
-    scores: dict[str, float]
-
-
 class Recorded(Answer):
     """One capture; every other line is one."""
 
     capture: Capture
-    verdict: Verdict | None = None
+    verdict: Prediction | None = None
 
     @property
     def exposure(self) -> Exposure:
@@ -63,8 +56,21 @@ class Recording:
     captures: tuple[Recorded, ...]
 
 
+class Recordable(Protocol):
+    """A camera, as far as it is recorded."""
+
+    def status(self) -> Status:
+        """State, device, bundle and release."""
+
+    def capture(self) -> Capture:
+        """Take one embedding."""
+
+    def classify(self, *, include_embedding: bool = False) -> Classification:
+        """Take one embedding and classify it."""
+
+
 def record(
-    camera: Camera,
+    camera: Recordable,
     path: Path,
     *,
     count: int,
@@ -133,7 +139,7 @@ def read_recording(path: Path) -> Recording:
     return Recording(header, captures)
 
 
-def _take(camera: Camera, *, labels: bool) -> Recorded:
+def _take(camera: Recordable, *, labels: bool) -> Recorded:
     if not labels:
         return Recorded(capture=camera.capture())
     return _split(camera.classify(include_embedding=True))
@@ -153,9 +159,7 @@ def _split(answer: Classification) -> Recorded:
             replay=answer.replay,
             timing=answer.timing,
         ),
-        verdict=Verdict(
-            label=answer.label, confidence=answer.confidence, scores=dict(answer.scores)
-        ),
+        verdict=Prediction(label=answer.label, confidence=answer.confidence, scores=answer.scores),
     )
 
 

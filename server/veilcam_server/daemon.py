@@ -11,8 +11,8 @@ import structlog
 import torch
 import uvicorn
 
-from veilcam_client.wire.captures import BundleInfo
-from veilcam_client.wire.captures import Device as DeviceInfo
+from veilcam_client.wire.bundles import BundleInfo
+from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
 from veilcam_server.bundles.manager import Keyrings
@@ -35,7 +35,7 @@ from veilcam_server.errors import (
     StartError,
     StoppedError,
 )
-from veilcam_server.security.admission import open_gateway
+from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
 from veilcam_server.service.service import Service
@@ -126,7 +126,7 @@ def _identity(settings: Settings, bundle: BundleInfo, device: Device) -> Identit
 
 
 class _Server(uvicorn.Server):
-    """Says when it listens, and ends event streams before it waits for its connections."""
+    """Says when it listens, ends when the device is lost, and event streams before connections."""
 
     def __init__(
         self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
@@ -139,9 +139,8 @@ class _Server(uvicorn.Server):
         if self.started:
             self._on_listening()
 
-    def end(self) -> None:
-        """Shut down as if told by a signal."""
-        self.should_exit = True
+    async def on_tick(self, counter: int) -> bool:
+        return await super().on_tick(counter) or self._service.lost is not None
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         notify("STOPPING=1")
@@ -193,9 +192,9 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_gateway(settings) as gateway:
+        with open_admission(settings) as admission:
             config = uvicorn.Config(
-                create_app(service, gateway),
+                create_app(service, admission),
                 log_config=None,
                 access_log=False,
                 server_header=False,
@@ -207,7 +206,6 @@ def _serve(
             log.info("start", urls=urls, device=what, auth=settings.auth)
             if settings.auth == "none":
                 log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
-            service.on_lost(server.end)
             server.run([listener.socket for listener in listeners])
             if service.lost is not None:
                 raise StoppedError(str(service.lost))

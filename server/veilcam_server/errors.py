@@ -1,6 +1,44 @@
-"""What the daemon itself refuses or fails at; device errors live in ``devices/errors.py``."""
+"""Errors of the daemon and their problem codes; those of devices live in ``devices/errors.py``."""
 
 from __future__ import annotations
+
+from typing import ClassVar
+
+
+class ProblemError(Exception):
+    """What a caller is told of as a problem. Every kind has a stable code of its own.
+
+    Attributes:
+        code: stable, machine-readable.
+        status: of the answer in HTTP.
+        title: what the code always means.
+        detail: what is told where nothing more is known.
+        retryable: whether the same request may succeed later.
+        retry_after: what to wait before that [s].
+    """
+
+    code: ClassVar[str]
+    status: ClassVar[int]
+    title: ClassVar[str]
+    detail: ClassVar[str]
+    retryable: ClassVar[bool]
+    retry_after: int = 1
+
+    def __init_subclass__(
+        cls,
+        *,
+        code: str | None = None,
+        status: int = 500,
+        title: str = "",
+        detail: str = "",
+        retryable: bool = False,
+    ) -> None:
+        if code is not None:  # another cause of what its base is called
+            cls.code, cls.status, cls.title, cls.retryable = code, status, title, retryable
+            cls.detail = detail
+
+    def __init__(self, detail: str | None = None) -> None:
+        super().__init__(self.detail if detail is None else detail)
 
 
 class StartError(Exception):
@@ -11,15 +49,33 @@ class StoppedError(Exception):
     """The daemon cannot go on and ended; one line that says what to do."""
 
 
-class EpochError(Exception):
+class EpochError(
+    ProblemError,
+    code="epoch_not_recorded",
+    status=503,
+    title="The mask epoch is not durable",
+    retryable=True,
+):
     """A mask epoch could not be recorded, so no mask may be shown under it."""
 
 
-class FenceError(Exception):
+class FenceError(
+    ProblemError,
+    code="fence_violated",
+    status=503,
+    title="The reading could not be trusted",
+    retryable=True,
+):
     """A reading that was not wholly exposed under one settled mask; it is thrown away."""
 
 
-class NotReadyError(Exception):
+class NotReadyError(
+    ProblemError,
+    code="not_ready",
+    status=503,
+    title="The camera takes no captures now",
+    retryable=True,
+):
     """The camera is in no state to take a capture."""
 
 
@@ -31,15 +87,25 @@ class UndecidedError(SelfTestError):
     """The self test cannot tell, for want of light or of steady light."""
 
 
-class RotationImpossibleError(Exception):
+class RotationImpossibleError(
+    ProblemError, code="rotation_impossible", status=409, title="There is no other mask"
+):
     """There is no other mask to change to."""
 
 
-class WithheldError(Exception):
+class WithheldError(
+    ProblemError, code="embedding_withheld", status=403, title="Embeddings are not released"
+):
     """An embedding was asked for, and this daemon lets none out."""
 
 
-class QueueFullError(Exception):
+class QueueFullError(
+    ProblemError,
+    code="queue_full",
+    status=429,
+    title="Too many captures are waiting",
+    retryable=True,
+):
     """Too many captures are waiting already; ``retry_after`` [s]."""
 
     def __init__(self, limit: int, retry_after: int) -> None:
@@ -47,46 +113,68 @@ class QueueFullError(Exception):
         self.retry_after = retry_after
 
 
-class IdempotencyError(Exception):
+class IdempotencyError(
+    ProblemError,
+    code="idempotency_key_reused",
+    status=422,
+    title="The idempotency key belongs to another request",
+):
     """An idempotency key that came before with another request."""
 
 
-class HostRefusedError(Exception):
+class HostRefusedError(
+    ProblemError,
+    code="host_refused",
+    status=421,
+    title="This host name is not served",
+    detail="this daemon answers to localhost only: use http://localhost:PORT",
+):
     """The ``Host`` of a request is not this machine."""
 
-    def __init__(self) -> None:
-        super().__init__("this daemon answers to localhost only: use http://localhost:PORT")
 
-
-class UnauthorizedError(Exception):
+class UnauthorizedError(
+    ProblemError,
+    code="unauthorized",
+    status=401,
+    title="A valid token is wanted",
+    detail=(
+        "this daemon wants a valid token: make one with 'veilcamd token create' and send it "
+        "as Authorization: Bearer"
+    ),
+):
     """No valid token came with the request; why it is not valid stays here."""
 
-    def __init__(self) -> None:
-        super().__init__(
-            "this daemon wants a valid token: make one with 'veilcamd token create' and send it "
-            "as Authorization: Bearer"
-        )
 
-
-class ForbiddenError(Exception):
+class ForbiddenError(
+    ProblemError, code="forbidden", status=403, title="The token does not allow this"
+):
     """The caller may not do this."""
 
 
-class CalibratingError(NotReadyError):
+class CalibratingError(
+    NotReadyError,
+    code="calibrating",
+    status=503,
+    title="The camera is being calibrated",
+    retryable=True,
+    detail="the camera is being calibrated: see GET /v1/calibration",
+):
     """The camera is being measured, and takes no captures meanwhile."""
 
-    def __init__(self) -> None:
-        super().__init__("the camera is being calibrated: see GET /v1/calibration")
 
-
-class NotCalibratingError(Exception):
+class NotCalibratingError(
+    ProblemError,
+    code="not_calibrating",
+    status=409,
+    title="No calibration is under way",
+    detail="no calibration is under way: begin one with POST /v1/calibration",
+):
     """No calibration is under way."""
 
-    def __init__(self) -> None:
-        super().__init__("no calibration is under way: begin one with POST /v1/calibration")
 
-
-class SceneNotWantedError(Exception):
+class SceneNotWantedError(
+    ProblemError, code="scene_not_wanted", status=409, title="This scene is not waited for"
+):
     """Another scene is waited for, or none."""
 
     def __init__(self, given: str, wanted: str | None) -> None:
@@ -94,55 +182,81 @@ class SceneNotWantedError(Exception):
         super().__init__(f"{what} waited for, not {given!r}: see GET /v1/calibration")
 
 
-class CalibrationError(Exception):
+class CalibrationError(
+    ProblemError,
+    code="calibration_impossible",
+    status=409,
+    title="This camera cannot be calibrated",
+):
     """A measurement or a record that cannot be used, or made; the message says what to do."""
 
 
-class ReplayingError(Exception):
+class ReplayingError(
+    ProblemError,
+    code="replaying",
+    status=409,
+    title="A recording cannot do this",
+    detail="there is no panel and no sensor: this daemon replays a recording",
+):
     """What is asked for needs a camera, and there is a recording only."""
 
-    def __init__(
-        self, why: str = "there is no panel and no sensor: this daemon replays a recording"
-    ) -> None:
-        super().__init__(why)
 
-
-class ReplayOverError(ReplayingError):
+class ReplayOverError(
+    ReplayingError, code="replay_over", status=409, title="The recording is over"
+):
     """The recording has come to its end."""
 
     def __init__(self, count: int) -> None:
         super().__init__(f"all {count} captures were replayed: start the daemon again")
 
 
-class SceneApiOffError(Exception):
+class SceneApiOffError(
+    ProblemError,
+    code="scene_api_off",
+    status=409,
+    title="No scenes are held up by program",
+    detail="this daemon takes no scenes: start it with --simulate --scene-api",
+):
     """Scenes are not held up by program before this camera."""
 
-    def __init__(self) -> None:
-        super().__init__("this daemon takes no scenes: start it with --simulate --scene-api")
 
-
-class SceneInvalidError(Exception):
+class SceneInvalidError(ProblemError, code="scene_invalid", status=422, title="This is no picture"):
     """What should be held up is no picture."""
 
 
-class UnknownTokenError(Exception):
+class UnknownTokenError(
+    ProblemError, code="unknown_token", status=404, title="There is no such token"
+):
     """There is no token of this id."""
 
 
-class TokenStoreError(Exception):
+class TokenStoreError(
+    ProblemError,
+    code="tokens_unavailable",
+    status=503,
+    title="The tokens are out of reach",
+    retryable=True,
+):
     """The tokens cannot be read or written."""
 
 
-class TokensOffError(Exception):
+class TokensOffError(
+    ProblemError,
+    code="tokens_off",
+    status=409,
+    title="This daemon wants no tokens",
+    detail="this daemon wants no tokens: start it with --auth tokens, or use 'veilcamd token'",
+):
     """Tokens are asked about, and this daemon wants none."""
 
-    def __init__(self) -> None:
-        super().__init__(
-            "this daemon wants no tokens: start it with --auth tokens, or use 'veilcamd token'"
-        )
 
-
-class RateLimitError(Exception):
+class RateLimitError(
+    ProblemError,
+    code="rate_limited",
+    status=429,
+    title="Too many requests in a short time",
+    retryable=True,
+):
     """A caller asks too often; ``retry_after`` [s]."""
 
     def __init__(self, rate: float, retry_after: int) -> None:
@@ -150,21 +264,35 @@ class RateLimitError(Exception):
         self.retry_after = retry_after
 
 
-class TooManyRequestsError(Exception):
+class TooManyRequestsError(
+    ProblemError,
+    code="too_many_requests",
+    status=429,
+    title="Too many requests at once",
+    retryable=True,
+):
     """A caller has too many requests under way."""
 
     def __init__(self, limit: int) -> None:
         super().__init__(f"{limit} of your requests are under way: wait for one of them to end")
 
 
-class TooManyStreamsError(Exception):
+class TooManyStreamsError(
+    ProblemError,
+    code="too_many_streams",
+    status=429,
+    title="Too many event streams are open",
+    retryable=True,
+):
     """Too many event streams are open."""
 
     def __init__(self, limit: int) -> None:
         super().__init__(f"{limit} event streams are open: close one that nobody reads")
 
 
-class LeasedError(Exception):
+class LeasedError(
+    ProblemError, code="leased", status=423, title="Somebody else holds the camera", retryable=True
+):
     """Somebody else holds the camera; ``retry_after`` [s]."""
 
     def __init__(self, owner: str, retry_after: int) -> None:
@@ -172,48 +300,73 @@ class LeasedError(Exception):
         self.retry_after = retry_after
 
 
-class UnknownKeyringError(Exception):
+class UnknownKeyringError(
+    ProblemError,
+    code="unknown_keyring",
+    status=404,
+    title="There is no such keyring",
+    detail="there is no keyring of this digest: see GET /v1/keyrings",
+):
     """There is no keyring of this digest."""
 
-    def __init__(self) -> None:
-        super().__init__("there is no keyring of this digest: see GET /v1/keyrings")
 
-
-class KeyringInvalidError(Exception):
+class KeyringInvalidError(
+    ProblemError, code="keyring_invalid", status=422, title="This is no keyring that can be used"
+):
     """A file that is no whole bundle."""
 
 
-class KeyringUnfitError(Exception):
+class KeyringUnfitError(
+    ProblemError, code="keyring_unfit", status=409, title="The keyring does not fit this camera"
+):
     """A bundle for another camera than the one that is there."""
 
 
-class KeyringInUseError(Exception):
+class KeyringInUseError(
+    ProblemError,
+    code="keyring_in_use",
+    status=409,
+    title="The keyring is in use",
+    detail="this keyring is in use, or the daemon was started with it: it stays",
+):
     """A keyring that cannot be removed."""
 
-    def __init__(self) -> None:
-        super().__init__("this keyring is in use, or the daemon was started with it: it stays")
 
-
-class KeyringsFullError(Exception):
+class KeyringsFullError(
+    ProblemError, code="keyrings_full", status=409, title="Too many keyrings are installed"
+):
     """Too many keyrings are installed."""
 
     def __init__(self, capacity: int) -> None:
         super().__init__(f"{capacity} keyrings are installed: remove one first")
 
 
-class KeyringsBusyError(Exception):
+class KeyringsBusyError(
+    ProblemError,
+    code="keyrings_busy",
+    status=503,
+    title="The keyrings are being changed",
+    retryable=True,
+    detail="another change of keyrings is under way: try again when it is done",
+):
     """Another change of keyrings is under way."""
 
-    def __init__(self) -> None:
-        super().__init__("another change of keyrings is under way: try again when it is done")
 
-
-class KeyringStoreError(Exception):
+class KeyringStoreError(
+    ProblemError,
+    code="keyring_not_stored",
+    status=503,
+    title="The keyring is not durable",
+    retryable=True,
+):
     """A keyring could not be made durable."""
 
 
-class InferenceError(Exception):
+class InferenceError(
+    ProblemError,
+    code="inference_failed",
+    status=503,
+    title="The classifier gave no probabilities",
+    detail="the classifier gave no probabilities for this reading: train it again",
+):
     """A classifier gave no numbers for a reading."""
-
-    def __init__(self) -> None:
-        super().__init__("the classifier gave no probabilities for this reading: train it again")

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from veilcam_client.wire.captures import Release, RotationPolicy
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_server.demo_data import KEYRING
 
 GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")

@@ -6,6 +6,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeAlias
 
@@ -16,8 +17,10 @@ import pytest
 import structlog
 import torch
 
-from veilcam_client.wire.captures import Device as DeviceInfo
-from veilcam_client.wire.captures import Release, RotationOff, RotationPolicy
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.events import Event, MaskChanged, StateChanged
+from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
@@ -35,7 +38,7 @@ from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
@@ -198,6 +201,14 @@ class Bench:
     states: list[tuple[str, str | None]] = field(default_factory=list)
     calibration: CalibrationService | None = None
 
+    def note(self, make: Callable[..., Event]) -> None:
+        """Remember new epochs and states."""
+        event = make(id="", at=datetime.now(UTC))
+        if isinstance(event, MaskChanged):
+            self.epochs.append(event.epoch)
+        elif isinstance(event, StateChanged):
+            self.states.append((event.state, event.detail))
+
     def camera(
         self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
     ) -> MaskedCamera:
@@ -210,11 +221,7 @@ class Bench:
             policy=policy,
             test_every=test_every,
         )
-        camera.listen(
-            self.epochs.append,
-            lambda state, detail: self.states.append((state, detail)),
-            lambda: None,
-        )
+        camera.listen(self.note)
         try:
             camera.rotate()
         except BaseException:
@@ -247,13 +254,13 @@ class Bench:
             queue_limit=queue_limit,
             heartbeat=0.05,
         )
-        on_mask, on_state = camera._panel.on_mask, camera._panel.on_state
+        publish = camera._panel.publish
 
-        def mask(epoch: str) -> None:
-            self.epochs.append(epoch)
-            on_mask(epoch)
+        def note(make: Callable[..., Event]) -> None:
+            self.note(make)
+            publish(make)
 
-        camera.listen(mask, on_state, camera.preparation.on_ready)
+        camera.listen(note)
         return service
 
     def pair_shown(self) -> int | None:
@@ -318,13 +325,13 @@ def running(bench: Bench) -> Running:
         settle: float = 0.0,
         raising: bool = True,
         on: Bench | None = None,
-        gateway: Gateway | None = None,
+        admission: Admission | None = None,
     ) -> AsyncIterator[httpx.AsyncClient]:
         chosen = on or bench
         service = chosen.service(
             chosen.camera(policy=policy, settle=settle), queue_limit=queue_limit
         )
-        app = create_app(service, gateway)
+        app = create_app(service, admission)
         transport = httpx.ASGITransport(app, raise_app_exceptions=raising)
         async with (
             service.open(),

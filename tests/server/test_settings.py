@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from veilcam_client.wire.captures import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.cli.main import app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.demo_data import KEYRING

@@ -44,12 +44,16 @@ import typer
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
-from veilcam_server.api.problems import code_of
 from veilcam_server.bundles.loader import Opener
 from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
-from veilcam_server.errors import InferenceError, KeyringInvalidError, KeyringUnfitError
+from veilcam_server.errors import (
+    InferenceError,
+    KeyringInvalidError,
+    KeyringUnfitError,
+    ProblemError,
+)
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
@@ -616,9 +620,8 @@ async def disturb(service: Service, content: bytes) -> str | None:
             return "what was only sent is in use"
         await service.activate_keyring(keyring.digest)
         wanted, epoch = keyring.bundle, service.rotation().epoch
-    except Exception as error:
-        if code_of(error) is None:
-            raise
+    except ProblemError:
+        pass
     if service.status().bundle != wanted or service.rotation().epoch != epoch:
         return "another keyring or mask is in use"
     try:

@@ -35,7 +35,8 @@ import torch
 import typer
 from rich.progress import track
 
-from veilcam_client.wire.captures import EveryCaptures, Form
+from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.simulation.operator import Response
 from veilcam_server.camera.camera import MaskedCamera
@@ -51,7 +52,6 @@ from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R, TABS
 from veilcam_server.errors import EpochError, FenceError, NotReadyError
-from veilcam_server.masks.classifier import Verdict
 from veilcam_server.masks.source import Mask
 from veilcam_training.experiments.records import record_figures
 
@@ -80,7 +80,7 @@ class Numbered:
 
     counter: int
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Labels play no part here."""
         raise NotImplementedError
 

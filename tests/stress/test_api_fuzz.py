@@ -20,7 +20,7 @@ import structlog
 import uvicorn
 
 from veilcam_server.api.app import create_app
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import RateLimit
 from veilcam_server.security.tokens import TokenStore
@@ -55,7 +55,7 @@ def store(tmp_path: Path) -> Iterator[TokenStore]:
 def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
     """URL of an application that listens, with a log and audit files."""
     audit, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
-    gateway = Gateway(store, True, audit, refused, RateLimit(1e6, 1000))
+    admission = Admission(store, True, audit, refused, RateLimit(1e6, 1000))
     service = bench.service(bench.camera())
     with (
         (tmp_path / "log").open("w") as log,
@@ -64,7 +64,9 @@ def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
     ):
         listener.bind(("127.0.0.1", 0))
         structlog.configure(logger_factory=structlog.PrintLoggerFactory(log))
-        config = uvicorn.Config(create_app(service, gateway), log_config=None, server_header=False)
+        config = uvicorn.Config(
+            create_app(service, admission), log_config=None, server_header=False
+        )
         server = uvicorn.Server(config)
         thread = threading.Thread(target=lambda: asyncio.run(server.serve([listener])))
         thread.start()

@@ -6,18 +6,9 @@ from datetime import UTC, datetime
 
 from pydantic import ValidationError
 
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import BundleInfo, Keyring
 from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun, Quantity
-from veilcam_client.wire.captures import (
-    BundleInfo,
-    Capture,
-    Classification,
-    EverySeconds,
-    Preparation,
-    Rotation,
-    RotationOff,
-    RotationPolicy,
-)
+from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.events import (
     CalibrationChanged,
     CaptureTaken,
@@ -29,6 +20,13 @@ from veilcam_client.wire.events import (
     MaskChanged,
     RotationChanged,
     StateChanged,
+)
+from veilcam_client.wire.rotation import (
+    EverySeconds,
+    Preparation,
+    Rotation,
+    RotationOff,
+    RotationPolicy,
 )
 from veilcam_client.wire.tokens import Token
 

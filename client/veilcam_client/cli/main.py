@@ -33,14 +33,14 @@ from veilcam_client.cli.terminal import (
     print_json,
 )
 from veilcam_client.recording import record as write_recording
-from veilcam_client.wire.captures import (
+from veilcam_client.wire.lease import Lease
+from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
     Rotation,
     RotationOff,
     RotationPolicy,
 )
-from veilcam_client.wire.lease import Lease
 
 
 def lease(

@@ -19,13 +19,12 @@ from veilcam_client.errors import (
     ProtocolError,
     RequestTimeoutError,
     VeilcamError,
-    error_from_problem,
 )
 from veilcam_client.http.calls import Call
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.sse import Decoder, Message
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_client.wire.events import EVENT, EVENT_KINDS, Event
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,7 +298,7 @@ def _error(response: httpx.Response) -> VeilcamError:
             problem = Problem.model_validate_json(response.content)
         except ValidationError:
             return _unreadable(response, "a problem that cannot be read")
-        return error_from_problem(problem, _retry_after(response))
+        return problem.error(_retry_after(response))
     return _unreadable(response, f"HTTP {response.status_code} without problem details")
 
 

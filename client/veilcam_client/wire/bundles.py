@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
-from veilcam_client.wire.captures import Answer, BundleInfo
+from veilcam_client.wire.base import EXAMPLE_DIGEST, Answer
 
 BUNDLE_MEDIA_TYPE = "application/octet-stream"
+
+
+class BundleInfo(Answer):
+    """What training handed over, without its secrets."""
+
+    digest: str
+    """SHA-256 of the file."""
+    task: str
+    mode: str
+    """``pairs``: stored masks; ``fresh``: a new one for every epoch, drawn from a key."""
+    labels: tuple[str, ...]
+    embedding_shape: tuple[int, ...]
+    pairs: int
+    """Stored masks; 0 in mode ``fresh``."""
 
 
 class Keyring(Answer):
@@ -26,3 +40,17 @@ class Keyrings(Answer):
     """All of them."""
 
     keyrings: tuple[Keyring, ...]
+
+
+EXAMPLE_BUNDLE = BundleInfo(
+    digest=EXAMPLE_DIGEST,
+    task="mnist",
+    mode="pairs",
+    labels=("0", "1"),
+    embedding_shape=(2, 3),
+    pairs=6,
+)
+_KEYRING = Keyring(
+    digest=EXAMPLE_DIGEST, size=48_213, active=True, configured=False, bundle=EXAMPLE_BUNDLE
+)
+EXAMPLES = (_KEYRING, Keyrings(keyrings=(_KEYRING,)))

@@ -1,84 +1,26 @@
-"""The wire contract of the REST API, version 1. Times in seconds, wall-clock times in UTC.
-
-The server answers with these models and the SDK reads them. What is asked is closed (a field that
-is not known is refused); what is answered is open (a field that a newer server adds is ignored).
-"""
+"""Embeddings and labels, with proof of the mask that they were taken behind."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
+from pydantic import Field, model_validator
 
-API_VERSION = 1
+from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
+
 NPY_MEDIA_TYPE = "application/x-npy"
-PROBLEM_MEDIA_TYPE = "application/problem+json"
-
-State = Literal[
-    "starting", "self-test", "ready", "calibrating", "degraded", "safe", "replay", "stopping"
-]
-"""``safe``: the panel is opaque (or its content unknown) and no capture is taken; ``replay``: there
-is no panel, and captures come from a recording."""
 
 Form = Literal["flat", "white", "raw"]
 """What an embedding is: ``raw`` as it was read; ``flat`` without the exposure and without what the
 mean scene gives behind its mask; ``white`` decorrelated as well, so that masks look alike."""
+
 Release = Literal["none", "flat", "white", "raw"]
 """The form in which a daemon lets embeddings out; ``none``: not at all."""
-
-
-class Answer(BaseModel):
-    """What a daemon answers: checked strictly, and open to what a newer one adds."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
-
-
-class Question(BaseModel):
-    """What a client asks: checked strictly, and closed to what is not known."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class RotationOff(Question):
-    """The mask stays until it is changed by hand."""
-
-    mode: Literal["off"] = "off"
-
-
-class EverySeconds(Question):
-    """A new mask once the present one has been shown for ``seconds`` [s], or a little less."""
-
-    mode: Literal["seconds"] = "seconds"
-    seconds: float = Field(ge=0.1, le=86_400.0)
-    jitter: float = Field(default=0.0, ge=0.0, le=86_400.0)
-    """Each mask stays shorter by a random time of up to this [s], drawn anew for each."""
-    reuse: int = Field(default=0, ge=0, le=1_000_000)
-    """Captures that a mask may still serve when it is due and the next is not ready; 0 waits."""
-
-    @model_validator(mode="after")
-    def _check_jitter(self) -> EverySeconds:
-        if self.seconds - self.jitter < 0.1:
-            raise ValueError(
-                f"jitter {self.jitter:g} s leaves a mask less than 0.1 s of {self.seconds:g} s"
-            )
-        return self
-
-
-class EveryCaptures(Question):
-    """A new mask once the present one has served ``captures`` captures."""
-
-    mode: Literal["captures"] = "captures"
-    captures: int = Field(ge=1, le=1_000_000)
-    reuse: int = Field(default=0, ge=0, le=1_000_000)
-    """Captures more that a mask may serve when the next one is not ready; 0 waits for it."""
-
-
-RotationPolicy = Annotated[RotationOff | EverySeconds | EveryCaptures, Field(discriminator="mode")]
 
 
 class ClassificationRequest(Question):
@@ -173,6 +115,16 @@ class Capture(Answer):
         return self.embedding.__array__(dtype, copy)
 
 
+class Prediction(Answer):
+    """What a classifier makes of one embedding."""
+
+    label: str
+    confidence: float
+    """Probability of ``label``, in [0, 1]."""
+    scores: Mapping[str, float]
+    """Probability of every label, in the order of the bundle's labels; they sum to 1."""
+
+
 class Classification(Answer):
     """The label of what the camera saw."""
 
@@ -194,99 +146,28 @@ class Classification(Answer):
     timing: Timing
 
 
-class Preparation(Answer):
-    """Of the epoch that comes next: done in the background, so that no capture waits for it."""
-
-    ready: bool
-    prepared: int
-    """Epochs prepared so far."""
-    last_s: float
-    """How long the last one took; 0 before the first."""
-    late: int
-    """How many masks a capture found due before the next one was ready."""
-    reused: int
-    """Captures taken under a mask that was due, because the policy allows it."""
-
-
-class Rotation(Answer):
-    """How masks change, and which one is shown."""
-
-    policy: RotationPolicy
-    epoch: str | None
-    """None while no mask is shown."""
-    captures: int
-    """Taken under this epoch so far."""
-    preparation: Preparation
-
-
-class Device(Answer):
-    """The panel and the sensor."""
-
-    display: str
-    sensor: str
-    simulated: bool
-
-
-class BundleInfo(Answer):
-    """What training handed over, without its secrets."""
-
-    digest: str
-    """SHA-256 of the file."""
-    task: str
-    mode: str
-    """``pairs``: stored masks; ``fresh``: a new one for every epoch, drawn from a key."""
-    labels: tuple[str, ...]
-    embedding_shape: tuple[int, ...]
-    pairs: int
-    """Stored masks; 0 in mode ``fresh``."""
-
-
-class Queue(Answer):
-    """Captures admitted and not yet answered, and how many may be."""
-
-    waiting: int
-    limit: int
-
-
-class Status(Answer):
-    """The daemon at a glance."""
-
-    version: str
-    api_version: int
-    state: State
-    detail: str | None = None
-    """Why the state is not ``ready``."""
-    experiment: str | None = None
-    """``wrong-classifier`` when labels are meaningless on purpose."""
-    uptime_s: float
-    captures: int
-    release: Release
-    """In which form embeddings leave."""
-    device: Device
-    bundle: BundleInfo
-    rotation: Rotation
-    queue: Queue
-
-
-class FieldError(Answer):
-    """One field that was refused."""
-
-    location: str
-    message: str
-
-
-class Problem(Answer):
-    """Problem details (RFC 9457) with a stable ``code``."""
-
-    type: str
-    title: str
-    status: int
-    detail: str
-    instance: str
-    code: str
-    request_id: str
-    retryable: bool
-    errors: tuple[FieldError, ...] = ()
-
-
-POLICY: TypeAdapter[RotationPolicy] = TypeAdapter(RotationPolicy)
+_EXPOSURE = Exposure(started_after_shown_s=0.104, settle_s=0.1, duration_s=0.01)
+_TIMING = Timing(
+    queue_s=0.0, rotation_s=0.02, settle_s=0.08, capture_s=0.05, inference_s=0.001, total_s=0.16
+)
+EXAMPLES = (
+    ClassificationRequest(include_embedding=True),
+    Capture(
+        id="c0ffee00c0ffee00",
+        taken_at=EXAMPLE_TIME,
+        epoch=EXAMPLE_EPOCH,
+        embedding=Embedding(form="white", shape=(2, 3), values=(0.1, -1.2, 0.4, 0.9, -0.3, 0.0)),
+        exposure=_EXPOSURE,
+        timing=_TIMING,
+    ),
+    Classification(
+        id="c0ffee00c0ffee00",
+        taken_at=EXAMPLE_TIME,
+        epoch=EXAMPLE_EPOCH,
+        label="1",
+        confidence=0.98,
+        scores={"0": 0.02, "1": 0.98},
+        exposure=_EXPOSURE,
+        timing=_TIMING,
+    ),
+)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
+from importlib.metadata import version
 
 from pydantic import JsonValue
 
-from veilcam_client.wire.captures import Answer, State
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer
+from veilcam_client.wire.status import State
 
 
 class PastState(Answer):
@@ -43,3 +45,16 @@ class Diagnostics(Answer):
     """How many of each code there were since the start."""
     audit_lost: int
     """Lines of the audit log that could not be written."""
+
+
+EXAMPLES = (
+    Diagnostics(
+        versions={"veilcam": version("veilcam"), "python": "3.11.9"},
+        settings={"device": "pi", "queue_limit": 8, "bundle": "given"},
+        states=(PastState(at=EXAMPLE_TIME, state="ready", detail=None),),
+        faults=(PastFault(at=EXAMPLE_TIME, code="sensor_timeout", detail="no frame in 5 s"),),
+        events={"capture": 1200, "mask": 120},
+        fault_counts={"sensor_timeout": 1},
+        audit_lost=0,
+    ),
+)

@@ -7,8 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
+from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer
 from veilcam_client.wire.calibration import CalibrationRun
-from veilcam_client.wire.captures import Answer, RotationPolicy, State
+from veilcam_client.wire.rotation import RotationPolicy
+from veilcam_client.wire.status import State
 
 
 class _Event(Answer):
@@ -111,3 +113,6 @@ EVENT_KINDS = frozenset(
         *("fault", "gap"),
     )
 )
+
+
+EXAMPLE = MaskChanged(id="5ca1ab1e-7", at=EXAMPLE_TIME, epoch=EXAMPLE_EPOCH)

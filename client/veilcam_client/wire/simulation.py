@@ -7,7 +7,7 @@ import io
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_client.wire.captures import Answer
+from veilcam_client.wire.base import Answer
 
 PICTURE_MEDIA_TYPE = "application/octet-stream"
 
@@ -26,3 +26,6 @@ def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(picture), allow_pickle=False)
     return buffer.getvalue()
+
+
+EXAMPLES = (HeldScene(scene=1),)

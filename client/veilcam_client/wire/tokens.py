@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from pydantic import Field
 
-from veilcam_client.wire.captures import Answer, Question
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
 
 Scope = Literal[
     "read:status",
@@ -58,3 +58,20 @@ class Tokens(Answer):
     """Every token, the oldest first, revoked and expired ones included."""
 
     tokens: tuple[Token, ...]
+
+
+_TOKEN = Token(
+    id="0123456789ab",
+    label="lamp",
+    scopes=("classify", "read:status"),
+    created_at=EXAMPLE_TIME,
+    expires_at=None,
+    revoked_at=None,
+    last_used_on="2026-01-02",
+)
+EXAMPLES = (
+    TokenRequest(label="lamp", scopes=("classify", "read:status"), seconds=86_400),
+    _TOKEN,
+    NewToken(**_TOKEN.model_dump(), secret="vc_0123456789ab_" + "0f" * 32),
+    Tokens(tokens=(_TOKEN,)),
+)

@@ -11,32 +11,34 @@ from veilcam_client import __version__
 from veilcam_server.api import problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.middleware import RequestContext
-from veilcam_server.api.routes.bundles import PREFIX as KEYRINGS
-from veilcam_server.api.routes.bundles import router as keyring_router
-from veilcam_server.api.routes.calibration import router as calibration_router
-from veilcam_server.api.routes.captures import router
-from veilcam_server.api.routes.diagnostics import router as diagnostics_router
-from veilcam_server.api.routes.lease import router as lease_router
-from veilcam_server.api.routes.simulation import MAX_PICTURE
-from veilcam_server.api.routes.simulation import PATH as SCENE
-from veilcam_server.api.routes.simulation import router as simulation_router
-from veilcam_server.api.routes.tokens import router as token_router
-from veilcam_server.security.admission import Gateway
+from veilcam_server.api.routes import (
+    bundles,
+    calibration,
+    captures,
+    diagnostics,
+    events,
+    lease,
+    rotation,
+    simulation,
+    tokens,
+)
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.service.service import Service
 
 MAX_BODY = 16 * 1024
 """No request needs more than a few hundred bytes, but for uploads [bytes]."""
+_ROUTES = (captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation)
 
 
-def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
+def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
     """Return the API of ``service``; its lifespan opens and closes the service.
 
     Args:
         service: what the API does.
-        gateway: who may ask; without one everybody on this machine may, as tests want it.
+        admission: who may ask; without one everybody on this machine may, as tests want it.
     """
-    gateway = gateway or Gateway()
+    admission = admission or Admission()
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -63,22 +65,20 @@ def create_app(service: Service, gateway: Gateway | None = None) -> FastAPI:
         },
     )
     app.state.service = service
-    app.state.gateway = gateway
-    app.state.metrics = metrics = Metrics(service, gateway.audit)
+    app.state.admission = admission
+    app.state.metrics = metrics = Metrics(service, admission.audit)
     app.state.idempotency = IdempotencyKeys()
-    app.include_router(router)
-    app.include_router(lease_router)
-    app.include_router(token_router)
-    app.include_router(diagnostics_router)
-    app.include_router(calibration_router)
-    app.include_router(keyring_router)
-    app.include_router(simulation_router)
+    for routes in _ROUTES:
+        app.include_router(routes.router)
     problems.install(app)
     app.add_middleware(
         RequestContext,
-        gateway=gateway,
+        admission=admission,
         metrics=metrics,
         max_body=MAX_BODY,
-        max_uploads={("POST", KEYRINGS): service.keyrings.limit, ("PUT", SCENE): MAX_PICTURE},
+        max_uploads={
+            ("POST", bundles.PREFIX): service.upload_limit,
+            ("PUT", simulation.PATH): simulation.MAX_PICTURE,
+        },
     )
     return app

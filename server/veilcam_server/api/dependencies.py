@@ -1,4 +1,4 @@
-"""What routes have in common: the service, idempotency keys, and problems in OpenAPI."""
+"""Common ground of the routes: service, idempotency keys, lease, and problems in OpenAPI."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Header, Request
 from fastapi.openapi.constants import REF_PREFIX
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
 from veilcam_server.api.problems import PROBLEMS
-from veilcam_server.security.admission import Gateway
-from veilcam_server.security.caller import CallerDep
+from veilcam_server.api.scopes import CallerDep
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.service.service import Service
 
@@ -32,6 +32,18 @@ ALWAYS = (
 """What every route can answer with."""
 BODY = ("body_too_large", "invalid_request", "idempotency_key_reused")
 """What a route with a body can answer with besides."""
+DEVICE = (
+    "queue_full",
+    "calibrating",
+    "not_ready",
+    "rotation_impossible",
+    "display_failed",
+    "sensor_failed",
+    "sensor_timeout",
+    "fence_violated",
+    "epoch_not_recorded",
+)
+"""What a route that needs the device can answer with besides."""
 
 
 def problems(*codes: str) -> dict[int | str, dict[str, object]]:
@@ -54,9 +66,9 @@ async def _service(request: Request) -> Service:
     return service
 
 
-async def _gateway(request: Request) -> Gateway:
-    gateway: Gateway = request.app.state.gateway
-    return gateway
+async def _admission(request: Request) -> Admission:
+    admission: Admission = request.app.state.admission
+    return admission
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,5 +99,26 @@ async def _once(
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
-GatewayDep = Annotated[Gateway, Depends(_gateway)]
+AdmissionDep = Annotated[Admission, Depends(_admission)]
 OnceDep = Annotated[Once, Depends(_once)]
+
+
+async def _holder(
+    admission: AdmissionDep,
+    caller: CallerDep,
+    veilcam_lease: Annotated[str, Header(max_length=64)] = "",
+) -> str:
+    """Name of who asks: the token's, or what it was told when it took the lease."""
+    return veilcam_lease if admission.tokens is None else caller.id
+
+
+HolderDep = Annotated[str, Depends(_holder)]
+
+
+async def _free(admission: AdmissionDep, holder: HolderDep) -> None:
+    admission.lease.require(holder)
+
+
+def unleased() -> Any:
+    """For ``dependencies=[unleased()]``: 423 while somebody else holds the camera."""
+    return Depends(_free)

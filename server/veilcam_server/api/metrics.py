@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from veilcam_client.wire.captures import State
+from veilcam_client.wire.status import State
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.service.service import Service
 
@@ -21,6 +21,8 @@ _EVENTS = {
     "classification": ("veilcam_classifications", "Embeddings classified."),
     "mask": ("veilcam_masks_shown", "Masks shown."),
 }
+
+EXAMPLE = "# TYPE veilcam_captures_total counter\nveilcam_captures_total 1200.0\n"
 
 
 class Metrics:

@@ -16,8 +16,9 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from veilcam_server.api.metrics import Metrics
-from veilcam_server.api.problems import code_of, error_response, problem_response
-from veilcam_server.security.admission import Gateway
+from veilcam_server.api.problems import DefectError, error_response, problem_response
+from veilcam_server.errors import ProblemError
+from veilcam_server.security.admission import Admission
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 MAX_PATH = 128
@@ -32,12 +33,12 @@ class RequestContext:
     def __init__(
         self,
         app: ASGIApp,
-        gateway: Gateway,
+        admission: Admission,
         metrics: Metrics,
         max_body: int,
         max_uploads: Mapping[tuple[str, str], int],
     ) -> None:
-        self._app, self._gateway, self._metrics = app, gateway, metrics
+        self._app, self._admission, self._metrics = app, admission, metrics
         self._max_body, self._max_uploads = max_body, max_uploads
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -67,12 +68,9 @@ class RequestContext:
         try:
             with ExitStack() as stack:
                 try:
-                    state["caller"] = stack.enter_context(self._gateway.admitted(headers, peer))
-                except Exception as error:
-                    state["problem"] = code_of(error)
-                    if state["problem"] is None:
-                        raise
-                    response = error_response(error, instance=scope["path"], request_id=request_id)
+                    state["caller"] = stack.enter_context(self._admission.admitted(headers, peer))
+                except ProblemError as error:
+                    response = error_response(scope, error)
                     await response(scope, receive, send_with_id)
                     return
                 await self._app(scope, self._limited(scope, receive), send_with_id)
@@ -89,13 +87,8 @@ class RequestContext:
             )
             if status:
                 raise
-            state["problem"] = "internal_error"
-            response = problem_response(
-                code="internal_error",
-                detail="the daemon has a defect: its log tells more under this request id",
-                instance=scope["path"],
-                request_id=request_id,
-            )
+            detail = "the daemon has a defect: its log tells more under this request id"
+            response = problem_response(scope, DefectError, detail)
             await response(scope, receive, send_with_id)
         finally:
             log.info(
@@ -113,7 +106,7 @@ class RequestContext:
         only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
         if only_read and status < 400:
             return
-        self._gateway.note(
+        self._admission.note(
             state["caller"],
             f"{scope['method']} {path[:MAX_PATH]}",
             code=state["problem"],

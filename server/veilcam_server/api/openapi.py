@@ -3,17 +3,51 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.constants import REF_PREFIX
+from pydantic import BaseModel
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, Problem
-from veilcam_server.api.examples import EVENTS, EXAMPLES, METRICS
+from veilcam_client.wire import (
+    bundles,
+    calibration,
+    captures,
+    diagnostics,
+    events,
+    lease,
+    rotation,
+    simulation,
+    status,
+    tokens,
+)
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_server.api import metrics
 from veilcam_server.api.problems import example_of
 
-_TEXTS = {"text/plain": METRICS, "text/event-stream": EVENTS}
+_EVENT = events.EXAMPLE
+_TEXTS = {
+    "text/plain": metrics.EXAMPLE,
+    "text/event-stream": (
+        f"event: {_EVENT.kind}\nid: {_EVENT.id}\ndata: {_EVENT.model_dump_json()}\n\n"
+    ),
+}
+_MODULES = (
+    bundles,
+    calibration,
+    captures,
+    diagnostics,
+    lease,
+    rotation,
+    simulation,
+    status,
+    tokens,
+)
+_EXAMPLES: Mapping[str, BaseModel] = {
+    type(example).__name__: example for module in _MODULES for example in module.EXAMPLES
+}
+"""By the name of the model."""
 
 
 def document(app: FastAPI) -> dict[str, Any]:
@@ -47,9 +81,9 @@ def _add_examples(operation: dict[str, Any]) -> None:
                 continue
             else:
                 examples = {
-                    name: json.loads(EXAMPLES[name].model_dump_json())
+                    name: json.loads(_EXAMPLES[name].model_dump_json())
                     for name in _models(content.get("schema", {}))
-                    if name in EXAMPLES
+                    if name in _EXAMPLES
                 }
             if examples:
                 content["examples"] = {name: {"value": value} for name, value in examples.items()}

@@ -4,186 +4,115 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from http import HTTPStatus
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
+from starlette.types import Scope
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE, FieldError, Problem
-from veilcam_server.devices.errors import DisplayError, SensorError, SensorTimeoutError
-from veilcam_server.errors import (
-    CalibratingError,
-    CalibrationError,
-    EpochError,
-    FenceError,
-    ForbiddenError,
-    HostRefusedError,
-    IdempotencyError,
-    InferenceError,
-    KeyringInUseError,
-    KeyringInvalidError,
-    KeyringsBusyError,
-    KeyringsFullError,
-    KeyringStoreError,
-    KeyringUnfitError,
-    LeasedError,
-    NotCalibratingError,
-    NotReadyError,
-    QueueFullError,
-    RateLimitError,
-    ReplayingError,
-    ReplayOverError,
-    RotationImpossibleError,
-    SceneApiOffError,
-    SceneInvalidError,
-    SceneNotWantedError,
-    TokensOffError,
-    TokenStoreError,
-    TooManyRequestsError,
-    TooManyStreamsError,
-    UnauthorizedError,
-    UnknownKeyringError,
-    UnknownTokenError,
-    WithheldError,
-)
+from veilcam_client.errors import FieldError
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_server import errors as daemon_errors
+from veilcam_server.devices import errors as device_errors
+from veilcam_server.errors import ProblemError, UnauthorizedError
 
 
-@dataclass(frozen=True, slots=True)
-class ProblemType:
-    """What a code always means."""
-
-    status: int
-    title: str
-    retryable: bool = False
+class BadRequestError(
+    ProblemError, code="bad_request", status=400, title="The request cannot be read"
+):
+    """A request that is no HTTP or no JSON."""
 
 
-PROBLEMS: Mapping[str, ProblemType] = {
-    "bad_request": ProblemType(400, "The request cannot be read"),
-    "unauthorized": ProblemType(401, "A valid token is wanted"),
-    "forbidden": ProblemType(403, "The token does not allow this"),
-    "embedding_withheld": ProblemType(403, "Embeddings are not released"),
-    "not_found": ProblemType(404, "There is nothing at this path"),
-    "unknown_token": ProblemType(404, "There is no such token"),
-    "unknown_keyring": ProblemType(404, "There is no such keyring"),
-    "method_not_allowed": ProblemType(405, "This path does not take this method"),
-    "not_acceptable": ProblemType(406, "None of the accepted media types can be given"),
-    "rotation_impossible": ProblemType(409, "There is no other mask"),
-    "keyring_unfit": ProblemType(409, "The keyring does not fit this camera"),
-    "keyring_in_use": ProblemType(409, "The keyring is in use"),
-    "keyrings_full": ProblemType(409, "Too many keyrings are installed"),
-    "not_calibrating": ProblemType(409, "No calibration is under way"),
-    "scene_not_wanted": ProblemType(409, "This scene is not waited for"),
-    "calibration_impossible": ProblemType(409, "This camera cannot be calibrated"),
-    "tokens_off": ProblemType(409, "This daemon wants no tokens"),
-    "replaying": ProblemType(409, "A recording cannot do this"),
-    "replay_over": ProblemType(409, "The recording is over"),
-    "scene_api_off": ProblemType(409, "No scenes are held up by program"),
-    "body_too_large": ProblemType(413, "The body is too large"),
-    "host_refused": ProblemType(421, "This host name is not served"),
-    "invalid_request": ProblemType(422, "The request is not valid"),
-    "keyring_invalid": ProblemType(422, "This is no keyring that can be used"),
-    "scene_invalid": ProblemType(422, "This is no picture"),
-    "idempotency_key_reused": ProblemType(422, "The idempotency key belongs to another request"),
-    "leased": ProblemType(423, "Somebody else holds the camera", retryable=True),
-    "queue_full": ProblemType(429, "Too many captures are waiting", retryable=True),
-    "rate_limited": ProblemType(429, "Too many requests in a short time", retryable=True),
-    "too_many_requests": ProblemType(429, "Too many requests at once", retryable=True),
-    "too_many_streams": ProblemType(429, "Too many event streams are open", retryable=True),
-    "internal_error": ProblemType(500, "The daemon has a defect"),
-    "not_ready": ProblemType(503, "The camera takes no captures now", retryable=True),
-    "calibrating": ProblemType(503, "The camera is being calibrated", retryable=True),
-    "display_failed": ProblemType(503, "The panel failed", retryable=True),
-    "sensor_failed": ProblemType(503, "The sensor failed", retryable=True),
-    "sensor_timeout": ProblemType(503, "The sensor gave no reading in time", retryable=True),
-    "fence_violated": ProblemType(503, "The reading could not be trusted", retryable=True),
-    "tokens_unavailable": ProblemType(503, "The tokens are out of reach", retryable=True),
-    "inference_failed": ProblemType(503, "The classifier gave no probabilities"),
-    "keyrings_busy": ProblemType(503, "The keyrings are being changed", retryable=True),
-    "keyring_not_stored": ProblemType(503, "The keyring is not durable", retryable=True),
-    "epoch_not_recorded": ProblemType(503, "The mask epoch is not durable", retryable=True),
+class NotFoundError(
+    ProblemError, code="not_found", status=404, title="There is nothing at this path"
+):
+    """A path of no route."""
+
+
+class MethodNotAllowedError(
+    ProblemError,
+    code="method_not_allowed",
+    status=405,
+    title="This path does not take this method",
+):
+    """A method that no route of this path has."""
+
+
+class NotAcceptableError(
+    ProblemError,
+    code="not_acceptable",
+    status=406,
+    title="None of the accepted media types can be given",
+):
+    """Media types that are not offered."""
+
+
+class BodyTooLargeError(
+    ProblemError, code="body_too_large", status=413, title="The body is too large"
+):
+    """More bytes than the route takes."""
+
+
+class InvalidRequestError(
+    ProblemError, code="invalid_request", status=422, title="The request is not valid"
+):
+    """Fields that are missing, unknown or out of range."""
+
+
+class DefectError(ProblemError, code="internal_error", status=500, title="The daemon has a defect"):
+    """An error that nobody foresaw."""
+
+
+_OF_HTTP = {
+    kind.status: kind
+    for kind in (BadRequestError, NotFoundError, MethodNotAllowedError, BodyTooLargeError)
 }
-
-_CODES: tuple[tuple[type[Exception], str], ...] = (
-    (HostRefusedError, "host_refused"),
-    (UnauthorizedError, "unauthorized"),
-    (ForbiddenError, "forbidden"),
-    (UnknownTokenError, "unknown_token"),
-    (NotCalibratingError, "not_calibrating"),
-    (SceneNotWantedError, "scene_not_wanted"),
-    (CalibrationError, "calibration_impossible"),
-    (UnknownKeyringError, "unknown_keyring"),
-    (KeyringUnfitError, "keyring_unfit"),
-    (KeyringInUseError, "keyring_in_use"),
-    (KeyringsFullError, "keyrings_full"),
-    (KeyringInvalidError, "keyring_invalid"),
-    (KeyringsBusyError, "keyrings_busy"),
-    (KeyringStoreError, "keyring_not_stored"),
-    (TokensOffError, "tokens_off"),
-    (ReplayOverError, "replay_over"),
-    (ReplayingError, "replaying"),
-    (SceneApiOffError, "scene_api_off"),
-    (SceneInvalidError, "scene_invalid"),
-    (TokenStoreError, "tokens_unavailable"),
-    (RotationImpossibleError, "rotation_impossible"),
-    (WithheldError, "embedding_withheld"),
-    (RateLimitError, "rate_limited"),
-    (TooManyRequestsError, "too_many_requests"),
-    (TooManyStreamsError, "too_many_streams"),
-    (LeasedError, "leased"),
-    (IdempotencyError, "idempotency_key_reused"),
-    (QueueFullError, "queue_full"),
-    (CalibratingError, "calibrating"),
-    (NotReadyError, "not_ready"),
-    (DisplayError, "display_failed"),
-    (SensorTimeoutError, "sensor_timeout"),
-    (SensorError, "sensor_failed"),
-    (FenceError, "fence_violated"),
-    (EpochError, "epoch_not_recorded"),
-    (InferenceError, "inference_failed"),
-)
-_HTTP_CODES = {
-    code: name
-    for name, code in (
-        ("bad_request", 400),
-        ("not_found", 404),
-        ("method_not_allowed", 405),
-        ("not_acceptable", 406),
-        ("body_too_large", 413),
-    )
+"""What Starlette, FastAPI and the middleware raise by its status alone."""
+PROBLEMS: Mapping[str, type[ProblemError]] = {
+    kind.code: kind
+    for namespace in (vars(daemon_errors), vars(device_errors), globals())
+    for kind in tuple(namespace.values())
+    if isinstance(kind, type) and issubclass(kind, ProblemError) and "code" in vars(kind)
 }
-_RETRY_AFTER = 1
-"""What to wait after a device failure [s]."""
+"""Every kind by its code."""
 
 
-def code_of(error: Exception) -> str | None:
-    """Return the problem code of an error of the daemon, None for one that it does not know."""
-    return next((code for kind, code in _CODES if isinstance(error, kind)), None)
-
-
-def problem_response(
-    *,
-    code: str,
+def _problem(
+    kind: type[ProblemError],
     detail: str,
+    *,
     instance: str,
     request_id: str,
     errors: tuple[FieldError, ...] = (),
-    headers: Mapping[str, str] | None = None,
-) -> Response:
-    """Return the answer for one problem."""
-    kind = PROBLEMS[code]
-    problem = Problem(
-        type=f"urn:veilcam:problem:{code}",
+) -> Problem:
+    return Problem(
+        type=f"urn:veilcam:problem:{kind.code}",
         title=kind.title,
         status=kind.status,
         detail=detail,
         instance=instance,
-        code=code,
+        code=kind.code,
         request_id=request_id,
         retryable=kind.retryable,
         errors=errors,
+    )
+
+
+def problem_response(
+    scope: Scope,
+    kind: type[ProblemError],
+    detail: str,
+    *,
+    errors: tuple[FieldError, ...] = (),
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """Return the answer to the request of ``scope``, and leave the code for the audit log."""
+    state = scope["state"]
+    state["problem"] = kind.code
+    problem = _problem(
+        kind, detail, instance=scope["path"], request_id=state["request_id"], errors=errors
     )
     return Response(
         problem.model_dump_json(exclude_none=True),
@@ -193,12 +122,21 @@ def problem_response(
     )
 
 
+def error_response(scope: Scope, error: ProblemError) -> Response:
+    """Return the answer to the request of ``scope``, at which the daemon failed."""
+    headers = {}
+    if error.retryable:
+        headers["Retry-After"] = str(error.retry_after)
+    if isinstance(error, UnauthorizedError):
+        headers["WWW-Authenticate"] = 'Bearer realm="veilcam"'
+    return problem_response(scope, type(error), str(error), headers=headers)
+
+
 def example_of(code: str) -> dict[str, object]:
     """What an answer with this code can look like."""
-    answer = problem_response(
-        code=code, detail=PROBLEMS[code].title, instance="/v1/status", request_id="5ca1ab1e0ddba11"
-    )
-    example: dict[str, object] = json.loads(bytes(answer.body))
+    kind = PROBLEMS[code]
+    problem = _problem(kind, kind.title, instance="/v1/status", request_id="5ca1ab1e0ddba11")
+    example: dict[str, object] = json.loads(problem.model_dump_json(exclude_none=True))
     return example
 
 
@@ -206,42 +144,21 @@ def install(app: FastAPI) -> None:
     """Answer every known error of ``app`` with a problem."""
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_invalid)
-    for kind, _ in _CODES:
-        app.add_exception_handler(kind, _on_error)
-
-
-def error_response(error: Exception, *, instance: str, request_id: str) -> Response:
-    """Return the answer for an error of the daemon."""
-    code = code_of(error) or "internal_error"
-    headers = {}
-    if PROBLEMS[code].retryable:
-        headers["Retry-After"] = str(getattr(error, "retry_after", _RETRY_AFTER))
-    if isinstance(error, UnauthorizedError):
-        headers["WWW-Authenticate"] = 'Bearer realm="veilcam"'
-    return problem_response(
-        code=code, detail=str(error), instance=instance, request_id=request_id, headers=headers
-    )
+    app.add_exception_handler(ProblemError, _on_error)
 
 
 async def _on_error(request: Request, error: Exception) -> Response:
-    request.state.problem = code_of(error)
-    return error_response(error, instance=request.url.path, request_id=request.state.request_id)
+    assert isinstance(error, ProblemError)  # noqa: S101 - that is what it is registered for
+    return error_response(request.scope, error)
 
 
 async def _on_http(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)  # noqa: S101 - that is what it is registered for
-    code = _HTTP_CODES.get(error.status_code, "bad_request")
-    request.state.problem = code
+    assert isinstance(error, HTTPException)  # noqa: S101 - as above
+    kind = _OF_HTTP.get(error.status_code, BadRequestError)
     detail = str(error.detail)
     if detail == HTTPStatus(error.status_code).phrase:
-        detail = f"{request.method} {request.url.path}: {PROBLEMS[code].title.lower()}"
-    return problem_response(
-        code=code,
-        detail=detail,
-        instance=request.url.path,
-        request_id=request.state.request_id,
-        headers=error.headers,
-    )
+        detail = f"{request.method} {request.url.path}: {kind.title.lower()}"
+    return problem_response(request.scope, kind, detail, headers=error.headers)
 
 
 async def _on_invalid(request: Request, error: Exception) -> Response:
@@ -251,11 +168,5 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
         FieldError(location=".".join(str(part) for part in item["loc"]), message=str(item["msg"]))
         for item in error.errors()
     )
-    request.state.problem = "invalid_request"
-    return problem_response(
-        code="invalid_request",
-        detail="; ".join(f"{item.location}: {item.message}" for item in errors),
-        instance=request.url.path,
-        request_id=request.state.request_id,
-        errors=errors,
-    )
+    detail = "; ".join(f"{item.location}: {item.message}" for item in errors)
+    return problem_response(request.scope, InvalidRequestError, detail, errors=errors)

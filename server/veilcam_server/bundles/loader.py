@@ -6,14 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from veilcam_client.wire.captures import (
-    BundleInfo,
-    Device,
-    EveryCaptures,
-    Release,
-    RotationOff,
-    RotationPolicy,
-)
+from veilcam_client.wire.bundles import BundleInfo
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
+from veilcam_client.wire.status import Device
 from veilcam_optics.decoding import AS_DRAWN, Calibration
 from veilcam_server.bundles.store import KeyringStore
 from veilcam_server.errors import (

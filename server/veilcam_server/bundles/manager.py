@@ -6,9 +6,8 @@ import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import BundleInfo, Keyring
 from veilcam_client.wire.bundles import Keyrings as KeyringsAnswer
-from veilcam_client.wire.captures import BundleInfo
 from veilcam_server.bundles.loader import Keys, Opener, bundle_info
 from veilcam_server.bundles.store import KeyringStore, append
 from veilcam_server.errors import (

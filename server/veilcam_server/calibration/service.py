@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import structlog
@@ -19,6 +20,7 @@ from veilcam_client.wire.calibration import (
     SignedCalibration,
     Stage,
 )
+from veilcam_client.wire.events import CalibrationChanged
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.bundles.loader import Keys
 from veilcam_server.bundles.manager import Keyrings
@@ -35,19 +37,14 @@ from veilcam_server.calibration.record import SigningKey, sign_record, write_rec
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.calibration.targets import CalibrationScene
-from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.engine import CameraEngine, Publish
 from veilcam_server.devices.base import Device
-from veilcam_server.devices.errors import DeviceError
 from veilcam_server.errors import (
     CalibratingError,
     CalibrationError,
-    FenceError,
-    KeyringInvalidError,
-    KeyringStoreError,
-    KeyringUnfitError,
     NotCalibratingError,
     NotReadyError,
-    UnknownKeyringError,
+    ProblemError,
 )
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
@@ -57,11 +54,7 @@ ResultT = TypeVar("ResultT")
 
 LONGEST = 3.0
 """Settling may take so many times what the daemon would grant it without a calibration."""
-_REFUSALS = (
-    *(CalibrationError, DeviceError, FenceError, NotReadyError),
-    *(KeyringInvalidError, KeyringStoreError, KeyringUnfitError, UnknownKeyringError),
-)
-"""What may end a calibration without a defect of the daemon."""
+_NO_CAMERA = "there is no panel and no sensor to calibrate: this daemon replays a recording"
 
 
 class OnDevice(Protocol):
@@ -81,13 +74,13 @@ class Served:
         camera: whose device is measured, and which goes on with what was found.
         keyrings: of which the one in use is opened anew for what was found.
         on_device: does work on the device's thread.
-        report: takes every change of a calibration; on any thread.
+        publish: takes every change of a calibration; on any thread.
     """
 
-    camera: MaskedCamera
+    camera: CameraEngine
     keyrings: Keyrings
     on_device: OnDevice
-    report: Callable[[CalibrationRun], None]
+    publish: Publish
 
 
 class CalibrationService:
@@ -206,12 +199,18 @@ class CalibrationService:
             CalibratingError: it is being measured.
             NotReadyError: the daemon is stopping.
         """
+        served = self._served
+        if served is None:
+            raise CalibrationError(_NO_CAMERA)
+
+        def report(state: CalibrationRun) -> None:
+            served.publish(partial(CalibrationChanged, run=state))
+
         async with self._starting:
             self.require_idle()
-            served = self._served
-            if served is None or (state := served.camera.state[0]) in ("starting", "stopping"):
-                raise NotReadyError(f"the daemon is {'starting' if served is None else state}")
-            run = await asyncio.to_thread(self.begin, repeats, served.report)
+            if (state := served.camera.state[0]) in ("starting", "stopping"):
+                raise NotReadyError(f"the daemon is {state}")
+            run = await asyncio.to_thread(self.begin, repeats, report)
             self._task = asyncio.create_task(self._calibrate(served, run))
         return run.state
 
@@ -248,23 +247,26 @@ class CalibrationService:
     async def _calibrate(self, served: Served, run: Run) -> None:
         stage: Stage = "done"
         detail: str | None = None
-        camera = served.camera
+        exclusive = ExitStack()
+
+        def measure() -> CalibrationRecord:
+            device = exclusive.enter_context(served.camera.exclusive())
+            return self.measure(device, run).record
+
         try:
-            record = await served.on_device(
-                lambda: camera.lend(lambda device: self.measure(device, run).record), counted=False
-            )
+            record = await served.on_device(measure, counted=False)
             run.check()
             await self._adopt(served, record)
         except CancelledError:
             stage = "cancelled"
         except Exception as error:
             stage, detail = "failed", str(error)
-            if not isinstance(error, _REFUSALS):
+            if not isinstance(error, ProblemError):
                 log.error("defect", error=type(error).__name__, during="calibration")
                 detail = "the daemon has a defect: nothing was changed"
         # Why no mask is shown, where none is, the state tells.
         with suppress(Exception):
-            await served.on_device(camera.take_back)
+            await served.on_device(exclusive.close)
         log.info("calibration", outcome=stage, detail=detail)
         run.enter(stage, detail=detail)
 
@@ -283,9 +285,7 @@ class CalibrationService:
     @property
     def _bundle(self) -> Bundle:
         if self._given is None:
-            raise CalibrationError(
-                "there is no panel and no sensor to calibrate: this daemon replays a recording"
-            )
+            raise CalibrationError(_NO_CAMERA)
         return self._given
 
     @property

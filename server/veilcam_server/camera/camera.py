@@ -2,7 +2,7 @@
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
 checked before and after (the fence), or it is an error. No capture is taken unless a self test has
-proven that the panel hides the scene (``masked_panel.py``).
+proven that the panel hides the scene (``panel.py``).
 """
 
 from __future__ import annotations
@@ -10,18 +10,20 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
-from typing import TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import RotationOff, RotationPolicy, State
+from veilcam_client.wire.rotation import Preparation as PreparationStatus
+from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
+from veilcam_client.wire.status import State
 from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
+from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.rotation import due_in, reusable
-from veilcam_server.camera.self_test import EVERY, Proof, SelfTest
+from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.corrected import calibrated
@@ -32,8 +34,6 @@ from veilcam_server.errors import (
     RotationImpossibleError,
 )
 from veilcam_server.masks.source import MaskSource
-
-ResultT = TypeVar("ResultT")
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
@@ -72,29 +72,15 @@ class MaskedCamera:
         self._bare, self._preparation = stamped(device, self._health), preparation
         self._device = calibrated(self._bare, calibration)
         self._shape, self._fence = shape, fence
-        self._proof = Proof(test, self._device, fence, every=test_every)
-        self._panel = MaskedPanel(self._device.display, preparation, self._proof)
+        self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
+        self._panel = MaskedPanel(self._device.display, preparation, self._self_test)
         self._lock = threading.Lock()
         self.lateness = Lateness()
         self.policy = policy
 
-    def listen(
-        self,
-        on_mask: Callable[[str], None],
-        on_state: Callable[[State, str | None], None],
-        on_ready: Callable[[], None],
-    ) -> None:
-        """Call back when the mask or the state changes, and when the next mask is ready.
-
-        Callbacks are made while the device is busy, so they must neither block nor fail.
-
-        Args:
-            on_mask: takes the name of the new epoch.
-            on_state: takes the new state, and why it is not ``ready``.
-            on_ready: takes nothing; made on another thread.
-        """
-        self._panel.on_mask, self._panel.on_state = on_mask, on_state
-        self._preparation.on_ready = on_ready
+    def listen(self, publish: Publish) -> None:
+        """Publish every new state and mask, while the device is busy."""
+        self._panel.publish = publish
 
     @property
     def state(self) -> tuple[State, str | None]:
@@ -124,19 +110,43 @@ class MaskedCamera:
     @property
     def present(self) -> tuple[str | None, int]:
         """Name of the epoch shown (None: no mask) and the captures taken under it."""
-        showing = self._panel.showing
-        return (None, 0) if showing is None else (showing.epoch, showing.captures)
+        active = self._panel.active
+        return (None, 0) if active is None else (active.epoch, active.captures)
+
+    def rotation(self) -> Rotation:
+        """The policy, the present epoch, and whether the next one is ready."""
+        epoch, captures = self.present
+        return Rotation(
+            policy=self._policy,
+            epoch=epoch,
+            captures=captures,
+            preparation=PreparationStatus(
+                ready=self._preparation.ready,
+                prepared=self._preparation.count,
+                last_s=self._preparation.took,
+                late=self.lateness.late,
+                reused=self.lateness.reused,
+            ),
+        )
+
+    def first_of(self, source: MaskSource) -> Prepared:
+        """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
+        return self._preparation.first_of(source)
+
+    def await_next(self) -> None:
+        """Wait until no mask is being prepared."""
+        self._preparation.wait()
 
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
-        showing = self._panel.showing
-        if showing is None:
+        active = self._panel.active
+        if active is None:
             return math.inf
         return due_in(
             self._policy,
-            shown_for=time.monotonic() - showing.since,
-            captures=showing.captures,
-            chance=showing.chance,
+            shown_for=time.monotonic() - active.since,
+            captures=active.captures,
+            chance=active.chance,
         )
 
     def test_due_in(self) -> float:
@@ -151,26 +161,35 @@ class MaskedCamera:
         From the states ``safe`` and ``degraded`` this is the way back, and shows another mask.
         """
         with self._lock:
-            if self._panel.showing is None:
+            if self._panel.active is None:
                 self._rotate()
             else:
                 self._panel.test()
 
-    def lend(self, work: Callable[[Device], ResultT]) -> ResultT:
-        """Let ``work`` have the device as it is, without any calibration; raises what it does.
+    @contextmanager
+    def exclusive(self) -> Iterator[Device]:
+        """Have the device as it is, without any calibration, on whatever thread.
 
-        No mask is shown and no capture taken from here on until :meth:`take_back`.
+        No mask is shown and no capture taken within. At the end the panel is tested and a mask
+        shown; where that fails, the state says why, and it is tried again as after any other
+        failure.
 
         Raises:
             NotReadyError: it is lent already, or the daemon is stopping.
+            SelfTestError, SensorError, FenceError, EpochError, DisplayError: at the end, as
+                :meth:`rotate`.
         """
         with self._lock:
             self._require_running()
             self._panel.lend()
-            return work(self._bare)
+        try:
+            self._bare.display.blank()
+            yield self._bare
+        finally:
+            self._take_back()
 
     def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:
-        """While the device is lent: go on with another calibration.
+        """Within :meth:`exclusive`: go on with another calibration.
 
         Args:
             calibration: what readings are corrected by.
@@ -181,20 +200,6 @@ class MaskedCamera:
             self._device = calibrated(self._bare, calibration)
             self._fence = Fence(settle, self._fence.timeout)
             self._preparation.serve(source)
-
-    def take_back(self) -> None:
-        """End what :meth:`lend` began: test the panel, and show a mask; raises as :meth:`rotate`.
-
-        Where that fails, the state says why, and it is tried again as after any other failure.
-        """
-        with self._lock:
-            if self.state[0] != "calibrating":
-                return
-            self._proof.void(self._device, self._fence)
-            try:
-                self._panel.show(self._preparation.take())
-            finally:
-                self._panel.strand()
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -257,17 +262,17 @@ class MaskedCamera:
             if self.due_in() <= 0 and not self._may_reuse():
                 self._rotate()
             self._panel.test()
-            showing = self._panel.showing
-            if showing is None:
+            active = self._panel.active
+            if active is None:
                 raise NotReadyError(self.state[1] or "no mask is shown yet: try again")
             rotated = time.monotonic()
-            not_before = showing.completed_at + self._fence.settle
+            not_before = active.completed_at + self._fence.settle
             taken_at = datetime.now(UTC)
             exposure = self._device.sensor.capture(not_before, self._fence.timeout)
             ended = time.monotonic()
             # Counted before it is checked: the light was collected, whatever comes of it.
-            showing.captures += 1
-            if self._panel.showing is not showing:
+            active.captures += 1
+            if self._panel.active is not active:
                 raise FenceError("the mask changed during the exposure, which was thrown away")
             check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
             scenes = self._device.scenes
@@ -278,9 +283,9 @@ class MaskedCamera:
             return Captured(
                 embedding=exposure.embedding,
                 taken_at=taken_at,
-                epoch=showing.epoch,
-                reader=showing.mask.reader,
-                started_after_shown=exposure.started_at - showing.completed_at,
+                epoch=active.epoch,
+                reader=active.mask.reader,
+                started_after_shown=exposure.started_at - active.completed_at,
                 settle=self._fence.settle,
                 duration=exposure.ended_at - exposure.started_at,
                 rotation_time=rotated - begun,
@@ -303,16 +308,26 @@ class MaskedCamera:
                 stack.callback(self._preparation.close)
                 self._device.close()
 
+    def _take_back(self) -> None:
+        with self._lock:
+            if self.state[0] != "calibrating":
+                return
+            self._self_test.void(self._device, self._fence)
+            try:
+                self._panel.show(self._preparation.take())
+            finally:
+                self._panel.strand()
+
     def _may_reuse(self) -> bool:
         """Whether a mask that is due may serve this capture, too."""
-        showing = self._panel.showing
-        if showing is None or not self._preparation.under_way:
+        active = self._panel.active
+        if active is None or not self._preparation.under_way:
             return False
-        return showing.reuse(reusable(self._policy), self.lateness)
+        return active.reuse(reusable(self._policy), self.lateness)
 
     def _rotate(self) -> None:
         self._require_running()
-        if self._panel.showing is not None:
+        if self._panel.active is not None:
             self._require_another()
         # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
         self._panel.show(self._preparation.take())

@@ -1,4 +1,4 @@
-"""What is on the panel, and what was read behind it."""
+"""The active mask, captures behind it, and the fence around each of them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _RANDOM = secrets.SystemRandom()
 
 
 @dataclass(eq=False, slots=True)
-class Showing:
+class ActiveMask:
     """The mask on the panel: mask, epoch and time belong together and are replaced together."""
 
     mask: Mask = field(repr=False)

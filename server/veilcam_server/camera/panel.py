@@ -1,4 +1,4 @@
-"""What is on the panel: a mask, once it is proven that the panel hides the scene, or opaque.
+"""The panel: a mask, once it is proven that the panel hides the scene, or opaque.
 
 When a write fails, the mask shown before is put back; when that fails too, or a self test does, the
 panel is made opaque and no mask counts as shown: state ``safe``, or ``degraded`` where nothing says
@@ -7,13 +7,15 @@ that the panel is at fault.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
-from veilcam_client.wire.captures import State
-from veilcam_server.camera.capture import Showing
+from veilcam_client.wire.events import MaskChanged, StateChanged
+from veilcam_client.wire.status import State
+from veilcam_server.camera.capture import ActiveMask
+from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
-from veilcam_server.camera.self_test import Proof
+from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices.base import Display
 from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, UndecidedError
@@ -26,23 +28,23 @@ class MaskedPanel:
     Args:
         display: that shows masks.
         preparation: makes epochs ready.
-        proof: that the panel hides the scene.
+        self_test: whether the panel hides the scene.
     """
 
-    def __init__(self, display: Display, preparation: Preparation, proof: Proof) -> None:
-        self._display, self._preparation, self._proof = display, preparation, proof
-        self._showing: Showing | None = None
+    def __init__(
+        self, display: Display, preparation: Preparation, self_test: SelfTestStatus
+    ) -> None:
+        self._display, self._preparation, self._self_test = display, preparation, self_test
+        self._active: ActiveMask | None = None
         self._state: State = "starting"
         self._detail: str | None = None
-        self.on_mask: Callable[[str], None] = _ignore
-        """Takes the name of every new epoch."""
-        self.on_state: Callable[[State, str | None], None] = _ignore
-        """Takes every new state, and why it is not ``ready``."""
+        self.publish: Publish = _ignore
+        """Takes every new epoch and state."""
 
     @property
-    def showing(self) -> Showing | None:
+    def active(self) -> ActiveMask | None:
         """The mask that is shown; None: there is none."""
-        return self._showing
+        return self._active
 
     @property
     def state(self) -> tuple[State, str | None]:
@@ -51,7 +53,7 @@ class MaskedPanel:
 
     def proven_for(self) -> float:
         """Seconds until the panel must be tested; 0: now, or again after a test that failed."""
-        return 0.0 if self._showing is None else self._proof.holds_for()
+        return 0.0 if self._active is None else self._self_test.holds_for()
 
     def show(self, prepared: Prepared, source: MaskSource | None = None) -> None:
         """Show a mask, after a test if that is due.
@@ -65,11 +67,11 @@ class MaskedPanel:
             EpochError: the mask could not be recorded; nothing has changed.
             DisplayError: the panel did not take it.
         """
-        previous = self._showing
+        previous = self._active
         self._preparation.record(prepared.mask)
         self._prove()
         # From here on no mask counts as shown until the panel has confirmed one.
-        self._showing = None
+        self._active = None
         try:
             shown = self._display.show(prepared.mask.levels)
         except DeviceError as error:
@@ -78,13 +80,13 @@ class MaskedPanel:
         except BaseException:
             self._put_back(previous)
             raise
-        self._showing = Showing(
+        self._active = ActiveMask(
             prepared.mask, prepared.epoch.name, shown.completed_at, shown.completed_at
         )
         if source is not None:
             self._preparation.serve(source)
         self._enter("ready", None)
-        self.on_mask(prepared.epoch.name)
+        self.publish(partial(MaskChanged, epoch=prepared.epoch.name))
         self._prepare_next()
 
     def test(self) -> None:
@@ -93,16 +95,15 @@ class MaskedPanel:
         Raises:
             SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
         """
-        showing = self._showing
-        if showing is not None and self._proof.holds_for() <= 0:
+        active = self._active
+        if active is not None and self._self_test.holds_for() <= 0:
             self._prove()
-            self._put_back(showing)
+            self._put_back(active)
 
     def lend(self) -> None:
-        """Show opaque, and let others show other things; raises :class:`DisplayError`."""
-        self._showing = None
+        """Let others show what they like."""
+        self._active = None
         self._enter("calibrating", "the camera is being calibrated")
-        self._display.blank()
 
     def strand(self) -> None:
         """After something was lent, and no mask could be shown."""
@@ -113,18 +114,18 @@ class MaskedPanel:
 
     def end(self) -> None:
         """No mask counts as shown any more."""
-        self._showing = None
+        self._active = None
         self._enter("stopping", "the daemon is stopping")
 
     def _prove(self) -> None:
         """Test the panel if that is due; it then shows opaque, also after a test that failed."""
-        if self._proof.holds_for() > 0:
+        if self._self_test.holds_for() > 0:
             return
-        self._showing = None
+        self._active = None
         if self._state in ("starting", "ready", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
-            self._proof.renew()
+            self._self_test.renew()
         except BaseException as error:
             # What the panel cannot be blamed for is not called its failure.
             blameless = isinstance(error, (UndecidedError, SensorError, FenceError))
@@ -133,7 +134,7 @@ class MaskedPanel:
             self._make_opaque("degraded" if blameless else "safe", reason)
             raise
 
-    def _put_back(self, previous: Showing | None) -> None:
+    def _put_back(self, previous: ActiveMask | None) -> None:
         """After a failed write, or a test: the mask from before, or else opaque."""
         if previous is not None:
             try:
@@ -142,7 +143,7 @@ class MaskedPanel:
                 pass
             else:
                 previous.completed_at = shown.completed_at
-                self._showing = previous
+                self._active = previous
                 # Should it not be recorded, another mask than the next is left out: no harm.
                 with suppress(EpochError):
                     self._preparation.record(previous.mask)
@@ -167,8 +168,8 @@ class MaskedPanel:
     def _enter(self, state: State, detail: str | None) -> None:
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
-            self.on_state(state, detail)
+            self.publish(partial(StateChanged, state=state, detail=detail))
 
 
-def _ignore(*_: object) -> None:
+def _ignore(_: object) -> None:
     """Nobody listens."""

@@ -1,10 +1,10 @@
-"""When a mask is due to change."""
+"""Due times of mask changes."""
 
 from __future__ import annotations
 
 import math
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 
 
 def due_in(policy: RotationPolicy, *, shown_for: float, captures: int, chance: float) -> float:

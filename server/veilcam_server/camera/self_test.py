@@ -1,4 +1,4 @@
-"""Proof that the panel hides the scene: what a self test found, and for how long it holds."""
+"""Self tests: whether the panel hides the scene, and for how long that holds."""
 
 from __future__ import annotations
 
@@ -195,8 +195,8 @@ EVERY = 600.0
 """Longest that a test holds, unless it is said otherwise [s]."""
 
 
-class Proof:
-    """Holds from a test that passed until the panel is set up anew, or until it is too old.
+class SelfTestStatus:
+    """A test that passed holds until the panel is set up anew, or until the test is too old.
 
     Args:
         test: what decides.

@@ -1,4 +1,4 @@
-"""Whether panel and camera still answer: the watchdog is fed only while they do.
+"""Health of panel and camera: the watchdog is fed only while both answer.
 
 A bus or a camera that hangs holds a thread for ever, and the event loop, which still answers, would
 not notice. So everything that is asked of the device is stamped when it begins and when it ends.

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server.cli import options
 from veilcam_server.cli.terminal import AsBuiltOption, fail, one_line
 from veilcam_server.demo_data import Digits, load_digits

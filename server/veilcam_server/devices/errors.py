@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from veilcam_server.errors import ProblemError
+
 
 class DeviceError(Exception):
     """Base: a panel or sensor that did not do what it was asked."""
@@ -11,15 +13,35 @@ class DeviceMissingError(DeviceError):
     """A device that the configuration names and that is not there."""
 
 
-class DisplayError(DeviceError):
+class DisplayError(
+    DeviceError,
+    ProblemError,
+    code="display_failed",
+    status=503,
+    title="The panel failed",
+    retryable=True,
+):
     """The panel did not take a mask; what it shows now is unknown."""
 
 
-class SensorError(DeviceError):
+class SensorError(
+    DeviceError,
+    ProblemError,
+    code="sensor_failed",
+    status=503,
+    title="The sensor failed",
+    retryable=True,
+):
     """The sensor gave no reading."""
 
 
-class SensorTimeoutError(SensorError):
+class SensorTimeoutError(
+    SensorError,
+    code="sensor_timeout",
+    status=503,
+    title="The sensor gave no reading in time",
+    retryable=True,
+):
     """The sensor gave no reading in time."""
 
 

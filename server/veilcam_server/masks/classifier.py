@@ -13,17 +13,9 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
+from veilcam_client.wire.captures import Prediction
 from veilcam_server.errors import InferenceError
 from veilcam_training.bundle import BundleError, LayerRecord, build_classifier
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Probability of every label, in the order of the bundle's labels, and the likeliest one."""
-
-    label: str
-    confidence: float
-    scores: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +46,7 @@ class Classifier:
             raise BundleError("a classifier gives NaN or infinity: train it again") from None
         return classifier
 
-    def classify(self, inputs: Tensor) -> Verdict:
+    def classify(self, inputs: Tensor) -> Prediction:
         """Classify one sample, (1, inputs).
 
         Raises:
@@ -66,8 +58,8 @@ class Classifier:
             raise InferenceError
         scores = logits.softmax(dim=1)[0]
         best = int(scores.argmax())
-        return Verdict(
-            self.labels[best],
-            float(scores[best]),
-            dict(zip(self.labels, scores.tolist(), strict=True)),
+        return Prediction(
+            label=self.labels[best],
+            confidence=float(scores[best]),
+            scores=dict(zip(self.labels, scores.tolist(), strict=True)),
         )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from veilcam_client.wire.captures import Form, Release
+from veilcam_client.wire.captures import Form, Prediction, Release
 from veilcam_optics.decoding import AS_DRAWN, Calibration, Decoder
 from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
 from veilcam_optics.errors import OpticsError
@@ -15,7 +15,7 @@ from veilcam_optics.keys.masks import Secret, epoch_levels
 from veilcam_server.devices.base import Levels, Reading
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.errors import StartError
-from veilcam_server.masks.classifier import Classifier, Verdict
+from veilcam_server.masks.classifier import Classifier
 from veilcam_server.masks.source import Mask
 from veilcam_training.bundle import Bundle, Fresh, classifier_inputs
 
@@ -30,7 +30,7 @@ class FreshReader:
     whitening: Whitening | None = field(repr=False)
     """Made only where embeddings leave white: it takes longer than the decoder."""
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Decode and classify one embedding."""
         with torch.inference_mode():
             readings = torch.from_numpy(embedding)[None]

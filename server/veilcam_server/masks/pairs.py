@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import torch
 
-from veilcam_client.wire.captures import Form
+from veilcam_client.wire.captures import Form, Prediction
 from veilcam_server.devices.base import Reading
 from veilcam_server.errors import StartError
-from veilcam_server.masks.classifier import Classifier, Verdict
+from veilcam_server.masks.classifier import Classifier
 from veilcam_server.masks.source import Mask
 from veilcam_training.bundle import Bundle, Pair
 
@@ -24,7 +24,7 @@ class PairReader:
 
     classifier: Classifier = field(repr=False)
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Classify one embedding of any shape."""
         return self.classifier.classify(torch.from_numpy(embedding).reshape(1, -1))
 

@@ -8,15 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from veilcam_client.wire.captures import Form
+from veilcam_client.wire.captures import Form, Prediction
 from veilcam_server.devices.base import Levels, Reading
-from veilcam_server.masks.classifier import Verdict
 
 
 class Reader(Protocol):
     """Makes sense of embeddings taken behind one mask. It is as secret as the mask."""
 
-    def classify(self, embedding: Reading) -> Verdict:
+    def classify(self, embedding: Reading) -> Prediction:
         """Return the label of one embedding."""
 
     def release(self, embedding: Reading, form: Form) -> Reading:

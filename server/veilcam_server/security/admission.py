@@ -1,4 +1,4 @@
-"""What a request passes before it reaches the service: tokens, limits, and the audit log."""
+"""Admission of requests to the service: host, tokens, limits, and the audit log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
-from veilcam_server.errors import HostRefusedError, TokenStoreError, UnauthorizedError
+from veilcam_server.errors import (
+    HostRefusedError,
+    RateLimitError,
+    TokenStoreError,
+    UnauthorizedError,
+)
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import ANYONE, Caller
 from veilcam_server.security.lease import Lease
@@ -25,7 +30,7 @@ _LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d{1,5})?", re.I
 
 
 @dataclass(frozen=True, slots=True)
-class Gateway:
+class Admission:
     """The same for all requests to one daemon.
 
     Attributes:
@@ -62,7 +67,7 @@ class Gateway:
             details: what else is known: status, request id, peer.
         """
         # Who asks too often must not push out what others did.
-        if code == "rate_limited":
+        if code == RateLimitError.code:
             return
         log = self.refused if caller is None else self.audit
         if log is None:
@@ -119,7 +124,7 @@ class Gateway:
 
 
 @contextmanager
-def open_gateway(settings: Settings) -> Iterator[Gateway]:
+def open_admission(settings: Settings) -> Iterator[Admission]:
     """Yield what stands in front of a daemon of these settings; raises :class:`StartError`."""
     audit = AuditLog(settings.state_dir / DONE)
     refused = AuditLog(settings.state_dir / REFUSED)
@@ -128,7 +133,7 @@ def open_gateway(settings: Settings) -> Iterator[Gateway]:
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
     audit.write("start", auth=settings.auth)
     try:
-        yield Gateway(
+        yield Admission(
             tokens,
             not settings.serves_others,
             audit,

@@ -1,12 +1,8 @@
-"""Who asks, and what for: every route names the scope that it needs."""
+"""The caller of a request, and what it may do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
-
-from fastapi import Depends, Request, Security
-from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityScopes
 
 from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.errors import ForbiddenError
@@ -36,35 +32,3 @@ class Caller:
 
 ANYONE = Caller("anyone", "no token wanted", frozenset(SCOPES))
 """Where the daemon wants no tokens: whoever reaches it may do everything."""
-
-# What this finds is not used: the middleware has looked at the token before a byte of the body was
-# read. It stands here so that the OpenAPI document names the scheme and each route's scope.
-_BEARER = HTTPBearer(
-    scheme_name="token",
-    description="A token from `veilcamd token create`, as `Authorization: Bearer vc_...`.",
-    auto_error=False,
-)
-
-
-async def caller_of(request: Request) -> Caller:
-    """Who asks, as the middleware found out."""
-    caller: Caller = request.state.caller
-    return caller
-
-
-CallerDep = Annotated[Caller, Depends(caller_of)]
-
-
-async def _allowed(
-    needed: SecurityScopes,
-    caller: CallerDep,
-    _: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)],
-) -> None:
-    for scope in SCOPES:
-        if scope in needed.scopes:
-            caller.require(scope)
-
-
-def requires(scope: Scope) -> Any:
-    """For ``dependencies=[requires("classify")]``: 403 unless the caller has this scope."""
-    return Security(_allowed, scopes=[scope])

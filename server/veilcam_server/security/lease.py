@@ -1,4 +1,4 @@
-"""One caller may hold the camera for a while."""
+"""The lease: the camera for one caller alone, for a while."""
 
 from __future__ import annotations
 

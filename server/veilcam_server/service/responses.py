@@ -1,4 +1,4 @@
-"""From what the engine knows to what goes over the wire."""
+"""Responses of the API, made from what the engine knows."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from veilcam_client.wire.captures import (
     Classification,
     Embedding,
     Exposure,
-    Preparation,
-    Rotation,
+    Prediction,
     Timing,
 )
-from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
-from veilcam_server.masks.classifier import Verdict
 
 
-def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: Timing) -> Capture:
+def capture_response(
+    name: str, captured: Captured, embedding: Embedding, timing: Timing
+) -> Capture:
     """One embedding as it may leave."""
     return Capture(
         id=name,
@@ -32,8 +31,12 @@ def capture_answer(name: str, captured: Captured, embedding: Embedding, timing: 
     )
 
 
-def classification_answer(
-    name: str, captured: Captured, verdict: Verdict, embedding: Embedding | None, timing: Timing
+def classification_response(
+    name: str,
+    captured: Captured,
+    prediction: Prediction,
+    embedding: Embedding | None,
+    timing: Timing,
 ) -> Classification:
     """One label, with the embedding where it was asked for."""
     return Classification(
@@ -41,31 +44,13 @@ def classification_answer(
         taken_at=captured.taken_at,
         epoch=captured.epoch,
         scene=captured.scene,
-        label=verdict.label,
-        confidence=verdict.confidence,
-        scores=verdict.scores,
+        label=prediction.label,
+        confidence=prediction.confidence,
+        scores=prediction.scores,
         embedding=embedding,
         exposure=_exposure(captured),
         replay=captured.replay,
         timing=timing,
-    )
-
-
-def rotation_answer(camera: MaskedCamera) -> Rotation:
-    """The policy, the present epoch, and whether the next one is ready."""
-    epoch, captures = camera.present
-    preparation, lateness = camera.preparation, camera.lateness
-    return Rotation(
-        policy=camera.policy,
-        epoch=epoch,
-        captures=captures,
-        preparation=Preparation(
-            ready=preparation.ready,
-            prepared=preparation.count,
-            last_s=preparation.took,
-            late=lateness.late,
-            reused=lateness.reused,
-        ),
     )
 
 

@@ -9,17 +9,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from veilcam_client.wire.captures import (
-    POLICY,
-    Capture,
-    ClassificationRequest,
-    Embedding,
-    EveryCaptures,
-    EverySeconds,
-    RotationOff,
-    Status,
-)
+from veilcam_client.wire.captures import Capture, ClassificationRequest, Embedding
 from veilcam_client.wire.events import EVENT, EVENT_KINDS, Gap
+from veilcam_client.wire.rotation import POLICY, EveryCaptures, EverySeconds, RotationOff
+from veilcam_client.wire.status import Status
 
 
 def test_an_embedding_is_an_array(answers: dict[str, Any]) -> None:

@@ -12,17 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from veilcam_client.wire.captures import (
-    NPY_MEDIA_TYPE,
-    PROBLEM_MEDIA_TYPE,
-    Capture,
-    Classification,
-    EveryCaptures,
-    EverySeconds,
-    Problem,
-    Rotation,
-    Status,
-)
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture, Classification
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, Rotation
+from veilcam_client.wire.status import Status
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.service.service import Service

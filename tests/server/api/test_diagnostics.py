@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from veilcam_client.wire.captures import EveryCaptures
 from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.devices import DisplayError, SensorError
-from veilcam_server.security.admission import Gateway, open_gateway
+from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.settings import Settings
 
@@ -87,7 +87,7 @@ async def test_diagnostics_tell_of_the_last_states_and_faults(
 ) -> None:
     audit = AuditLog(tmp_path / "a.jsonl")
     audit.lost = 3
-    async with running(gateway=Gateway(audit=audit)) as client:
+    async with running(admission=Admission(audit=audit)) as client:
         bench.display.faults = [display_fault, display_fault]
         await client.post("/v1/rotation/advance")
         answer = await client.get("/v1/diagnostics")
@@ -123,8 +123,8 @@ async def test_settings_are_told_without_what_could_be_secret(
         "queue_limit": 5,
     }
     settings = Settings.model_validate(given)
-    with open_gateway(settings) as gateway:
-        async with running(gateway=gateway) as client:
+    with open_admission(settings) as admission:
+        async with running(admission=admission) as client:
             text = (await client.get("/v1/diagnostics")).text
     assert planted not in text
     assert str(tmp_path) not in text

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
 from veilcam_server.api.app import create_app
 from veilcam_server.api.dependencies import ALWAYS
 from veilcam_server.api.openapi import document
@@ -50,7 +50,7 @@ def test_examples_are_there_and_valid(found: dict[str, Any]) -> None:
         if place.startswith("get /v1/openapi.json 2"):
             continue
         examples = {name: each["value"] for name, each in content.get("examples", {}).items()}
-        assert examples, f"{place} has no example: add one to examples.py"
+        assert examples, f"{place} has no example: add one to EXAMPLES beside its model"
         if media_type == PROBLEM_MEDIA_TYPE:
             assert set(examples) == set(description.split(", "))
         validator = Draft202012Validator(

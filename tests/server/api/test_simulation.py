@@ -19,7 +19,7 @@ from veilcam_client.errors import ApiError
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.simulation import MAX_PICTURE, PATH
 from veilcam_server.daemon import build_service
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.settings import Settings
 
 EXPOSURE = 0.2
@@ -42,7 +42,7 @@ def given(tmp_path: Path, bundle_file: Path, scene_file: Path) -> dict[str, Any]
 @asynccontextmanager
 async def client(given: dict[str, Any]) -> AsyncIterator[httpx.AsyncClient]:
     service = build_service(Settings.model_validate(given))
-    transport = httpx.ASGITransport(create_app(service, Gateway()))
+    transport = httpx.ASGITransport(create_app(service, Admission()))
     async with (
         service.open(),
         httpx.AsyncClient(transport=transport, base_url="http://localhost") as http,

@@ -19,7 +19,8 @@ from veilcam_client.wire.calibration import (
     SceneName,
     SignedCalibration,
 )
-from veilcam_client.wire.captures import Capture, Status
+from veilcam_client.wire.captures import Capture
+from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.calibration import Budget, Calibrated, CalibrationScene
 from veilcam_server.calibration.loading import open_calibration
@@ -28,7 +29,7 @@ from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import dark, lamp, white
 from veilcam_server.devices import Device, DisplayError
 from veilcam_server.errors import CalibrationError, SceneNotWantedError
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.tokens import TokenStore
 
 from .test_record import geometry_of, make_record, settings_for
@@ -314,7 +315,7 @@ async def test_it_wants_its_scope_and_that_nobody_else_holds_the_camera(
         return {"Authorization": "Bearer " + store.create("x", scopes, None).secret}
 
     may, other = headers("calibrate", "mask:rotate"), headers("mask:rotate", "classify")
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         for method, path, body in (
             ("POST", "/v1/calibration", None),
             ("POST", "/v1/calibration/scene", {"scene": "dark"}),

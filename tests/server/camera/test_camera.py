@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationOff
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.camera.rotation import due_in
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, RotationImpossibleError
@@ -328,6 +328,6 @@ def test_secrets_stay_out_of_representations(bench: Bench) -> None:
     bench.sensor.reading = np.full((4, 5), 0.123456, np.float32)
     captured = camera.capture()
     assert "0.123" not in repr(captured)
-    assert camera._panel.showing is not None
-    assert "array" not in repr(camera._panel.showing)
+    assert camera._panel.active is not None
+    assert "array" not in repr(camera._panel.active)
     assert "tensor" not in repr(captured)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pytest
 import torch
 
-from veilcam_client.wire.captures import EveryCaptures, RotationOff, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.simulation.operator import Response
 from veilcam_server.camera.camera import MaskedCamera

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server.camera import epochs as preparation_module
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.epochs import EpochStore, Preparation

@@ -12,7 +12,9 @@ import pytest
 import torch
 
 from veilcam_client import SceneDecoder, VeilcamError
-from veilcam_client.wire.captures import Capture, Classification, EveryCaptures, Status
+from veilcam_client.wire.captures import Capture, Classification
+from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Camera, Embedding
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Decoder, fit_statistics, write_frame

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from veilcam_client.wire.captures import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope
 from veilcam_server.api.app import create_app
-from veilcam_server.api.routes import captures as routes
+from veilcam_server.api.routes import events
 from veilcam_server.errors import RateLimitError, TooManyRequestsError, TooManyStreamsError
-from veilcam_server.security.admission import Gateway, open_gateway
+from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit, StreamLimit
 from veilcam_server.security.tokens import TokenStore
@@ -52,7 +52,7 @@ async def test_every_route_wants_a_scope_and_lets_nobody_in_without(
     running: Running, store: TokenStore, bench: Bench
 ) -> None:
     tokens = {scope: bearer(store, scope) for scope in SCOPES}
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         document = await client.get("/v1/openapi.json", headers=tokens["read:status"])
         paths = document.json()["paths"]
         assert len(paths) > 5
@@ -106,7 +106,7 @@ async def test_all_ways_to_be_nobody_look_alike(running: Running, store: TokenSt
         [*bearer(store, "read:status").items()] * 2,
     ]
     answers = set()
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         for headers in given:
             for path in ("/v1/status", "/v1/nothing"):
                 answer = await client.get(path, headers=[*headers, ("X-Request-Id", "same")])
@@ -128,7 +128,7 @@ async def test_nothing_of_a_body_is_read_without_a_token(
             read += 1
             yield b"x"
 
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         answer = await client.put("/v1/rotation", content=body())
     assert answer.status_code == 401
     assert read == 0
@@ -141,7 +141,7 @@ async def test_raw_embeddings_want_a_scope_more(
     full = bearer(store, "read:embedding", "read:embedding:raw", "classify")
     classify = bearer(store, "classify")
     wanted = {"include_embedding": True}
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         for headers, scope in ((ordinary, "read:embedding:raw"), (classify, "read:embedding")):
             refused = [
                 await client.post("/v1/captures", headers=headers),
@@ -161,7 +161,7 @@ async def test_white_embeddings_want_no_more(
     running: Running, fresh_bench: Bench, store: TokenStore
 ) -> None:
     headers = bearer(store, "read:embedding")
-    async with running(gateway=Gateway(tokens=store), on=fresh_bench) as client:
+    async with running(admission=Admission(tokens=store), on=fresh_bench) as client:
         answer = await client.post("/v1/captures", headers=headers)
     assert answer.json()["embedding"]["form"] == "white"
 
@@ -172,7 +172,7 @@ async def test_an_idempotency_key_is_a_caller_s_own(
     key = {"Idempotency-Key": "k"}
     scopes: tuple[Scope, ...] = ("read:embedding", "read:embedding:raw")
     first, second = bearer(store, *scopes), bearer(store, *scopes)
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         answers = [
             await client.post("/v1/captures", headers={**key, **headers})
             for headers in (first, second, first)
@@ -183,11 +183,11 @@ async def test_an_idempotency_key_is_a_caller_s_own(
 
 async def test_other_hosts_are_served_where_others_are(running: Running, store: TokenStore) -> None:
     headers = {**bearer(store, "read:status"), "Host": "camera.example"}
-    for gateway, status in (
-        (Gateway(tokens=store), 421),
-        (Gateway(tokens=store, this_machine=False), 200),
+    for admission, status in (
+        (Admission(tokens=store), 421),
+        (Admission(tokens=store, this_machine=False), 200),
     ):
-        async with running(gateway=gateway) as client:
+        async with running(admission=admission) as client:
             assert (await client.get("/v1/status", headers=headers)).status_code == status
 
 
@@ -195,9 +195,9 @@ async def test_who_asks_too_often_waits_and_others_do_not(
     running: Running, store: TokenStore
 ) -> None:
     now = 0.0
-    gateway = Gateway(tokens=store, rate=RateLimit(0.5, 2, lambda: now))
+    admission = Admission(tokens=store, rate=RateLimit(0.5, 2, lambda: now))
     hasty, other = bearer(store, "read:status"), bearer(store, "read:status")
-    async with running(gateway=gateway) as client:
+    async with running(admission=admission) as client:
 
         async def ask(headers: dict[str, str]) -> int:
             return (await client.get("/v1/status", headers=headers)).status_code
@@ -217,14 +217,14 @@ async def test_who_asks_too_often_waits_and_others_do_not(
 async def test_events_end_with_their_token_and_tell_labels_to_who_may_know_them(
     running: Running, store: TokenStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(routes, "RECHECK", 0.0)
+    monkeypatch.setattr(events, "RECHECK", 0.0)
     heard = {}
     worker = bearer(store, "classify", "read:status")
     scopes: dict[str, tuple[Scope, ...]] = {
         "without": ("read:status",),
         "with": ("read:status", "classify"),
     }
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         for name, held in scopes.items():
             token = store.create(name, held, None)
             headers = {"Authorization": f"Bearer {token.secret}", "Last-Event-ID": "0-0"}
@@ -251,10 +251,10 @@ async def test_so_many_requests_at_once(running: Running, store: TokenStore, ben
     import threading
 
     go_on = threading.Event()
-    gateway = Gateway(tokens=store, concurrency=ConcurrencyLimit(1))
+    admission = Admission(tokens=store, concurrency=ConcurrencyLimit(1))
     headers, other = bearer(store, "classify"), bearer(store, "read:status")
     bench.sensor.before = lambda: (go_on.wait(10), None)[1]
-    async with running(gateway=gateway) as client:
+    async with running(admission=admission) as client:
         first = asyncio.create_task(client.post("/v1/classifications", headers=headers))
         while (await client.get("/v1/status", headers=other)).json()["queue"]["waiting"] == 0:
             await asyncio.sleep(0.01)
@@ -267,7 +267,7 @@ async def test_so_many_requests_at_once(running: Running, store: TokenStore, ben
 
 
 async def test_so_many_event_streams(running: Running) -> None:
-    async with running(gateway=Gateway(streams=StreamLimit(0))) as client:
+    async with running(admission=Admission(streams=StreamLimit(0))) as client:
         refused = await client.get("/v1/events")
     assert refused.json()["code"] == "too_many_streams"
     limit = StreamLimit(1)
@@ -281,11 +281,11 @@ async def test_a_daemon_without_tokens_says_how_to_make_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = Settings(bundle=tmp_path / "a.veilcam", state_dir=tmp_path / "state")
-    with open_gateway(settings) as gateway:
-        assert gateway.tokens is not None
-        gateway.tokens.create("first", ("classify",), None)
+    with open_admission(settings) as admission:
+        assert admission.tokens is not None
+        admission.tokens.create("first", ("classify",), None)
     assert "veilcamd token create" in capsys.readouterr().out
-    with open_gateway(settings):
+    with open_admission(settings):
         pass
     assert capsys.readouterr().out == ""
     actions = [entry["action"] for entry in lines(tmp_path / "state" / DONE)]
@@ -301,19 +301,19 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
         concurrency_limit=3,
         stream_limit=4,
     )
-    with open_gateway(settings) as gateway, ExitStack() as stack:
-        gateway.rate.take("a")
-        gateway.rate.take("a")
+    with open_admission(settings) as admission, ExitStack() as stack:
+        admission.rate.take("a")
+        admission.rate.take("a")
         with pytest.raises(RateLimitError):
-            gateway.rate.take("a")
+            admission.rate.take("a")
         for _ in range(3):
-            stack.enter_context(gateway.concurrency.held("a"))
+            stack.enter_context(admission.concurrency.held("a"))
         with pytest.raises(TooManyRequestsError):
-            stack.enter_context(gateway.concurrency.held("a"))
+            stack.enter_context(admission.concurrency.held("a"))
         for _ in range(4):
-            stack.enter_context(gateway.streams.held())
+            stack.enter_context(admission.streams.held())
         with pytest.raises(TooManyStreamsError):
-            stack.enter_context(gateway.streams.held())
+            stack.enter_context(admission.streams.held())
 
 
 # The audit log.
@@ -335,8 +335,8 @@ async def test_the_audit_log_says_who_did_what(
     running: Running, store: TokenStore, logs: tuple[AuditLog, AuditLog], tmp_path: Path
 ) -> None:
     token: NewToken = store.create("a lamp", ("classify", "read:status"), None)
-    gateway = Gateway(store, True, *logs, RateLimit(1e-9, 4))
-    async with running(gateway=gateway) as client:
+    admission = Admission(store, True, *logs, RateLimit(1e-9, 4))
+    async with running(admission=admission) as client:
         await client.post("/v1/classifications", content=b"{}")
         client.headers["Authorization"] = f"Bearer {token.secret}"
         request = {"X-Request-Id": "r-1", "Content-Type": "application/json"}

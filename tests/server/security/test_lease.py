@@ -12,7 +12,7 @@ from veilcam_client.wire.lease import Lease as LeaseAnswer
 from veilcam_client.wire.lease import NewLease
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.errors import LeasedError
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, AuditLog, read_audit
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.tokens import TokenStore
@@ -95,7 +95,7 @@ async def test_with_tokens_the_token_is_the_holder(
         for label in ("first", "second")
     )
     wanted = {"owner": "an experiment", "seconds": 60}
-    async with running(gateway=Gateway(tokens=store, lease=Lease(clock))) as client:
+    async with running(admission=Admission(tokens=store, lease=Lease(clock))) as client:
         assert await ask(client, second) == [200] * 4
         taken = await client.post("/v1/lease", headers=first, json=wanted)
         made = NewLease.model_validate_json(taken.content)
@@ -134,7 +134,7 @@ async def test_an_administrator_ends_the_lease_of_another(
     )
     wanted = {"owner": "an experiment", "seconds": 60}
     audit = AuditLog(tmp_path / DONE)
-    async with running(gateway=Gateway(tokens=store, audit=audit)) as client:
+    async with running(admission=Admission(tokens=store, audit=audit)) as client:
 
         async def broken(who: dict[str, str], force: str = "true") -> int:
             answer = await client.delete("/v1/lease", headers=who, params={"force": force})

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
 from veilcam_server.cli.main import app
 from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 
@@ -222,7 +222,7 @@ def bearer(token: NewToken) -> dict[str, str]:
 @pytest.mark.anyio
 async def test_tokens_over_http(running: Running, store: TokenStore) -> None:
     admin = make(store, "admin:tokens", "read:status")
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         client.headers.update(bearer(admin))
         asked = {"label": "a lamp", "scopes": ["read:status"], "seconds": 60}
         answer = await client.post("/v1/tokens", json=asked, headers={"Idempotency-Key": "k"})
@@ -250,7 +250,7 @@ async def test_nobody_makes_a_token_that_allows_more_or_lasts_longer(
     running: Running, store: TokenStore
 ) -> None:
     admin = make(store, "admin:tokens", "read:status", lifetime=100.0)
-    async with running(gateway=Gateway(tokens=store)) as client:
+    async with running(admission=Admission(tokens=store)) as client:
         client.headers.update(bearer(admin))
 
         async def ask(seconds: int | None, *scopes: str) -> httpx.Response:

@@ -23,7 +23,7 @@ from veilcam_server.api.app import create_app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.daemon import build_service
 from veilcam_server.errors import StartError
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 
@@ -45,7 +45,7 @@ def service_of(replay: Path) -> Service:
 @asynccontextmanager
 async def replaying(path: Path) -> AsyncIterator[httpx.AsyncClient]:
     service = service_of(path)
-    transport = httpx.ASGITransport(create_app(service, Gateway()))
+    transport = httpx.ASGITransport(create_app(service, Admission()))
     async with (
         service.open(),
         httpx.AsyncClient(transport=transport, base_url="http://localhost") as http,

@@ -12,11 +12,12 @@ import pytest
 from structlog.testing import capture_logs
 from tests.server.devices.clock import Clock
 
-from veilcam_client.wire.captures import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices import Device, SensorLostError
 from veilcam_server.errors import NotReadyError, UndecidedError
-from veilcam_server.service.scheduler import Upkeep
+from veilcam_server.service.queue import DeviceQueue
+from veilcam_server.service.scheduler import Scheduler
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
@@ -28,19 +29,15 @@ async def until(condition: Callable[[], bool]) -> None:
         await asyncio.sleep(0.002)
 
 
-async def on_device(work: Callable[[], None]) -> None:
-    await asyncio.to_thread(work)
-
-
-def upkeep(bench: Bench, camera: Any, **more: Any) -> Upkeep:
-    given = {"rotating": on_device, "testing": on_device, "first_pause": 0.002, **more}
-    return Upkeep(camera, **given)
+def scheduler(bench: Bench, camera: Any, **more: Any) -> Scheduler:
+    queue = DeviceQueue(8, lambda _: None)
+    return Scheduler(camera, queue, **{"first_pause": 0.002, **more})
 
 
 @pytest.mark.anyio
 async def test_the_panel_is_tested_now_and_then(bench: Bench) -> None:
     camera = bench.camera(test_every=0.01)
-    async with upkeep(bench, camera).running():
+    async with scheduler(bench, camera).running():
         await until(lambda: bench.test.runs >= 4)
     camera.stop()
     assert bench.sensor.captures == 0
@@ -53,7 +50,7 @@ async def test_a_test_that_failed_is_tried_until_it_passes(bench: Bench) -> None
     bench.display.resets += 1
     with pytest.raises(NotReadyError):
         camera.capture()
-    async with upkeep(bench, camera).running():
+    async with scheduler(bench, camera).running():
         await until(lambda: camera.state[0] == "ready")
     assert bench.test.runs == 6
     camera.stop()
@@ -75,7 +72,7 @@ async def test_pauses_grow_from_one_failure_to_the_next(
 
     with monkeypatch.context() as patch:
         patch.setattr("veilcam_server.service.scheduler.asyncio.sleep", note)
-        async with upkeep(bench, camera, first_pause=1.0).running():
+        async with scheduler(bench, camera, first_pause=1.0).running():
             while camera.state[0] != "ready" or bench.test.runs < 10:
                 await sleep(0.002)
     assert [pause for pause in pauses if pause > 0.5] == [1, 2, 4, 8, 16, 32, 60, 60, 60]
@@ -85,7 +82,7 @@ async def test_pauses_grow_from_one_failure_to_the_next(
 @pytest.mark.anyio
 async def test_masks_change_while_nobody_captures(bench: Bench) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=1))
-    kept = upkeep(bench, camera)
+    kept = scheduler(bench, camera)
     async with kept.running():
         for number in range(2, 5):
             camera.capture()
@@ -108,7 +105,7 @@ async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> Non
     bench.sensor.before = hang
     camera._health._longest = 0.02
     with capture_logs() as logs:
-        async with upkeep(bench, camera, watchdog=0.004, tell=told.append).running():
+        async with scheduler(bench, camera, watchdog=0.004, tell=told.append).running():
             await until(lambda: len(told) >= 3)
             capturing = asyncio.create_task(asyncio.to_thread(camera.capture))
             await asyncio.to_thread(hanging.wait, 20)
@@ -131,7 +128,7 @@ async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> Non
 async def test_without_a_watchdog_nobody_is_told(bench: Bench) -> None:
     camera = bench.camera()
     told: list[str] = []
-    async with upkeep(bench, camera, tell=told.append).running():
+    async with scheduler(bench, camera, tell=told.append).running():
         await asyncio.sleep(0.02)
     assert not told
     camera.stop()
@@ -191,7 +188,7 @@ async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
             await asyncio.sleep(0.02)
         assert (await client.post("/v1/captures")).status_code == 200
         service = client._transport.app.state.service  # type: ignore[attr-defined]
-        kinds = [event.kind for event in service._news._events._events]
+        kinds = [event.kind for event in service._events._log._events]
     # What was asked for failed; what was tried again in the background only says when it is back.
     assert kinds.count("fault") == 1
     assert kinds.count("state") == 3
@@ -203,12 +200,9 @@ async def test_a_lost_sensor_ends_the_daemon(bench: Bench) -> None:
         raise SensorLostError("the camera failed 3 times in a row: check its cable and restart")
 
     service = bench.service(bench.camera())
-    ended = asyncio.Event()
-    service.on_lost(ended.set)
     async with service.open():
         assert service.lost is None
         bench.sensor.before = fail
         with pytest.raises(SensorLostError):
             await service.capture()
-        assert ended.is_set()
         assert "check its cable" in str(service.lost)

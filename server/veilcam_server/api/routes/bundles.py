@@ -7,9 +7,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
-from veilcam_server.api.dependencies import OnceDep, ServiceDep, problems
-from veilcam_server.api.routes.lease import unleased
-from veilcam_server.security.caller import requires
+from veilcam_server.api.dependencies import DEVICE, OnceDep, ServiceDep, problems, unleased
+from veilcam_server.api.scopes import requires
 
 PREFIX = "/v1/keyrings"
 
@@ -22,18 +21,6 @@ _UPLOAD: dict[str, Any] = {
 }
 _CHANGE = ("keyrings_busy", "keyring_not_stored", "replaying")
 _USE = ("keyring_invalid", "keyring_unfit")
-_DEVICE = (
-    "idempotency_key_reused",
-    "queue_full",
-    "calibrating",
-    "not_ready",
-    "rotation_impossible",
-    "display_failed",
-    "sensor_failed",
-    "sensor_timeout",
-    "fence_violated",
-    "epoch_not_recorded",
-)
 
 router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:keyring")], redirect_slashes=False)
 
@@ -63,7 +50,7 @@ async def install(service: ServiceDep, request: Request) -> Keyring:
     dependencies=[unleased()],
     responses=problems(
         *("body_too_large", "invalid_request", "unknown_keyring", "leased"),
-        *(*_USE, *_CHANGE, *_DEVICE),
+        *(*_USE, *_CHANGE, "idempotency_key_reused", *DEVICE),
     ),
 )
 async def activate(service: ServiceDep, once: OnceDep, digest: Digest) -> Keyring:

@@ -10,9 +10,8 @@ from veilcam_client.wire.calibration import (
     CalibrationStatus,
     SceneConfirmation,
 )
-from veilcam_server.api.dependencies import BODY, OnceDep, ServiceDep, problems
-from veilcam_server.api.routes.lease import unleased
-from veilcam_server.security.caller import requires
+from veilcam_server.api.dependencies import BODY, OnceDep, ServiceDep, problems, unleased
+from veilcam_server.api.scopes import requires
 
 router = APIRouter(prefix="/v1/calibration", redirect_slashes=False)
 

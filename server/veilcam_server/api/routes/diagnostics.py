@@ -1,4 +1,4 @@
-"""REST API of what the daemon tells of itself: metrics, diagnostics, and the API as a document."""
+"""REST API of the daemon itself: status, metrics, diagnostics, and the API as a document."""
 
 from __future__ import annotations
 
@@ -11,15 +11,22 @@ from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from veilcam_client.wire.diagnostics import Diagnostics
-from veilcam_server.api.dependencies import GatewayDep, ServiceDep, problems
+from veilcam_client.wire.status import Status
+from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
-from veilcam_server.security.caller import requires
+from veilcam_server.api.scopes import requires
 
 PACKAGES = ("veilcam", "fastapi", "numpy", "pydantic", "starlette", "torch", "uvicorn")
 """Whose versions matter."""
 
 router = APIRouter(prefix="/v1", redirect_slashes=False)
+
+
+@router.get("/status", dependencies=[requires("read:status")], responses=problems())
+async def status(service: ServiceDep) -> Status:
+    """State, device, bundle, rotation and queue."""
+    return service.status()
 
 
 @router.get(
@@ -38,7 +45,7 @@ async def metrics(request: Request) -> Response:
 
 
 @router.get("/diagnostics", dependencies=[requires("read:status")], responses=problems())
-async def diagnostics(service: ServiceDep, gateway: GatewayDep) -> Diagnostics:
+async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnostics:
     """Versions, settings without paths and labels, and the last states and faults."""
     history = service.history
     return Diagnostics(
@@ -47,12 +54,12 @@ async def diagnostics(service: ServiceDep, gateway: GatewayDep) -> Diagnostics:
             "system": f"{platform.system()} {platform.release()} {platform.machine()}",
             **{name: version(name) for name in PACKAGES},
         },
-        settings=gateway.settings,
+        settings=admission.settings,
         states=tuple(history.last_states),
         faults=tuple(history.last_faults),
         events=dict(history.events),
         fault_counts=dict(history.faults),
-        audit_lost=0 if gateway.audit is None else gateway.audit.lost,
+        audit_lost=0 if admission.audit is None else admission.audit.lost,
     )
 
 

@@ -7,9 +7,8 @@ from typing import Any
 from fastapi import APIRouter, Request
 
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPE, HeldScene
-from veilcam_server.api.dependencies import ServiceDep, problems
-from veilcam_server.api.routes.lease import unleased
-from veilcam_server.security.caller import requires
+from veilcam_server.api.dependencies import ServiceDep, problems, unleased
+from veilcam_server.api.scopes import requires
 
 PATH = "/v1/simulation/scene"
 MAX_PICTURE = 8 * 2**20

@@ -8,16 +8,17 @@ from fastapi import APIRouter, Depends, Path
 from fastapi.concurrency import run_in_threadpool
 
 from veilcam_client.wire.tokens import NewToken, Token, TokenRequest, Tokens
-from veilcam_server.api.dependencies import BODY, GatewayDep, OnceDep, problems
+from veilcam_server.api.dependencies import BODY, AdmissionDep, OnceDep, problems
+from veilcam_server.api.scopes import CallerDep, requires
 from veilcam_server.errors import ForbiddenError, TokensOffError
-from veilcam_server.security.caller import Caller, CallerDep, requires
+from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 
 
-async def _store(gateway: GatewayDep) -> TokenStore:
-    if gateway.tokens is None:
+async def _store(admission: AdmissionDep) -> TokenStore:
+    if admission.tokens is None:
         raise TokensOffError
-    return gateway.tokens
+    return admission.tokens
 
 
 StoreDep = Annotated[TokenStore, Depends(_store)]

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.server.devices.clock import Clock
 
-from veilcam_client.wire.captures import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
-from veilcam_server.camera.self_test import Proof
+from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
@@ -30,7 +30,7 @@ def unstarted(bench: Bench) -> MaskedCamera:
         bench.test,
         fence=Fence(0.0),
     )
-    camera.listen(bench.epochs.append, lambda *told: bench.states.append(told), lambda: None)
+    camera.listen(bench.note)
     return camera
 
 
@@ -208,19 +208,19 @@ def test_a_stopping_camera_is_tested_no_more(bench: Bench) -> None:
 def test_how_long_a_proof_holds(bench: Bench) -> None:
     clock = Clock()
     device = Device(bench.display, bench.sensor, simulated=True)
-    proof = Proof(bench.test, device, Fence(0.0), every=10.0, clock=clock)
-    assert proof.holds_for() == 0
-    proof.renew()
+    status = SelfTestStatus(bench.test, device, Fence(0.0), every=10.0, clock=clock)
+    assert status.holds_for() == 0
+    status.renew()
     clock.sleep(4)
-    assert proof.holds_for() == 6
+    assert status.holds_for() == 6
     clock.sleep(7)
-    assert proof.holds_for() == 0
-    proof.renew()
+    assert status.holds_for() == 0
+    status.renew()
     bench.test.faults = [Undecided("dark")]
     with suppress(Undecided):
-        proof.renew()
+        status.renew()
     # What failed last counts, not what passed before.
-    assert proof.holds_for() == 0
+    assert status.holds_for() == 0
 
 
 def test_a_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) -> None:
@@ -229,13 +229,13 @@ def test_a_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) ->
             bench.display.resets += 1
 
     device = Device(bench.display, bench.sensor, simulated=True)
-    proof = Proof(Resetting(), device, Fence(0.0))
-    proof.renew()
-    assert proof.holds_for() == 0
+    status = SelfTestStatus(Resetting(), device, Fence(0.0))
+    status.renew()
+    assert status.holds_for() == 0
 
 
 @pytest.mark.parametrize("every", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_test_cannot_be_put_off_for_ever(bench: Bench, every: float) -> None:
     device = Device(bench.display, bench.sensor, simulated=True)
     with pytest.raises(ValueError, match="every"):
-        Proof(bench.test, device, Fence(0.0), every=every)
+        SelfTestStatus(bench.test, device, Fence(0.0), every=every)

@@ -1,0 +1,68 @@
+"""The daemon at a glance."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Literal
+
+from veilcam_client.wire.base import API_VERSION, Answer
+from veilcam_client.wire.bundles import EXAMPLE_BUNDLE, BundleInfo
+from veilcam_client.wire.captures import Release
+from veilcam_client.wire.rotation import EXAMPLE_ROTATION, Rotation
+
+State = Literal[
+    "starting", "self-test", "ready", "calibrating", "degraded", "safe", "replay", "stopping"
+]
+"""``safe``: the panel is opaque (or its content unknown) and no capture is taken; ``replay``: there
+is no panel, and captures come from a recording."""
+
+
+class Device(Answer):
+    """The panel and the sensor."""
+
+    display: str
+    sensor: str
+    simulated: bool
+
+
+class Queue(Answer):
+    """Captures admitted and not yet answered, and how many may be."""
+
+    waiting: int
+    limit: int
+
+
+class Status(Answer):
+    """The daemon at a glance."""
+
+    version: str
+    api_version: int
+    state: State
+    detail: str | None = None
+    """Why the state is not ``ready``."""
+    experiment: str | None = None
+    """``wrong-classifier`` when labels are meaningless on purpose."""
+    uptime_s: float
+    captures: int
+    release: Release
+    """In which form embeddings leave."""
+    device: Device
+    bundle: BundleInfo
+    rotation: Rotation
+    queue: Queue
+
+
+EXAMPLES = (
+    Status(
+        version=version("veilcam"),
+        api_version=API_VERSION,
+        state="ready",
+        uptime_s=3600.0,
+        captures=1200,
+        release="white",
+        device=Device(display="ST7735R", sensor="IMX477", simulated=False),
+        bundle=EXAMPLE_BUNDLE,
+        rotation=EXAMPLE_ROTATION,
+        queue=Queue(waiting=0, limit=8),
+    ),
+)

@@ -1,0 +1,59 @@
+"""REST API of the event stream."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Request
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from veilcam_client.wire.events import Classified
+from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
+from veilcam_server.api.scopes import CallerDep, requires
+
+RETRY_MS = 1000
+"""What a browser waits before it reconnects to the events."""
+RECHECK = 1.0
+"""A stream is not kept much longer than the token it was opened with [s]."""
+
+
+LastEventId = Annotated[str | None, Header(max_length=128)]
+
+router = APIRouter(prefix="/v1/events", redirect_slashes=False)
+
+
+async def _stream_place(admission: AdmissionDep) -> AsyncIterator[None]:
+    with admission.streams.held():
+        yield
+
+
+@router.get(
+    "",
+    dependencies=[requires("read:status"), Depends(_stream_place)],
+    response_class=EventSourceResponse,
+    responses=problems("invalid_request", "too_many_streams"),
+)
+async def events(
+    request: Request,
+    service: ServiceDep,
+    admission: AdmissionDep,
+    caller: CallerDep,
+    last_event_id: LastEventId = None,
+) -> AsyncIterator[ServerSentEvent]:
+    """Stream events; resume with ``Last-Event-ID``, comments are heartbeats.
+
+    Labels are among them where the token has the scope `classify`. The stream ends with the token.
+    """
+    yield ServerSentEvent(retry=RETRY_MS, comment="veilcam events")
+    checked = time.monotonic()
+    async for event in service.events(last_event_id):
+        if time.monotonic() - checked >= RECHECK:
+            if not admission.still_admits(request.headers):
+                return
+            checked = time.monotonic()
+        if event is None:
+            yield ServerSentEvent(comment="heartbeat")
+        elif not isinstance(event, Classified) or "classify" in caller.scopes:
+            yield ServerSentEvent(raw_data=event.model_dump_json(), event=event.kind, id=event.id)

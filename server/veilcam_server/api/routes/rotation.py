@@ -1,0 +1,40 @@
+"""REST API of the rotation of masks."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from veilcam_client.wire.rotation import Rotation, RotationPolicy
+from veilcam_server.api.dependencies import BODY, DEVICE, OnceDep, ServiceDep, problems, unleased
+from veilcam_server.api.scopes import requires
+
+router = APIRouter(prefix="/v1/rotation", redirect_slashes=False)
+
+
+@router.get("", dependencies=[requires("read:status")], responses=problems())
+async def rotation(service: ServiceDep) -> Rotation:
+    """When masks change, and the present epoch."""
+    return service.rotation()
+
+
+@router.put(
+    "",
+    dependencies=[requires("mask:rotate"), unleased()],
+    responses=problems(*BODY, "leased", "rotation_impossible", "replaying"),
+)
+async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
+    """Change when masks change: off, every N seconds, or every N captures."""
+    return service.set_policy(policy)
+
+
+@router.post(
+    "/advance",
+    dependencies=[requires("mask:rotate"), unleased()],
+    responses=problems(*BODY, "leased", *DEVICE, "replaying", "replay_over"),
+)
+async def advance(
+    service: ServiceDep,
+    once: OnceDep,
+) -> Rotation:
+    """Show another mask now."""
+    return await once(service.rotate)
