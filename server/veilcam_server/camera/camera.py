@@ -175,13 +175,13 @@ class MaskedCamera:
         failure.
 
         Raises:
-            NotReadyError: it is lent already, or the daemon is stopping.
+            NotReadyError: somebody else has it, or the daemon is stopping.
             SelfTestError, SensorError, FenceError, EpochError, DisplayError: at the end, as
                 :meth:`rotate`.
         """
         with self._lock:
             self._require_running()
-            self._panel.lend()
+            self._panel.suspend()
         try:
             self._bare.display.blank()
             yield self._bare
