@@ -36,7 +36,7 @@ from veilcam_server.calibration.workshop import Workshop
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
 from veilcam_server.devices.errors import SensorLostError
-from veilcam_server.devices.simulated.images import PictureError, decode, fitted
+from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
     KeyringInvalidError,
@@ -329,7 +329,7 @@ class Service:
 
 def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
     try:
-        return fitted(decode(content), scenes.shape)
+        return as_scene(content, scenes.shape)
     except PictureError as error:
         raise SceneInvalidError(f"this {error}") from None
 
