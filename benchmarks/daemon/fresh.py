@@ -28,6 +28,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -38,6 +39,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.wire.events import Event, MaskChanged
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
@@ -314,7 +316,13 @@ def soak(
         outcome.masks.append(setting.fingerprints.of(levels))
 
     camera = setting.camera(directory, tell, settle=settle, granted=granted)
-    camera.listen(outcome.names.append, lambda *_: None, lambda: None)
+
+    def note(make: Callable[..., Event]) -> None:
+        event = make(id="", at=datetime.now(UTC))
+        if isinstance(event, MaskChanged):
+            outcome.names.append(event.epoch)
+
+    camera.listen(note)
     ended = threading.Event()
 
     def meddle() -> None:

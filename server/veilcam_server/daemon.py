@@ -131,7 +131,7 @@ def _identity(
 
 
 class _Server(uvicorn.Server):
-    """Says when it listens, and ends event streams before it waits for its connections."""
+    """Says when it listens, ends when the device is lost, and event streams before connections."""
 
     def __init__(
         self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
@@ -144,9 +144,8 @@ class _Server(uvicorn.Server):
         if self.started:
             self._on_listening()
 
-    def end(self) -> None:
-        """Shut down as if told by a signal."""
-        self.should_exit = True
+    async def on_tick(self, counter: int) -> bool:
+        return await super().on_tick(counter) or self._service.lost is not None
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         notify("STOPPING=1")
@@ -212,7 +211,6 @@ def _serve(
             log.info("start", urls=urls, device=what, auth=settings.auth)
             if settings.auth == "none":
                 log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
-            service.on_lost(server.end)
             server.run([listener.socket for listener in listeners])
             if service.lost is not None:
                 raise StoppedError(str(service.lost))

@@ -12,6 +12,7 @@ class ProblemError(Exception):
         code: stable, machine-readable.
         status: of the answer in HTTP.
         title: what the code always means.
+        detail: what is told where nothing more is known.
         retryable: whether the same request may succeed later.
         retry_after: what to wait before that [s].
     """
@@ -19,6 +20,7 @@ class ProblemError(Exception):
     code: ClassVar[str]
     status: ClassVar[int]
     title: ClassVar[str]
+    detail: ClassVar[str]
     retryable: ClassVar[bool]
     retry_after: int = 1
 
@@ -28,10 +30,15 @@ class ProblemError(Exception):
         code: str | None = None,
         status: int = 500,
         title: str = "",
+        detail: str = "",
         retryable: bool = False,
     ) -> None:
         if code is not None:  # another cause of what its base is called
             cls.code, cls.status, cls.title, cls.retryable = code, status, title, retryable
+            cls.detail = detail
+
+    def __init__(self, detail: str | None = None) -> None:
+        super().__init__(self.detail if detail is None else detail)
 
 
 class StartError(Exception):
@@ -116,12 +123,13 @@ class IdempotencyError(
 
 
 class HostRefusedError(
-    ProblemError, code="host_refused", status=421, title="This host name is not served"
+    ProblemError,
+    code="host_refused",
+    status=421,
+    title="This host name is not served",
+    detail="this daemon answers to localhost only: use http://localhost:PORT",
 ):
     """The ``Host`` of a request is not this machine."""
-
-    def __init__(self) -> None:
-        super().__init__("this daemon answers to localhost only: use http://localhost:PORT")
 
 
 class CrossSiteError(
@@ -134,15 +142,16 @@ class CrossSiteError(
 
 
 class UnauthorizedError(
-    ProblemError, code="unauthorized", status=401, title="A valid token is wanted"
+    ProblemError,
+    code="unauthorized",
+    status=401,
+    title="A valid token is wanted",
+    detail=(
+        "this daemon wants a valid token: make one with 'veilcamd token create' and send it "
+        "as Authorization: Bearer"
+    ),
 ):
     """No valid token came with the request; why it is not valid stays here."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "this daemon wants a valid token: make one with 'veilcamd token create' and send it "
-            "as Authorization: Bearer"
-        )
 
 
 class ForbiddenError(
@@ -157,20 +166,19 @@ class CalibratingError(
     status=503,
     title="The camera is being calibrated",
     retryable=True,
+    detail="the camera is being calibrated: see GET /v1/calibration",
 ):
     """The camera is being measured, and takes no captures meanwhile."""
 
-    def __init__(self) -> None:
-        super().__init__("the camera is being calibrated: see GET /v1/calibration")
-
 
 class NotCalibratingError(
-    ProblemError, code="not_calibrating", status=409, title="No calibration is under way"
+    ProblemError,
+    code="not_calibrating",
+    status=409,
+    title="No calibration is under way",
+    detail="no calibration is under way: begin one with POST /v1/calibration",
 ):
     """No calibration is under way."""
-
-    def __init__(self) -> None:
-        super().__init__("no calibration is under way: begin one with POST /v1/calibration")
 
 
 class SceneNotWantedError(
@@ -193,14 +201,13 @@ class CalibrationImpossibleError(
 
 
 class ReplayingError(
-    ProblemError, code="replaying", status=409, title="A recording cannot do this"
+    ProblemError,
+    code="replaying",
+    status=409,
+    title="A recording cannot do this",
+    detail="there is no panel and no sensor: this daemon replays a recording",
 ):
     """What is asked for needs a camera, and there is a recording only."""
-
-    def __init__(
-        self, why: str = "there is no panel and no sensor: this daemon replays a recording"
-    ) -> None:
-        super().__init__(why)
 
 
 class ReplayOverError(
@@ -213,12 +220,13 @@ class ReplayOverError(
 
 
 class SceneApiOffError(
-    ProblemError, code="scene_api_off", status=409, title="No scenes are held up by program"
+    ProblemError,
+    code="scene_api_off",
+    status=409,
+    title="No scenes are held up by program",
+    detail="this daemon takes no scenes: start it with --simulate --scene-api",
 ):
     """Scenes are not held up by program before this camera."""
-
-    def __init__(self) -> None:
-        super().__init__("this daemon takes no scenes: start it with --simulate --scene-api")
 
 
 class SceneInvalidError(ProblemError, code="scene_invalid", status=422, title="This is no picture"):
@@ -242,14 +250,13 @@ class TokenStoreError(
 
 
 class TokensOffError(
-    ProblemError, code="tokens_off", status=409, title="This daemon wants no tokens"
+    ProblemError,
+    code="tokens_off",
+    status=409,
+    title="This daemon wants no tokens",
+    detail="this daemon wants no tokens: start it with --auth tokens, or use 'veilcamd token'",
 ):
     """Tokens are asked about, and this daemon wants none."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "this daemon wants no tokens: start it with --auth tokens, or use 'veilcamd token'"
-        )
 
 
 class RateLimitError(
@@ -303,12 +310,13 @@ class LeasedError(
 
 
 class UnknownKeyringError(
-    ProblemError, code="unknown_keyring", status=404, title="There is no such keyring"
+    ProblemError,
+    code="unknown_keyring",
+    status=404,
+    title="There is no such keyring",
+    detail="there is no keyring of this digest: see GET /v1/keyrings",
 ):
     """There is no keyring of this digest."""
-
-    def __init__(self) -> None:
-        super().__init__("there is no keyring of this digest: see GET /v1/keyrings")
 
 
 class KeyringInvalidError(
@@ -324,12 +332,13 @@ class KeyringUnfitError(
 
 
 class KeyringInUseError(
-    ProblemError, code="keyring_in_use", status=409, title="The keyring is in use"
+    ProblemError,
+    code="keyring_in_use",
+    status=409,
+    title="The keyring is in use",
+    detail="this keyring is in use, or the daemon was started with it: it stays",
 ):
     """A keyring that cannot be removed."""
-
-    def __init__(self) -> None:
-        super().__init__("this keyring is in use, or the daemon was started with it: it stays")
 
 
 class KeyringsFullError(
@@ -347,11 +356,9 @@ class KeyringsBusyError(
     status=503,
     title="The keyrings are being changed",
     retryable=True,
+    detail="another change of keyrings is under way: try again when it is done",
 ):
     """Another change of keyrings is under way."""
-
-    def __init__(self) -> None:
-        super().__init__("another change of keyrings is under way: try again when it is done")
 
 
 class KeyringStoreError(
@@ -365,9 +372,10 @@ class KeyringStoreError(
 
 
 class InferenceError(
-    ProblemError, code="inference_failed", status=503, title="The classifier gave no probabilities"
+    ProblemError,
+    code="inference_failed",
+    status=503,
+    title="The classifier gave no probabilities",
+    detail="the classifier gave no probabilities for this reading: train it again",
 ):
     """A classifier gave no numbers for a reading."""
-
-    def __init__(self) -> None:
-        super().__init__("the classifier gave no probabilities for this reading: train it again")

@@ -6,6 +6,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeAlias
 
@@ -18,6 +19,7 @@ import torch
 
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Release
+from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
@@ -200,6 +202,14 @@ class Bench:
     calibration: SignedCalibration | None = None
     workshop: Workshop | None = None
 
+    def note(self, make: Callable[..., Event]) -> None:
+        """Remember new epochs and states."""
+        event = make(id="", at=datetime.now(UTC))
+        if isinstance(event, MaskChanged):
+            self.epochs.append(event.epoch)
+        elif isinstance(event, StateChanged):
+            self.states.append((event.state, event.detail))
+
     def camera(
         self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
     ) -> MaskedCamera:
@@ -212,11 +222,7 @@ class Bench:
             policy=policy,
             test_every=test_every,
         )
-        camera.listen(
-            self.epochs.append,
-            lambda state, detail: self.states.append((state, detail)),
-            lambda: None,
-        )
+        camera.listen(self.note)
         try:
             camera.rotate()
         except BaseException:
@@ -249,13 +255,13 @@ class Bench:
             heartbeat=0.05,
             workshop=self.workshop,
         )
-        on_mask, on_state = camera._panel.on_mask, camera._panel.on_state
+        publish = camera._panel.publish
 
-        def mask(epoch: str) -> None:
-            self.epochs.append(epoch)
-            on_mask(epoch)
+        def note(make: Callable[..., Event]) -> None:
+            self.note(make)
+            publish(make)
 
-        camera.listen(mask, on_state, camera.preparation.on_ready)
+        camera.listen(note)
         return service
 
     def pair_shown(self) -> int | None:

@@ -54,10 +54,10 @@ def test_what_dead_writers_left_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "fit.checkpoint"
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    left = [tmp_path / f".{path.name}.{number}" for number in (dead.pid, os.getpid())]
+    left = [tmp_path / f".{path.name}.{number}.00c0ffee" for number in (dead.pid, os.getpid())]
     others = [
-        tmp_path / f".{path.name}.{os.getppid()}",  # it is being written
-        tmp_path / f".other.checkpoint.{dead.pid}",
+        tmp_path / f".{path.name}.{os.getppid()}.00c0ffee",  # it is being written
+        tmp_path / f".other.checkpoint.{dead.pid}.00c0ffee",
         tmp_path / f".{path.name}.old",
     ]
     for file in (*left, *others):

@@ -1,4 +1,4 @@
-"""Places that a command writes to: each is tried before the work, not after it."""
+"""Files of a run: private ones behind a checksum, and places tried before the work."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
 
+from veilcam_optics.files import write_whole
 from veilcam_training.errors import TrainingError
 
 DIGEST_BYTES = hashlib.sha256().digest_size
@@ -22,19 +23,7 @@ def write_private(path: Path, content: bytes) -> None:
     """
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     _remove_stale(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "wb") as stream:
-        stream.write(hashlib.sha256(content).digest())
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-    temporary.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    write_whole(path, hashlib.sha256(content).digest() + content, private=True)
 
 
 def read_private(path: Path) -> bytes | None:
@@ -63,7 +52,7 @@ def unreadable(path: Path, reason: str) -> TrainingError:
 def _remove_stale(path: Path) -> None:
     """Remove what writers left who were killed; one that had our number is dead, too."""
     for file in path.parent.iterdir():
-        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d{{1,9}})", file.name)
+        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d{{1,9}})\.[0-9a-f]{{8}}", file.name)
         if match is not None and not _is_other_process(int(match[1])):
             file.unlink(missing_ok=True)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 from urllib.parse import quote
 
@@ -39,162 +39,146 @@ class Call(Generic[AnswerT]):
     method: str
     path: str
     answer: type[AnswerT]
-    body: bytes | None = None
-    headers: Mapping[str, str] = field(default_factory=dict)
+    body: bytes | None
+    headers: Mapping[str, str]
 
 
-def _headers(*, body: bool = False, post: bool = False) -> dict[str, str]:
+def _call(
+    method: str,
+    path: str,
+    answer: type[AnswerT],
+    body: BaseModel | bytes | None = None,
+    *,
+    media_type: str = "application/json",
+    once: bool = False,
+) -> Call[AnswerT]:
+    """One request; ``once`` gives it a key by which a repetition is known."""
     headers = {"Accept": "application/json"}
-    if body:
-        headers["Content-Type"] = "application/json"
-    if post:
+    if body is not None:
+        headers["Content-Type"] = media_type
+    if once:
         headers["Idempotency-Key"] = uuid.uuid4().hex
-    return headers
+    content = body.model_dump_json().encode() if isinstance(body, BaseModel) else body
+    return Call(method, path, answer, content, headers)
 
 
 def status() -> Call[Status]:
     """GET /v1/status."""
-    return Call("GET", "/v1/status", Status, headers=_headers())
+    return _call("GET", "/v1/status", Status)
 
 
 def calibration() -> Call[CalibrationStatus]:
     """GET /v1/calibration."""
-    return Call("GET", "/v1/calibration", CalibrationStatus, headers=_headers())
+    return _call("GET", "/v1/calibration", CalibrationStatus)
 
 
 def start_calibration(repeats: int) -> Call[CalibrationRun]:
     """POST /v1/calibration."""
-    body = CalibrationRequest(repeats=repeats).model_dump_json().encode()
-    return Call("POST", "/v1/calibration", CalibrationRun, body, _headers(body=True, post=True))
+    body = CalibrationRequest(repeats=repeats)
+    return _call("POST", "/v1/calibration", CalibrationRun, body, once=True)
 
 
 def scene_presented(scene: SceneName) -> Call[CalibrationRun]:
     """POST /v1/calibration/scene."""
-    body = ScenePresented(scene=scene).model_dump_json().encode()
-    path = "/v1/calibration/scene"
-    return Call("POST", path, CalibrationRun, body, _headers(body=True, post=True))
+    body = ScenePresented(scene=scene)
+    return _call("POST", "/v1/calibration/scene", CalibrationRun, body, once=True)
 
 
 def cancel_calibration() -> Call[CalibrationRun]:
     """DELETE /v1/calibration."""
-    return Call("DELETE", "/v1/calibration", CalibrationRun, headers=_headers())
+    return _call("DELETE", "/v1/calibration", CalibrationRun)
 
 
 def capture() -> Call[Capture]:
     """POST /v1/captures."""
-    return Call("POST", "/v1/captures", Capture, headers=_headers(post=True))
+    return _call("POST", "/v1/captures", Capture, once=True)
 
 
 def classify(include_embedding: bool) -> Call[Classification]:
     """POST /v1/classifications."""
-    path = "/v1/classifications"
-    if not include_embedding:
-        # What a body would say goes without saying, and without it the request is one packet.
-        return Call("POST", path, Classification, headers=_headers(post=True))
-    request = ClassificationRequest(include_embedding=True)
-    body = request.model_dump_json().encode()
-    return Call("POST", path, Classification, body, _headers(body=True, post=True))
+    # What a body would say goes without saying, and without it the request is one packet.
+    body = ClassificationRequest(include_embedding=True) if include_embedding else None
+    return _call("POST", "/v1/classifications", Classification, body, once=True)
 
 
 def rotation() -> Call[Rotation]:
     """GET /v1/rotation."""
-    return Call("GET", "/v1/rotation", Rotation, headers=_headers())
+    return _call("GET", "/v1/rotation", Rotation)
 
 
 def set_rotation(policy: RotationPolicy) -> Call[Rotation]:
     """PUT /v1/rotation."""
-    return Call(
-        "PUT",
-        "/v1/rotation",
-        Rotation,
-        policy.model_dump_json().encode(),
-        _headers(body=True),
-    )
+    return _call("PUT", "/v1/rotation", Rotation, policy)
 
 
 def rotate() -> Call[Rotation]:
     """POST /v1/rotation/advance."""
-    return Call("POST", "/v1/rotation/advance", Rotation, headers=_headers(post=True))
+    return _call("POST", "/v1/rotation/advance", Rotation, once=True)
 
 
 def lease_state() -> Call[Lease]:
     """GET /v1/lease."""
-    return Call("GET", "/v1/lease", Lease, headers=_headers())
+    return _call("GET", "/v1/lease", Lease)
 
 
 def take_lease(seconds: float, owner: str) -> Call[NewLease]:
     """POST /v1/lease."""
-    request = LeaseRequest(owner=owner, seconds=seconds)
-    return Call(
-        "POST",
-        "/v1/lease",
-        NewLease,
-        request.model_dump_json().encode(),
-        _headers(body=True, post=True),
-    )
+    body = LeaseRequest(owner=owner, seconds=seconds)
+    return _call("POST", "/v1/lease", NewLease, body, once=True)
 
 
 def release_lease(force: bool = False) -> Call[Lease]:
     """DELETE /v1/lease."""
-    path = "/v1/lease?force=true" if force else "/v1/lease"
-    return Call("DELETE", path, Lease, headers=_headers())
+    return _call("DELETE", "/v1/lease?force=true" if force else "/v1/lease", Lease)
 
 
 def diagnostics() -> Call[Diagnostics]:
     """GET /v1/diagnostics."""
-    return Call("GET", "/v1/diagnostics", Diagnostics, headers=_headers())
+    return _call("GET", "/v1/diagnostics", Diagnostics)
 
 
 def tokens() -> Call[Tokens]:
     """GET /v1/tokens."""
-    return Call("GET", "/v1/tokens", Tokens, headers=_headers())
+    return _call("GET", "/v1/tokens", Tokens)
 
 
 def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Call[NewToken]:
     """POST /v1/tokens."""
-    request = TokenRequest(label=label, scopes=tuple(scopes), seconds=seconds)
-    return Call(
-        "POST",
-        "/v1/tokens",
-        NewToken,
-        request.model_dump_json().encode(),
-        _headers(body=True, post=True),
-    )
+    body = TokenRequest(label=label, scopes=tuple(scopes), seconds=seconds)
+    return _call("POST", "/v1/tokens", NewToken, body, once=True)
 
 
 def revoke_token(token_id: str) -> Call[Token]:
     """DELETE /v1/tokens/ID."""
-    return Call("DELETE", f"/v1/tokens/{quote(token_id, safe='')}", Token, headers=_headers())
+    return _call("DELETE", f"/v1/tokens/{quote(token_id, safe='')}", Token)
 
 
 def hold_scene(picture: bytes) -> Call[HeldScene]:
     """PUT /v1/simulation/scene."""
-    headers = {**_headers(), "Content-Type": PICTURE_MEDIA_TYPE}
-    return Call("PUT", "/v1/simulation/scene", HeldScene, picture, headers)
+    path = "/v1/simulation/scene"
+    return _call("PUT", path, HeldScene, picture, media_type=PICTURE_MEDIA_TYPE)
 
 
 def take_scene_away() -> Call[HeldScene]:
     """DELETE /v1/simulation/scene."""
-    return Call("DELETE", "/v1/simulation/scene", HeldScene, headers=_headers())
+    return _call("DELETE", "/v1/simulation/scene", HeldScene)
 
 
 def keyrings() -> Call[Keyrings]:
     """GET /v1/keyrings."""
-    return Call("GET", "/v1/keyrings", Keyrings, headers=_headers())
+    return _call("GET", "/v1/keyrings", Keyrings)
 
 
 def install_keyring(bundle: bytes) -> Call[Keyring]:
     """POST /v1/keyrings; to repeat it changes nothing."""
-    headers = {**_headers(), "Content-Type": BUNDLE_MEDIA_TYPE}
-    return Call("POST", "/v1/keyrings", Keyring, bundle, headers)
+    return _call("POST", "/v1/keyrings", Keyring, bundle, media_type=BUNDLE_MEDIA_TYPE)
 
 
 def activate_keyring(digest: str) -> Call[Keyring]:
     """POST /v1/keyrings/DIGEST/activate."""
-    path = f"/v1/keyrings/{quote(digest, safe='')}/activate"
-    return Call("POST", path, Keyring, headers=_headers(post=True))
+    return _call("POST", f"/v1/keyrings/{quote(digest, safe='')}/activate", Keyring, once=True)
 
 
 def remove_keyring(digest: str) -> Call[Keyrings]:
     """DELETE /v1/keyrings/DIGEST."""
-    return Call("DELETE", f"/v1/keyrings/{quote(digest, safe='')}", Keyrings, headers=_headers())
+    return _call("DELETE", f"/v1/keyrings/{quote(digest, safe='')}", Keyrings)

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter
 
 from veilcam_optics.accuracy.measure import OURS, Point, pareto_front
 from veilcam_optics.accuracy.report import Result, duration
-from veilcam_optics.accuracy.transfer_job import METHOD as PLAN
+from veilcam_optics.accuracy.transfer_job import PLAN
 
 WORST_ERROR = 1.5
 """Larger errors are not drawn: the result has nothing to do with the truth."""
@@ -26,6 +26,7 @@ _OURS = {
     "fraunhofer": ("#9a9a9a", "<"),
     "geometric shadow": ("#5c5c5c", ">"),
     "rayleigh-sommerfeld": ("#2f4858", "h"),
+    "Algorithm 1": ("#8c510a", "p"),
     PLAN: ("#111111", "*"),
 }
 _PEERS = (

@@ -1,9 +1,11 @@
-"""What the planner chooses for a tolerance, as settings in the transfer job."""
+"""Job: from a mask to the transfer matrix of a camera, by every way there is."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import cache, partial
+from typing import get_args
 
 import torch
 from torch import Tensor
@@ -13,6 +15,7 @@ from veilcam_optics.accuracy.psf_methods import PRECISIONS, Psf, example_mask, f
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
+from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_optics.transfer.reference import (
@@ -20,6 +23,11 @@ from veilcam_optics.transfer.reference import (
     TransferBinning,
     reference_transfer,
 )
+
+PLAN = "plan"
+TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+
+_SCENES_AT_ONCE = 16
 
 
 class TransferJob:
@@ -39,7 +47,13 @@ class TransferJob:
     def job(self) -> Job:
         """The job with every setting of ours."""
         title = f"LCD mask to transfer, {self.scene.rows} x {self.scene.columns} scene to 24 x 32"
-        settings = [*self._operators(), *self._factored(), *self._grids()]
+        settings = [
+            *self._operators(),
+            *self._factored(),
+            *self._grids(),
+            *self._algorithm1(),
+            *self._plans(),
+        ]
         return Job("transfer", title, self.reference, settings)
 
     def grid(self, oversampling: int) -> Grid:
@@ -50,6 +64,11 @@ class TransferJob:
             self.camera.sensor.width + self.scene.columns * image,
             SENSOR_PIXELS_PER_SAMPLE * self.camera.sensor.pixel / oversampling,
         )
+
+    def units(self, dtype: torch.dtype) -> Tensor:
+        """Every scene of a single lit pixel, (pixels, rows, columns)."""
+        pixels = self.scene.rows * self.scene.columns
+        return torch.eye(pixels, dtype=dtype).reshape(pixels, *self.scene.shape)
 
     def gray_transfer(self, psf: Psf, grid: Grid, dtype: torch.dtype) -> Prepared:
         """Time from weights to transfer by way of a PSF on a grid: its boxes are computed once."""
@@ -121,24 +140,41 @@ class TransferJob:
         light = GridLight(self.camera, self.scene, oversampling=oversampling, dtype=dtype)
         return self.gray_transfer(light.psf, light.grid, dtype)
 
+    def _plans(self) -> Iterator[Setting]:
+        """One setting for each tolerance: planning and building are set-up, the run is timed."""
+        for tolerance in TOLERANCES:
+            yield Setting(
+                PLAN, {"tolerance": f"{tolerance:.0e}"}, partial(self._prepare_plan, tolerance)
+            )
 
-METHOD = "plan"
-TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+    def _prepare_plan(self, tolerance: float) -> Prepared:
+        chosen = plan(self.camera, self.scene, self.embedding, tolerance)
+        operator = chosen.operator
+        weights = self.weights.to(chosen.model.sampling.dtype)
+        if operator.has_transfer:
+            return Prepared(lambda: operator(weights))
+        # A way that forms no matrix shows it one scene pixel at a time.
+        units = self.units(weights.dtype)
+        return Prepared(lambda: operator.embed(units, weights).flatten(1))
 
+    def _algorithm1(self) -> Iterator[Setting]:
+        """The paper's own algorithm: its PSF and FFT convolution, timed for *one* scene."""
+        for precision, dtype in PRECISIONS.items():
+            for resampling in get_args(Resampling):
+                dials = {"resampling": resampling, "dtype": precision, "timed": "one scene"}
+                yield Setting(
+                    "Algorithm 1", dials, partial(self._prepare_algorithm1, resampling, dtype)
+                )
 
-def plan_settings(job: TransferJob) -> Iterator[Setting]:
-    """One setting for each tolerance: planning and building are set-up, only the run is timed."""
-    for tolerance in TOLERANCES:
-        yield Setting(METHOD, {"tolerance": f"{tolerance:.0e}"}, partial(_prepare, job, tolerance))
+    def _prepare_algorithm1(self, resampling: Resampling, dtype: torch.dtype) -> Prepared:
+        simulation = Algorithm1(
+            self.camera, self.scene, self.embedding, resampling, snr_db=math.inf
+        )
+        mask, units = self.weights.to(dtype), self.units(dtype)
 
+        def transfer() -> Tensor:
+            psf = simulation.psf(mask)
+            parts = [simulation(some, psf) for some in torch.split(units, _SCENES_AT_ONCE)]
+            return torch.cat(parts).flatten(1)
 
-def _prepare(job: TransferJob, tolerance: float) -> Prepared:
-    chosen = plan(job.camera, job.scene, job.embedding, tolerance)
-    operator = chosen.operator
-    weights = job.weights.to(chosen.model.sampling.dtype)
-    if operator.has_transfer:
-        return Prepared(lambda: operator(weights))
-    # A way that forms no matrix shows it one scene pixel at a time.
-    pixels = job.scene.rows * job.scene.columns
-    units = torch.eye(pixels, dtype=weights.dtype).reshape(pixels, *job.scene.shape)
-    return Prepared(lambda: operator.embed(units, weights).flatten(1))
+        return Prepared(lambda: simulation(units[:1], simulation.psf(mask)), transfer)

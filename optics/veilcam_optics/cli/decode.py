@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +15,7 @@ from torch import Tensor
 from veilcam_optics.decoding import read_frame
 from veilcam_optics.decoding.release import ReleaseForm, decode_released
 from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.files import replacing
 from veilcam_optics.keys.masks import Secret
 
 
@@ -70,11 +70,8 @@ def _read(path: Path) -> Tensor:
 
 
 def _write(path: Path, scenes: Tensor) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with temporary.open("wb") as stream:
+        with replacing(path) as stream:
             np.save(stream, scenes.numpy())
-        temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise OpticsError(f"{path} cannot be written ({error.strerror}): check it") from None

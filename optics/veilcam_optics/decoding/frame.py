@@ -6,8 +6,6 @@ from, and as its metadata one JSON text with the rest. None of it is secret. It 
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -25,6 +23,7 @@ from veilcam_optics.decoding.decoder import Precision, SceneDecoding
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError
+from veilcam_optics.files import write_whole
 from veilcam_optics.keys.masks import Levels, MaskDistribution
 from veilcam_optics.transfer.operator import Reach
 
@@ -78,17 +77,7 @@ class SceneFrame:
 
 def write_frame(path: Path, frame: SceneFrame) -> None:
     """Write ``frame`` so that ``path`` holds either what it held before or all of it."""
-    data = dump_frame(frame)
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    write_whole(path, dump_frame(frame), private=True)
 
 
 def read_frame(path: Path) -> SceneFrame:

@@ -77,7 +77,7 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
         metrics=metrics,
         max_body=MAX_BODY,
         max_uploads={
-            ("POST", bundles.PREFIX): service.keyrings.limit,
+            ("POST", bundles.PREFIX): service.upload_limit,
             ("PUT", simulation.PATH): simulation.MAX_PICTURE,
         },
     )

@@ -18,6 +18,7 @@ from typing import BinaryIO
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from veilcam_optics.files import sync_folder
 from veilcam_server.errors import (
     KeyringInUseError,
     KeyringsFullError,
@@ -110,7 +111,7 @@ class KeyringStore:
             with temporary.open("rb") as stream:
                 os.fsync(stream.fileno())
             temporary.replace(self._path(digest))
-            self._sync()
+            sync_folder(self._directory)
 
     def remove(self, digest: str, active: str) -> None:
         """Remove a bundle for good.
@@ -125,7 +126,7 @@ class KeyringStore:
             raise KeyringInUseError
         with _durable():
             path.unlink()
-            self._sync()
+            sync_folder(self._directory)
 
     def stage(self, digest: str, before: str) -> Path:
         """Write down that ``digest`` is in use, for :meth:`commit`.
@@ -148,7 +149,7 @@ class KeyringStore:
         """Make what was staged hold from now on; raises :class:`KeyringStoreError`."""
         with _durable():
             staged.replace(self._directory / _RECORD)
-            self._sync()
+            sync_folder(self._directory)
 
     def _temporary(self) -> tuple[int, str]:
         self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -162,13 +163,6 @@ class KeyringStore:
             return _Active.model_validate_json((self._directory / _RECORD).read_bytes())
         except (OSError, ValidationError):
             return None
-
-    def _sync(self) -> None:
-        descriptor = os.open(self._directory, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def append(stream: BinaryIO, chunk: bytes) -> None:

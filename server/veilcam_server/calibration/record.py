@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Self
 
@@ -13,6 +11,7 @@ from pydantic import ValidationError
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.decoding import Calibration
+from veilcam_optics.files import create_private, write_whole
 from veilcam_server.calibration.errors import CalibrationError
 
 KEY_NAME = "calibration-key"
@@ -36,11 +35,8 @@ class SigningKey:
         try:
             if create and not path.exists():
                 state_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
-                descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-                with os.fdopen(descriptor, "w") as stream:
-                    stream.write(Ed25519PrivateKey.generate().private_bytes_raw().hex() + "\n")
-                    stream.flush()
-                    os.fsync(stream.fileno())
+                secret = Ed25519PrivateKey.generate().private_bytes_raw()
+                create_private(path, f"{secret.hex()}\n".encode())
             return cls(Ed25519PrivateKey.from_private_bytes(bytes.fromhex(path.read_text("ascii"))))
         except FileNotFoundError:
             raise CalibrationError(
@@ -110,21 +106,7 @@ def write_record(path: Path, signed: SignedCalibration) -> None:
         CalibrationError: it cannot be written.
     """
     try:
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "w") as stream:
-                stream.write(signed.model_dump_json(indent=1) + "\n")
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(name, path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-        directory = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
+        write_whole(path, f"{signed.model_dump_json(indent=1)}\n".encode(), private=True)
     except OSError as error:
         raise CalibrationError(f"{path} cannot be written ({error.strerror}): check it") from None
 

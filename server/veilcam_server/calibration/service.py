@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any, Protocol, TypeVar
 
 import structlog
@@ -22,7 +22,7 @@ from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration import CalibrationError, SigningKey
 from veilcam_server.calibration.progress import CancelledError, Run
 from veilcam_server.calibration.workshop import Workshop
-from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.errors import (
     CalibratingError,
     CalibrationImpossibleError,
@@ -49,7 +49,7 @@ class Calibrator:
 
     Args:
         camera: whose device is measured, and which goes on with what was found.
-        keyrings: of which the one in use is opened anew for what was found.
+        keyrings: of which the one in use is opened anew for what was found; None: there are none.
         workshop: that measures; None: this camera cannot be measured.
         signed: the record in use.
         on_device: does work on the device's thread.
@@ -58,8 +58,8 @@ class Calibrator:
 
     def __init__(
         self,
-        camera: MaskedCamera,
-        keyrings: Keyrings,
+        camera: CameraEngine,
+        keyrings: Keyrings | None,
         workshop: Workshop | None,
         signed: SignedCalibration | None,
         *,
@@ -148,11 +148,14 @@ class Calibrator:
     async def _calibrate(self, workshop: Workshop, run: Run, key: SigningKey, repeats: int) -> None:
         stage: Stage = "done"
         detail: str | None = None
+        exclusive = ExitStack()
+
+        def measure() -> CalibrationRecord:
+            device = exclusive.enter_context(self._camera.exclusive())
+            return workshop.measure(device, run, repeats)
+
         try:
-            record = await self._on_device(
-                lambda: self._camera.lend(lambda device: workshop.measure(device, run, repeats)),
-                counted=False,
-            )
+            record = await self._on_device(measure, counted=False)
             run.check()
             await self._adopt(workshop, record, key)
         except CancelledError:
@@ -164,7 +167,7 @@ class Calibrator:
                 detail = "the daemon has a defect: nothing was changed"
         # Why no mask is shown, where none is, the state tells.
         with suppress(Exception):
-            await self._on_device(self._camera.take_back)
+            await self._on_device(exclusive.close)
         log.info("calibration", outcome=stage, detail=detail)
         run.end(stage, detail)
 
@@ -177,5 +180,6 @@ class Calibrator:
             settle = workshop.settle(signed)
             await self._on_device(lambda: self._camera.adopt(signed, settle, keys.source))
 
+        assert self._keyrings is not None  # noqa: S101 - a camera that can be measured has some
         await self._keyrings.reopen(workshop.opener(signed), change)
         self._signed = signed

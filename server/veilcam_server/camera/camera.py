@@ -2,7 +2,7 @@
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
 checked before and after (the fence), or it is an error. No capture is taken unless a self test has
-proven that the panel hides the scene (``masked_panel.py``).
+proven that the panel hides the scene (``panel.py``).
 """
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
-from typing import TypeVar
 
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.rotation import Preparation as PreparationStatus
+from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import State
 from veilcam_server.calibration.loading import calibrated
 from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
+from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.rotation import due_in, reusable
@@ -33,8 +34,6 @@ from veilcam_server.errors import (
     RotationImpossibleError,
 )
 from veilcam_server.masks.source import MaskSource
-
-ResultT = TypeVar("ResultT")
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
@@ -79,23 +78,9 @@ class MaskedCamera:
         self.lateness = Lateness()
         self.policy = policy
 
-    def listen(
-        self,
-        on_mask: Callable[[str], None],
-        on_state: Callable[[State, str | None], None],
-        on_ready: Callable[[], None],
-    ) -> None:
-        """Call back when the mask or the state changes, and when the next mask is ready.
-
-        Callbacks are made while the device is busy, so they must neither block nor fail.
-
-        Args:
-            on_mask: takes the name of the new epoch.
-            on_state: takes the new state, and why it is not ``ready``.
-            on_ready: takes nothing; made on another thread.
-        """
-        self._panel.on_mask, self._panel.on_state = on_mask, on_state
-        self._preparation.on_ready = on_ready
+    def listen(self, publish: Publish) -> None:
+        """Publish every new state and mask, while the device is busy."""
+        self._panel.publish = publish
 
     @property
     def state(self) -> tuple[State, str | None]:
@@ -128,6 +113,30 @@ class MaskedCamera:
         active = self._panel.active
         return (None, 0) if active is None else (active.epoch, active.captures)
 
+    def rotation(self) -> Rotation:
+        """The policy, the present epoch, and whether the next one is ready."""
+        epoch, captures = self.present
+        return Rotation(
+            policy=self._policy,
+            epoch=epoch,
+            captures=captures,
+            preparation=PreparationStatus(
+                ready=self._preparation.ready,
+                prepared=self._preparation.count,
+                last_s=self._preparation.took,
+                late=self.lateness.late,
+                reused=self.lateness.reused,
+            ),
+        )
+
+    def first_of(self, source: MaskSource) -> Prepared:
+        """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
+        return self._preparation.first_of(source)
+
+    def await_next(self) -> None:
+        """Wait until no mask is being prepared."""
+        self._preparation.wait()
+
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
         active = self._panel.active
@@ -157,21 +166,30 @@ class MaskedCamera:
             else:
                 self._panel.test()
 
-    def lend(self, work: Callable[[Device], ResultT]) -> ResultT:
-        """Let ``work`` have the device as it is, without any calibration; raises what it does.
+    @contextmanager
+    def exclusive(self) -> Iterator[Device]:
+        """Have the device as it is, without any calibration, on whatever thread.
 
-        No mask is shown and no capture taken from here on until :meth:`take_back`.
+        No mask is shown and no capture taken within. At the end the panel is tested and a mask
+        shown; where that fails, the state says why, and it is tried again as after any other
+        failure.
 
         Raises:
             NotReadyError: it is lent already, or the daemon is stopping.
+            SelfTestError, SensorError, FenceError, EpochError, DisplayError: at the end, as
+                :meth:`rotate`.
         """
         with self._lock:
             self._require_running()
             self._panel.lend()
-            return work(self._bare)
+        try:
+            self._bare.display.blank()
+            yield self._bare
+        finally:
+            self._take_back()
 
     def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:
-        """While the device is lent: go on with another calibration.
+        """Within :meth:`exclusive`: go on with another calibration.
 
         Args:
             calibration: what readings are corrected by.
@@ -182,20 +200,6 @@ class MaskedCamera:
             self._device = calibrated(self._bare, calibration)
             self._fence = Fence(settle, self._fence.timeout)
             self._preparation.serve(source)
-
-    def take_back(self) -> None:
-        """End what :meth:`lend` began: test the panel, and show a mask; raises as :meth:`rotate`.
-
-        Where that fails, the state says why, and it is tried again as after any other failure.
-        """
-        with self._lock:
-            if self.state[0] != "calibrating":
-                return
-            self._self_test.void(self._device, self._fence)
-            try:
-                self._panel.show(self._preparation.take())
-            finally:
-                self._panel.strand()
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -303,6 +307,16 @@ class MaskedCamera:
             with ExitStack() as stack:
                 stack.callback(self._preparation.close)
                 self._device.close()
+
+    def _take_back(self) -> None:
+        with self._lock:
+            if self.state[0] != "calibrating":
+                return
+            self._self_test.void(self._device, self._fence)
+            try:
+                self._panel.show(self._preparation.take())
+            finally:
+                self._panel.strand()
 
     def _may_reuse(self) -> bool:
         """Whether a mask that is due may serve this capture, too."""

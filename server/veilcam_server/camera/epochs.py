@@ -6,7 +6,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,8 +138,6 @@ class Preparation:
         self._thread = ThreadPoolExecutor(1, "preparation")
         self._next: Future[Prepared] | None = None
         self._count, self._took = 0, 0.0
-        self.on_ready: Callable[[], None] = lambda: None
-        """Called, on another thread, when a preparation has ended, well or badly."""
 
     @property
     def renewable(self) -> bool:
@@ -172,7 +170,11 @@ class Preparation:
         """Start to prepare the next epoch, if none is prepared or under way."""
         if self._next is None:
             self._next = self._thread.submit(self._prepare, self._source)
-            self._next.add_done_callback(lambda _: self.on_ready())
+
+    def wait(self) -> None:
+        """Wait until none is under way, whatever came of it."""
+        if self._next is not None:
+            wait([self._next])
 
     def take(self) -> Prepared:
         """Return the next epoch; waits for it if need be. It is gone from here, come what may.

@@ -7,11 +7,13 @@ that the panel is at fault.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
+from veilcam_client.wire.events import MaskChanged, StateChanged
 from veilcam_client.wire.status import State
 from veilcam_server.camera.capture import ActiveMask
+from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices.base import Display
@@ -36,10 +38,8 @@ class MaskedPanel:
         self._active: ActiveMask | None = None
         self._state: State = "starting"
         self._detail: str | None = None
-        self.on_mask: Callable[[str], None] = _ignore
-        """Takes the name of every new epoch."""
-        self.on_state: Callable[[State, str | None], None] = _ignore
-        """Takes every new state, and why it is not ``ready``."""
+        self.publish: Publish = _ignore
+        """Takes every new epoch and state."""
 
     @property
     def active(self) -> ActiveMask | None:
@@ -86,7 +86,7 @@ class MaskedPanel:
         if source is not None:
             self._preparation.serve(source)
         self._enter("ready", None)
-        self.on_mask(prepared.epoch.name)
+        self.publish(partial(MaskChanged, epoch=prepared.epoch.name))
         self._prepare_next()
 
     def test(self) -> None:
@@ -101,10 +101,9 @@ class MaskedPanel:
             self._put_back(active)
 
     def lend(self) -> None:
-        """Show opaque, and let others show other things; raises :class:`DisplayError`."""
+        """Let others show what they like."""
         self._active = None
         self._enter("calibrating", "the camera is being calibrated")
-        self._display.blank()
 
     def strand(self) -> None:
         """After something was lent, and no mask could be shown."""
@@ -169,8 +168,8 @@ class MaskedPanel:
     def _enter(self, state: State, detail: str | None) -> None:
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
-            self.on_state(state, detail)
+            self.publish(partial(StateChanged, state=state, detail=detail))
 
 
-def _ignore(*_: object) -> None:
+def _ignore(_: object) -> None:
     """Nobody listens."""

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from veilcam_optics.errors import OpticsError
+from veilcam_optics.files import create_private
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.errors import StartError
 
@@ -46,24 +47,11 @@ def write_secret(path: Path) -> None:
         StartError: there is such a file already, or it cannot be written.
     """
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        create_private(path, f"{Secret.generate().reveal().hex()}\n".encode())
     except FileExistsError:
         raise StartError(
             f"{path} exists and was left alone: whoever replaces a secret can decode nothing "
             "that was released under it; move it away first"
         ) from None
     except OSError as error:
-        raise StartError(f"{path} cannot be written ({error.strerror}): check it") from None
-    try:
-        with os.fdopen(descriptor, "w") as stream:
-            stream.write(Secret.generate().reveal().hex() + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        directory = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
-    except OSError as error:
-        path.unlink(missing_ok=True)
         raise StartError(f"{path} cannot be written ({error.strerror}): check it") from None

@@ -1,9 +1,10 @@
-"""What the daemon tells of itself: events for who listens, a history, the log and systemd."""
+"""Events: published in order, followed over the network, counted, logged, and told to systemd."""
 
 from __future__ import annotations
 
 import asyncio
 import secrets
+import threading
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
@@ -11,26 +12,8 @@ from datetime import UTC, datetime
 
 import structlog
 
-from veilcam_client.wire.bundles import BundleInfo
-from veilcam_client.wire.calibration import CalibrationRun
-from veilcam_client.wire.captures import Prediction
 from veilcam_client.wire.diagnostics import PastFault, PastState
-from veilcam_client.wire.events import (
-    CalibrationChanged,
-    CaptureTaken,
-    Classified,
-    Event,
-    Fault,
-    Gap,
-    KeyringChanged,
-    MaskChanged,
-    RotationChanged,
-    StateChanged,
-)
-from veilcam_client.wire.rotation import RotationPolicy
-from veilcam_client.wire.status import State
-from veilcam_server.camera.capture import Captured
-from veilcam_server.errors import ProblemError
+from veilcam_client.wire.events import Event, Fault, Gap, StateChanged
 from veilcam_server.system.systemd import notify
 
 CAPACITY = 1024
@@ -50,9 +33,9 @@ class EventLog:
         self._news = asyncio.Event()
         self._closed = False
 
-    def publish(self, make: Callable[[str, datetime], Event]) -> Event:
-        """Append the event that ``make`` builds from its id and the time, and return it."""
-        event = make(self._id(self._next), datetime.now(UTC))
+    def publish(self, make: Callable[..., Event]) -> Event:
+        """Append the event that ``make`` builds from its ``id`` and the time, and return it."""
+        event = make(id=self._id(self._next), at=datetime.now(UTC))
         self._events.append(event)
         self._next += 1
         self._wake()
@@ -130,9 +113,9 @@ class History:
         self.last_states: deque[PastState] = deque(maxlen=LENGTH)
         self.last_faults: deque[PastFault] = deque(maxlen=LENGTH)
 
-    def begin(self, state: State, detail: str | None) -> None:
-        """Take note of the state in which the daemon begins, which no event tells of."""
-        self.last_states.append(PastState(at=datetime.now(UTC), state=state, detail=detail))
+    def enter(self, event: StateChanged) -> None:
+        """Take note of a state, also of the first, which no stream tells of."""
+        self.last_states.append(PastState(at=event.at, state=event.state, detail=event.detail))
 
     def add(self, event: Event) -> None:
         """Take note of one event."""
@@ -141,113 +124,73 @@ class History:
             self.faults[event.code] += 1
             self.last_faults.append(PastFault(at=event.at, code=event.code, detail=event.detail))
         elif isinstance(event, StateChanged):
-            self.last_states.append(PastState(at=event.at, state=event.state, detail=event.detail))
+            self.enter(event)
 
 
 log = structlog.get_logger()
 
 
-class News:
-    """Tells of what happens. Lives on one event loop, while it is open.
+class EventPublisher:
+    """Publishes what happens to whoever subscribed. Lives on one event loop, while it is open.
 
     Args:
         heartbeat: longest silence of an event stream [s].
     """
 
     def __init__(self, heartbeat: float) -> None:
-        self.history = History()
-        self._events, self._heartbeat = EventLog(), heartbeat
+        self._log, self._heartbeat = EventLog(), heartbeat
+        self._subscribers: list[Callable[[Event], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread = 0
+
+    def subscribe(self, take: Callable[[Event], None]) -> None:
+        """Let ``take`` have every event, on the event loop; it must neither block nor fail."""
+        self._subscribers.append(take)
 
     @contextmanager
-    def open(self, state: State, detail: str | None) -> Iterator[None]:
-        """Tell of what happens within, from ``state`` on; call it on the event loop."""
-        self._loop = asyncio.get_running_loop()
-        _tell_state(state, detail)
-        self.history.begin(state, detail)
+    def open(self) -> Iterator[None]:
+        """Publish what happens within; call it on the event loop."""
+        self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
         try:
             yield
         finally:
             self._loop = None
 
+    def publish(self, make: Callable[..., Event]) -> None:
+        """Publish the event that ``make`` builds from its ``id`` and the time ``at``.
+
+        From whatever thread; dropped while this is not open.
+        """
+        loop = self._loop
+        if loop is not None and threading.get_ident() == self._thread:
+            self._deliver(make)
+        elif loop is not None:
+            loop.call_soon_threadsafe(self._deliver, make)
+
     def follow(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
-        return self._events.follow(last_event_id, self._heartbeat)
+        return self._log.follow(last_event_id, self._heartbeat)
 
     def end_streams(self) -> None:
         """End all event streams."""
-        self._events.close()
+        self._log.close()
 
-    def on_loop(self, act: Callable[[], None]) -> None:
-        """Call ``act`` on the event loop, from whatever thread, unless that has ended."""
-        loop = self._loop
-        if loop is not None:
-            loop.call_soon_threadsafe(act)
-
-    def mask_changed(self, epoch: str) -> None:
-        """Another mask is shown; from whatever thread."""
-        self._publish_from_thread(lambda id_, at: MaskChanged(id=id_, at=at, epoch=epoch))
-
-    def state_changed(self, state: State, detail: str | None) -> None:
-        """The camera is in another state; from whatever thread."""
-        _tell_state(state, detail)
-        self._publish_from_thread(
-            lambda id_, at: StateChanged(id=id_, at=at, state=state, detail=detail)
-        )
-
-    def calibration_changed(self, run: CalibrationRun) -> None:
-        """A calibration has come further; from whatever thread."""
-        self._publish_from_thread(lambda id_, at: CalibrationChanged(id=id_, at=at, run=run))
-
-    def policy_changed(self, policy: RotationPolicy) -> None:
-        """Masks change by another policy."""
-        self._publish(lambda id_, at: RotationChanged(id=id_, at=at, policy=policy))
-
-    def keyring_changed(self, bundle: BundleInfo) -> None:
-        """Another keyring is in use."""
-        self._publish(
-            lambda id_, at: KeyringChanged(id=id_, at=at, digest=bundle.digest, task=bundle.task)
-        )
-
-    def captured(self, name: str, captured: Captured) -> None:
-        """An embedding was taken."""
-        self._publish(
-            lambda id_, at: CaptureTaken(
-                id=id_,
-                at=at,
-                capture=name,
-                epoch=captured.epoch,
-                replay=captured.replay is not None,
-            )
-        )
-
-    def classified(self, name: str, captured: Captured, prediction: Prediction) -> None:
-        """An embedding was classified."""
-        self._publish(
-            lambda id_, at: Classified(
-                id=id_,
-                at=at,
-                capture=name,
-                epoch=captured.epoch,
-                label=prediction.label,
-                confidence=prediction.confidence,
-                replay=captured.replay is not None,
-            )
-        )
-
-    def fault(self, error: ProblemError) -> None:
-        """Something failed."""
-        code, detail = error.code, str(error)
-        log.warning("fault", code=code, detail=detail)
-        self._publish(lambda id_, at: Fault(id=id_, at=at, code=code, detail=detail))
-
-    def _publish(self, make: Callable[[str, datetime], Event]) -> None:
-        self.history.add(self._events.publish(make))
-
-    def _publish_from_thread(self, make: Callable[[str, datetime], Event]) -> None:
-        self.on_loop(lambda: self._publish(make))
+    def _deliver(self, make: Callable[..., Event]) -> None:
+        event = self._log.publish(make)
+        for take in self._subscribers:
+            take(event)
 
 
-def _tell_state(state: State, detail: str | None) -> None:
-    log.info("state", state=state, detail=detail)
-    notify(f"STATUS={state}" if detail is None else f"STATUS={state}: {detail}")
+def log_event(event: Event) -> None:
+    """Write states and faults to the log; nothing else belongs there."""
+    if isinstance(event, StateChanged):
+        log.info("state", state=event.state, detail=event.detail)
+    elif isinstance(event, Fault):
+        log.warning("fault", code=event.code, detail=event.detail)
+
+
+def tell_systemd(event: Event) -> None:
+    """Let ``systemctl status`` show the state."""
+    if isinstance(event, StateChanged):
+        detail = "" if event.detail is None else f": {event.detail}"
+        notify(f"STATUS={event.state}{detail}")

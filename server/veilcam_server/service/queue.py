@@ -8,11 +8,22 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
-from veilcam_server.errors import QueueFullError
+from veilcam_client.wire.events import Fault
+from veilcam_server.camera.engine import Publish
+from veilcam_server.devices.errors import SensorLostError
+from veilcam_server.errors import (
+    ProblemError,
+    QueueFullError,
+    ReplayingError,
+    RotationImpossibleError,
+)
 
 ResultT = TypeVar("ResultT")
+_REFUSALS = (RotationImpossibleError, ReplayingError)
+"""At which nothing failed."""
 
 
 class DeviceQueue:
@@ -20,10 +31,13 @@ class DeviceQueue:
 
     Args:
         limit: how many requests may wait, the one at work included.
+        publish: takes the faults of what was asked for.
     """
 
-    def __init__(self, limit: int) -> None:
-        self.limit = limit
+    def __init__(self, limit: int, publish: Publish) -> None:
+        self.limit, self._publish = limit, publish
+        self.lost: SensorLostError | None = None
+        """Why the daemon has to be started again; None if it need not."""
         self._waiting = 0
         self._recent = 0.1
         """Smoothed time that the device takes for one request [s]."""
@@ -46,19 +60,29 @@ class DeviceQueue:
         finally:
             self._waiting -= 1
 
-    async def run(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
+    async def run(
+        self, work: Callable[[], ResultT], *, counted: bool = True, told: bool = True
+    ) -> ResultT:
         """Do ``work`` on the device's thread, and raise what it raises.
 
         Args:
             work: to do.
             counted: whether the time it takes tells of those that others wait for.
+            told: whether a failure is published; the state alone tells of others.
         """
 
         def timed() -> tuple[ResultT, float]:
             begun = time.monotonic()
             return work(), time.monotonic() - begun
 
-        result, took = await asyncio.get_running_loop().run_in_executor(self._thread, timed)
+        try:
+            result, took = await asyncio.get_running_loop().run_in_executor(self._thread, timed)
+        except ProblemError as error:
+            if isinstance(error, SensorLostError):
+                self.lost = error
+            if told and not isinstance(error, _REFUSALS):
+                self._publish(partial(Fault, code=error.code, detail=str(error)))
+            raise
         if counted:
             self._recent += 0.2 * (took - self._recent)
         return result

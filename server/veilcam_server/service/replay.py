@@ -7,29 +7,29 @@ what the recording tells of its exposures is handed on as the recording's own wo
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from veilcam_client.errors import RecordingError
 from veilcam_client.recording import Recorded, Recording, read_recording
-from veilcam_client.wire.bundles import Keyring
-from veilcam_client.wire.bundles import Keyrings as KeyringsAnswer
+from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Form, Prediction, Replay
-from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.events import StateChanged
+from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_client.wire.status import State
 from veilcam_server.bundles.loader import Identity
-from veilcam_server.bundles.manager import Change, Keyrings
-from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.capture import Captured, Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
-from veilcam_server.devices import Device, DisplayError, Exposure, SensorError, Shown
-from veilcam_server.devices.base import Levels, Reading
+from veilcam_server.camera.capture import Captured
+from veilcam_server.camera.engine import Publish
+from veilcam_server.camera.epochs import EpochStore, Prepared
+from veilcam_server.devices import Device
+from veilcam_server.devices.base import Reading
 from veilcam_server.errors import ReplayingError, ReplayOverError, StartError
-from veilcam_server.masks.source import Mask
+from veilcam_server.masks.source import MaskSource
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 
@@ -48,8 +48,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
     if status.release == "none":  # no camera released these
         raise StartError(f"{path} was recorded from a camera that releases nothing: record another")
     return Service(
-        # Its epochs are never used; holding them keeps a second daemon off.
-        ReplayedCamera(recording, Preparation(_NoMasks(), EpochStore(settings.state_dir))),
+        ReplayedCamera(recording, EpochStore(settings.state_dir)),
         Identity(
             DeviceInfo(
                 display=f"replay of {status.device.display}",
@@ -59,32 +58,30 @@ def replay_service(settings: Settings, path: Path) -> Service:
             status.bundle,
             experiment=status.experiment,
         ),
-        _NoKeyrings(),
+        None,
         form=status.release,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
     )
 
 
-class ReplayedCamera(MaskedCamera):
+class ReplayedCamera:
     """Gives every recorded capture once, in their order. No mask is ever shown.
 
     Args:
         recording: of a camera.
-        preparation: that prepares nothing; closed with this.
+        epochs: never used; holding them keeps a second daemon off. Closed with this.
     """
 
-    def __init__(self, recording: Recording, preparation: Preparation) -> None:
-        shape = recording.header.status.bundle.embedding_shape
-        device = Device(_NoPanel(), _NoSensor(), simulated=True)
-        super().__init__(device, preparation, shape, _NoTest())
-        self._recording, self._place = recording, 0
+    def __init__(self, recording: Recording, epochs: EpochStore) -> None:
+        self._recording, self._epochs = recording, epochs
+        self._place, self._stopping = 0, False
 
     @property
     def state(self) -> tuple[State, str | None]:
         """That this is a replay, and how far it is."""
-        if super().state[0] == "stopping":
-            return super().state
+        if self._stopping:
+            return "stopping", "the daemon is stopping"
         count, at = len(self._recording.captures), self._recording.header.recorded_at
         return "replay", f"{self._place} of {count} captures recorded on {at:%Y-%m-%d}"
 
@@ -98,14 +95,63 @@ class ReplayedCamera(MaskedCamera):
         if not isinstance(policy, RotationOff):
             raise ReplayingError
 
-    @property
-    def present(self) -> tuple[str | None, int]:
-        """No mask is shown."""
-        return None, 0
+    def listen(self, publish: Publish) -> None:
+        """Publish how it ends; nothing else happens by itself."""
+        self._publish = publish
+
+    def healthy(self) -> bool:
+        """There is nothing that could hang."""
+        return True
+
+    def rotation(self) -> Rotation:
+        """No mask is shown, and none prepared."""
+        none = Preparation(ready=False, prepared=0, last_s=0.0, late=0, reused=0)
+        return Rotation(policy=self.policy, epoch=None, captures=0, preparation=none)
+
+    def due_in(self) -> float:
+        """No mask is ever due."""
+        return math.inf
+
+    def await_next(self) -> None:
+        """No mask is prepared."""
 
     def test_due_in(self) -> float:
         """Nothing is tested."""
         return math.inf
+
+    def test_if_due(self) -> None:
+        """Nothing is tested."""
+
+    def rotate(self) -> None:
+        """Refused, as all that needs a panel is."""
+        raise ReplayingError
+
+    def rotate_if_due(self) -> None:
+        """No mask is ever due."""
+
+    def first_of(self, source: MaskSource) -> Prepared:  # noqa: ARG002 - nothing shows it
+        """Refused."""
+        raise ReplayingError
+
+    def change_source(self, source: MaskSource, first: Prepared) -> None:  # noqa: ARG002 - as above
+        """Refused."""
+        raise ReplayingError
+
+    def exclusive(self) -> AbstractContextManager[Device]:
+        """Refused."""
+        raise ReplayingError
+
+    def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:  # noqa: ARG002
+        """Refused."""
+        raise ReplayingError
+
+    def stop(self) -> None:
+        """Let another daemon use the state directory."""
+        if not self._stopping:
+            self._stopping = True
+            state, detail = self.state
+            self._publish(partial(StateChanged, state=state, detail=detail))
+            self._epochs.close()
 
     def capture(self) -> Captured:
         """Return the next recorded capture.
@@ -134,10 +180,6 @@ class ReplayedCamera(MaskedCamera):
             replay=Replay(capture=capture.id, place=place, exposure=exposure),
         )
 
-    def _require_running(self) -> None:
-        """Before masks change, the panel is tested or the device is lent: never here."""
-        raise ReplayingError
-
 
 @dataclass(frozen=True, slots=True)
 class _Recollection:
@@ -156,60 +198,3 @@ class _Recollection:
     def release(self, embedding: Reading, form: Form) -> Reading:  # noqa: ARG002 - it was checked
         """It was released before it was recorded."""
         return embedding
-
-
-class _NoPanel:
-    name, resets = "none", 0
-
-    def show(self, levels: Levels) -> Shown:  # noqa: ARG002 - nothing shows it
-        raise DisplayError("there is no panel: a recording is replayed")
-
-    def blank(self) -> None:
-        """Nothing is as opaque as it can be."""
-
-    def close(self) -> None:
-        """Nothing was opened."""
-
-
-class _NoSensor:
-    name, full_scale = "none", 1.0
-
-    def capture(self, not_before: float, timeout: float) -> Exposure:  # noqa: ARG002 - as above
-        raise SensorError("there is no sensor: a recording is replayed")
-
-    def close(self) -> None:
-        """Nothing was opened."""
-
-
-class _NoTest:
-    def run(self, device: Device, fence: Fence) -> None:  # noqa: ARG002 - nothing to test
-        raise ReplayingError
-
-
-class _NoMasks:
-    renewable = False
-
-    def name(self, counter: int) -> str:  # noqa: ARG002 - no epoch begins
-        raise ReplayingError
-
-    def make(self, counter: int, last_mark: str) -> Mask:  # noqa: ARG002 - as above
-        raise ReplayingError
-
-
-class _NoKeyrings(Keyrings):
-    """Refuses everything: labels are those that were recorded."""
-
-    def __init__(self) -> None:
-        self.limit, self.faults = 1024, ()
-
-    async def all(self) -> KeyringsAnswer:
-        raise ReplayingError
-
-    async def install(self, chunks: AsyncIterable[bytes]) -> Keyring:  # noqa: ARG002
-        raise ReplayingError
-
-    async def activate(self, digest: str, change: Change) -> Keyring:  # noqa: ARG002
-        raise ReplayingError
-
-    async def remove(self, digest: str) -> KeyringsAnswer:  # noqa: ARG002
-        raise ReplayingError

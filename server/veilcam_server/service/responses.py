@@ -12,8 +12,6 @@ from veilcam_client.wire.captures import (
     Prediction,
     Timing,
 )
-from veilcam_client.wire.rotation import Preparation, Rotation
-from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
 
 
@@ -53,24 +51,6 @@ def classification_response(
         exposure=_exposure(captured),
         replay=captured.replay,
         timing=timing,
-    )
-
-
-def rotation_response(camera: MaskedCamera) -> Rotation:
-    """The policy, the present epoch, and whether the next one is ready."""
-    epoch, captures = camera.present
-    preparation, lateness = camera.preparation, camera.lateness
-    return Rotation(
-        policy=camera.policy,
-        epoch=epoch,
-        captures=captures,
-        preparation=Preparation(
-            ready=preparation.ready,
-            prepared=preparation.count,
-            last_s=preparation.took,
-            late=lateness.late,
-            reused=lateness.reused,
-        ),
     )
 
 

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
 import structlog
 
-from veilcam_server.camera.camera import MaskedCamera
+from veilcam_client.wire.events import Event
+from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.errors import ProblemError
+from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.system.systemd import notify, watchdog_period
 
 log = structlog.get_logger()
 
 LONGEST_PAUSE = 60.0
 """Between two attempts, however often they failed [s]."""
-OnDevice = Callable[[Callable[[], None]], Awaitable[None]]
 
 
 class Scheduler:
@@ -25,8 +26,7 @@ class Scheduler:
 
     Args:
         camera: that is kept.
-        rotating: does a rotation on the device's thread.
-        testing: does a self test there.
+        queue: in front of its device.
         watchdog: longest time between two signs of life [s]; None for none.
         tell: takes the signs of life.
         first_pause: after a first failure [s]; it doubles from one to the next.
@@ -34,21 +34,20 @@ class Scheduler:
 
     def __init__(
         self,
-        camera: MaskedCamera,
+        camera: CameraEngine,
+        queue: DeviceQueue,
         *,
-        rotating: OnDevice,
-        testing: OnDevice,
         watchdog: float | None = None,
         tell: Callable[[str], None] = notify,
         first_pause: float = 1.0,
     ) -> None:
-        self._camera, self._rotating, self._testing = camera, rotating, testing
+        self._camera, self._queue = camera, queue
         self._watchdog = watchdog_period() if watchdog is None else watchdog
         self._tell, self._first_pause = tell, first_pause
         self._rotation_changed, self._test_changed = asyncio.Event(), asyncio.Event()
 
-    def wake(self) -> None:
-        """Look again at what is due; for the event loop's thread."""
+    def wake(self, _: Event | None = None) -> None:
+        """Look again at what is due, whatever happened; for the event loop's thread."""
         self._rotation_changed.set()
         self._test_changed.set()
 
@@ -72,11 +71,12 @@ class Scheduler:
         while True:
             self._rotation_changed.clear()
             due = self._camera.due_in()
-            if due > 0 or self._camera.preparation.under_way:
-                # A mask that is due waits for the next one here, where it keeps no capture waiting.
-                await _wait(self._rotation_changed, due if due > 0 else math.inf)
+            if due > 0:
+                await _wait(self._rotation_changed, due)
                 continue
-            if await _succeeds(self._rotating, self._camera.rotate_if_due, "rotation"):
+            # A mask that is due waits for the next one here, where it keeps no capture waiting.
+            await asyncio.to_thread(self._camera.await_next)
+            if await self._succeeds(self._camera.rotate_if_due, "rotation"):
                 pause = self._first_pause
                 continue
             # A panel that failed was set up anew, and is no longer proven.
@@ -99,7 +99,18 @@ class Scheduler:
                 pause = min(2 * pause, LONGEST_PAUSE)
                 if self._camera.test_due_in() > 0:
                     continue
-            await _succeeds(self._testing, self._camera.test_if_due, "self test")
+            await self._succeeds(self._camera.test_if_due, "self test", told=False)
+
+    async def _succeeds(self, work: Callable[[], None], name: str, *, told: bool = True) -> bool:
+        """Whether ``work`` did not fail; the state tells of failures that are known."""
+        try:
+            await self._queue.run(work, told=told)
+        except ProblemError:
+            return False
+        except Exception as error:
+            log.error("defect", error=type(error).__name__, during=name)
+            return False
+        return True
 
     async def _live(self, every: float) -> None:
         """Say that the event loop runs and that the device answers."""
@@ -121,15 +132,3 @@ async def _wait(event: asyncio.Event, seconds: float) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(seconds if math.isfinite(seconds) else None):
             await event.wait()
-
-
-async def _succeeds(on_device: OnDevice, work: Callable[[], None], name: str) -> bool:
-    """Whether ``work`` did not fail; the state tells of failures that are known."""
-    try:
-        await on_device(work)
-    except ProblemError:
-        return False
-    except Exception as error:
-        log.error("defect", error=type(error).__name__, during=name)
-        return False
-    return True

@@ -9,6 +9,8 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -25,34 +27,40 @@ from veilcam_client.wire.captures import (
     Prediction,
     Release,
 )
-from veilcam_client.wire.events import Event
+from veilcam_client.wire.events import (
+    CalibrationChanged,
+    CaptureTaken,
+    Classified,
+    Event,
+    Fault,
+    KeyringChanged,
+    RotationChanged,
+    StateChanged,
+)
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import HeldScene
-from veilcam_client.wire.status import Queue, State, Status
+from veilcam_client.wire.status import Queue, Status
 from veilcam_server.bundles.loader import Identity, Keys
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration.service import Calibrator
 from veilcam_server.calibration.workshop import Workshop
-from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured
+from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
     KeyringInvalidError,
-    ProblemError,
     ReplayingError,
-    RotationImpossibleError,
     SceneApiOffError,
     SceneInvalidError,
     WithheldError,
 )
-from veilcam_server.service.events import History, News
+from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.responses import (
     capture_response,
     classification_response,
-    rotation_response,
     timing,
 )
 from veilcam_server.service.scheduler import Scheduler
@@ -66,7 +74,7 @@ class Service:
     Args:
         camera: with its first mask on the panel.
         identity: for the status.
-        keyrings: of which one is in use.
+        keyrings: of which one is in use; None: labels and masks come from a recording.
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
@@ -76,9 +84,9 @@ class Service:
 
     def __init__(
         self,
-        camera: MaskedCamera,
+        camera: CameraEngine,
         identity: Identity,
-        keyrings: Keyrings,
+        keyrings: Keyrings | None,
         *,
         form: Release = "none",
         queue_limit: int = 8,
@@ -87,30 +95,35 @@ class Service:
         workshop: Workshop | None = None,
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
-        self.keyrings, self._scenes = keyrings, scenes
-        self._queue, self._news = DeviceQueue(queue_limit), News(heartbeat)
-        self._scheduler = Scheduler(camera, rotating=self._on_device, testing=self._watched)
+        self._keyrings, self._scenes = keyrings, scenes
+        self._events, self.history = EventPublisher(heartbeat), History()
+        publish = self._events.publish
+        self._queue = DeviceQueue(queue_limit, publish)
+        self._scheduler = Scheduler(camera, self._queue)
         self.calibrator = Calibrator(
             camera,
             keyrings,
             workshop,
             identity.calibration,
-            on_device=self._on_device,
-            tell=self._news.calibration_changed,
+            on_device=self._queue.run,
+            tell=lambda run: publish(partial(CalibrationChanged, run=run)),
         )
-        self._on_lost: Callable[[], None] = _ignore
-        self._lost: SensorLostError | None = None
-        self._captures = 0
+        for take in (self.history.add, log_event, tell_systemd, self._scheduler.wake):
+            self._events.subscribe(take)
         self._since = time.monotonic()
         self._inference_thread = ThreadPoolExecutor(1, "inference")
-        camera.listen(self._news.mask_changed, self._state_changed, self._next_ready)
+        camera.listen(publish)
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
         """Keep the camera ready within; then show opaque and let go of the device."""
-        with self._news.open(*self._camera.state):
-            for detail in self.keyrings.faults:
-                self._news.fault(KeyringInvalidError(detail))
+        state, detail = self._camera.state
+        begun = StateChanged(id="", at=datetime.now(UTC), state=state, detail=detail)
+        for take in (self.history.enter, log_event, tell_systemd):
+            take(begun)
+        with self._events.open():
+            for fault in () if self._keyrings is None else self._keyrings.faults:
+                self._events.publish(partial(Fault, code=KeyringInvalidError.code, detail=fault))
             try:
                 async with self._scheduler.running():
                     yield
@@ -129,11 +142,7 @@ class Service:
     @property
     def lost(self) -> SensorLostError | None:
         """Why the daemon has to be started again; None if it need not."""
-        return self._lost
-
-    def on_lost(self, act: Callable[[], None]) -> None:
-        """Call ``act``, on the event loop, when the daemon has to be started again."""
-        self._on_lost = act
+        return self._queue.lost
 
     def stop(self) -> None:
         """Show opaque and let go of the device, without an event loop; twice does no harm."""
@@ -141,12 +150,19 @@ class Service:
 
     def end_streams(self) -> None:
         """End all event streams, so that the server need not wait for who listens to them."""
-        self._news.end_streams()
+        self._events.end_streams()
 
     @property
-    def history(self) -> History:
-        """What happened since the start."""
-        return self._news.history
+    def keyrings(self) -> Keyrings:
+        """Of which one is in use; raises :class:`ReplayingError` where there are none."""
+        if self._keyrings is None:
+            raise ReplayingError
+        return self._keyrings
+
+    @property
+    def upload_limit(self) -> int:
+        """Of a keyring [bytes]; 0 where there are none."""
+        return 0 if self._keyrings is None else self._keyrings.limit
 
     def status(self) -> Status:
         """State, device, bundle, rotation and queue."""
@@ -158,7 +174,7 @@ class Service:
             detail=detail,
             experiment=self._identity.experiment,
             uptime_s=time.monotonic() - self._since,
-            captures=self._captures,
+            captures=self.history.events["capture"],
             release=self._form,
             device=self._identity.device,
             bundle=self._identity.bundle,
@@ -173,26 +189,22 @@ class Service:
 
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
-        return rotation_response(self._camera)
+        return self._camera.rotation()
 
     def set_policy(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change; raises :class:`RotationImpossibleError`."""
         self._camera.policy = policy
-        self._news.policy_changed(policy)
-        self._scheduler.wake()
+        self._events.publish(partial(RotationChanged, policy=policy))
         return self.rotation()
 
     async def rotate(self) -> Rotation:
-        """Show another mask now; raises as :meth:`MaskedCamera.rotate`, or the queue is full."""
+        """Show another mask now; raises as :meth:`CameraEngine.rotate`, or the queue is full."""
         with self._admitted():
-            try:
-                await self._on_device(self._camera.rotate)
-            finally:
-                self._scheduler.wake()
+            await self._queue.run(self._camera.rotate)
         return self.rotation()
 
     async def capture(self) -> Capture:
-        """Take one embedding; raises as :meth:`MaskedCamera.capture`, or the queue is full.
+        """Take one embedding; raises as :meth:`CameraEngine.capture`, or the queue is full.
 
         Raises:
             WithheldError: this daemon releases no embeddings.
@@ -226,7 +238,16 @@ class Service:
             captured, queued, inferred = await self._take(begun, infer)
             name = self._taken(captured)
             prediction, embedding, inference = await asyncio.wrap_future(inferred)
-        self._news.classified(name, captured, prediction)
+        self._events.publish(
+            partial(
+                Classified,
+                capture=name,
+                epoch=captured.epoch,
+                label=prediction.label,
+                confidence=prediction.confidence,
+                replay=captured.replay is not None,
+            )
+        )
         return classification_response(
             name, captured, prediction, embedding, timing(captured, queued, begun, inference)
         )
@@ -244,7 +265,7 @@ class Service:
         picture = None if content is None else await asyncio.to_thread(_picture, content, scenes)
         with self._admitted():
             # In line with captures and self tests, so that none of them sees two scenes.
-            number = await self._on_device(lambda: scenes.hold(picture))
+            number = await self._queue.run(lambda: scenes.hold(picture))
         return HeldScene(scene=number)
 
     async def activate_keyring(self, digest: str) -> Keyring:
@@ -254,20 +275,14 @@ class Service:
     async def _use(self, keys: Keys) -> None:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
         with self._admitted():
-            prepare = self._camera.preparation.first_of
-            first = await asyncio.to_thread(prepare, keys.source)
-            await self._on_device(lambda: self._camera.change_source(keys.source, first))
+            first = await asyncio.to_thread(self._camera.first_of, keys.source)
+            await self._queue.run(lambda: self._camera.change_source(keys.source, first))
         self._identity = replace(self._identity, bundle=keys.info)
-        self._news.keyring_changed(keys.info)
-        self._scheduler.wake()
+        self._events.publish(partial(KeyringChanged, digest=keys.info.digest, task=keys.info.task))
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
-        return self._news.follow(last_event_id)
-
-    def _state_changed(self, state: State, detail: str | None) -> None:
-        self._news.state_changed(state, detail)
-        self._news.on_loop(self._scheduler.wake)
+        return self._events.follow(last_event_id)
 
     @contextmanager
     def _admitted(self) -> Iterator[None]:
@@ -275,9 +290,6 @@ class Service:
         self.calibrator.require_idle()
         with self._queue.admitted():
             yield
-
-    def _next_ready(self) -> None:
-        self._news.on_loop(self._scheduler.wake)
 
     async def _take(
         self, begun: float, aside: Callable[[Captured], ResultT]
@@ -290,10 +302,7 @@ class Service:
             # From here and not from the event loop, which would only hand it on.
             return captured, queued, self._inference_thread.submit(aside, captured)
 
-        try:
-            return await self._on_device(work)
-        finally:
-            self._scheduler.wake()
+        return await self._queue.run(work)
 
     def _require_released(self) -> Form:
         if self._form == "none":
@@ -305,26 +314,15 @@ class Service:
 
     def _taken(self, captured: Captured) -> str:
         name = secrets.token_hex(8)
-        self._captures += 1
-        self._news.captured(name, captured)
+        self._events.publish(
+            partial(
+                CaptureTaken,
+                capture=name,
+                epoch=captured.epoch,
+                replay=captured.replay is not None,
+            )
+        )
         return name
-
-    async def _on_device(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
-        try:
-            return await self._watched(work, counted=counted)
-        except (RotationImpossibleError, ReplayingError):
-            raise
-        except ProblemError as error:
-            self._news.fault(error)
-            raise
-
-    async def _watched(self, work: Callable[[], ResultT], *, counted: bool = True) -> ResultT:
-        try:
-            return await self._queue.run(work, counted=counted)
-        except SensorLostError as error:
-            self._lost = error
-            self._on_lost()
-            raise
 
 
 def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
@@ -332,10 +330,6 @@ def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
         return as_scene(content, scenes.shape)
     except PictureError as error:
         raise SceneInvalidError(f"this {error}") from None
-
-
-def _ignore() -> None:
-    """Nobody wants to know."""
 
 
 def _released(captured: Captured, form: Form) -> Embedding:

@@ -288,7 +288,7 @@ def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
     for top, left in ((0, 0), (1, 5), (5, 2)):
         # From the middle of the large scene to that of the part, in whole and half pixels.
         centre = ((top + 2 - 4.5) * SCENE.pixel, (left + 1.5 - 4) * SCENE.pixel)
-        part = make(large, (0.0, 0.0))(weights, Part(top, left, 4, 3))
+        part = make(large, (0.0, 0.0))(weights, Region(top, left, 4, 3))
         # Both are relative to a white scene of their own size. Between the nodes of the integral,
         # which lie elsewhere, the fields are smooth on the scale of a step: far below 1e-6.
         assert relative(make(SCENE, centre)(weights), part * 72 / 12) < 1e-6

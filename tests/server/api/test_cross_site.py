@@ -14,7 +14,7 @@ from starlette.types import Message
 
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
-from veilcam_server.security.admission import Gateway
+from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import StreamLimit
 from veilcam_server.security.tokens import TokenStore
@@ -55,21 +55,21 @@ BODIES: dict[tuple[str, str], Any] = {
 
 
 @pytest.fixture
-def gateway(tmp_path: Path) -> Iterator[Gateway]:
+def admission(tmp_path: Path) -> Iterator[Admission]:
     """Of a daemon that wants tokens, keeps its audit log, and can open no event stream."""
     store = TokenStore(tmp_path / "tokens")
     done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
     # A stream that is let in would not end: it is let in if it is refused for its number.
-    yield Gateway(store, audit=done, refused=refused, streams=StreamLimit(0))
+    yield Admission(store, audit=done, refused=refused, streams=StreamLimit(0))
     store.close()
     refused.close()
     done.close()
 
 
 @pytest.fixture
-def token(gateway: Gateway) -> dict[str, str]:
-    assert gateway.tokens is not None
-    return {"Authorization": f"Bearer {gateway.tokens.create('all', SCOPES, None).secret}"}
+def token(admission: Admission) -> dict[str, str]:
+    assert admission.tokens is not None
+    return {"Authorization": f"Bearer {admission.tokens.create('all', SCOPES, None).secret}"}
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
     bench: Bench,
     *,
     upload: bytes,
-    gateway: Gateway,
+    admission: Admission,
     token: dict[str, str],
     tmp_path: Path,
     headers: list[tuple[str, str]],
@@ -127,7 +127,7 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
         read += 1
         yield body
 
-    async with running(gateway=gateway) as client:
+    async with running(admission=admission) as client:
         asked = await requests(client, token, upload)
         assert {("get", "/v1/events"), ("post", "/v1/keyrings")} <= {each[:2] for each in asked}
         asked += [("options", "/v1/rotation", b""), ("get", "/", b""), ("get", "/docs", b"")]
@@ -167,12 +167,12 @@ async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they
     bench: Bench,
     *,
     upload: bytes,
-    gateway: Gateway,
+    admission: Admission,
     token: dict[str, str],
     headers: dict[str, str],
 ) -> None:
     codes = {}
-    async with running(gateway=gateway) as client:
+    async with running(admission=admission) as client:
         before = await state(client, token, bench)
         for method, path, body in await requests(client, token, upload):
             answer = await client.request(

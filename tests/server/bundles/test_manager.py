@@ -147,7 +147,7 @@ async def test_the_change_is_an_event(bench: Bench, data: bytes) -> None:
             yield data[1000:]
 
         keyring = await service.keyrings.install(chunks())
-        start = f"{service._news._events._boot}-0"
+        start = f"{service._events._log._boot}-0"
         await service.activate_keyring(keyring.digest)
         heard = []
         async for event in service.events(start):
@@ -402,15 +402,13 @@ def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
 
 
 async def test_faults_of_the_start_are_events(bench: Bench) -> None:
-    keyrings = bench.keyrings()
-    keyrings.faults = ("keyring 0123 is not in use any more",)
     service = bench.service(bench.camera())
-    service.keyrings = keyrings
+    service.keyrings.faults = ("keyring 0123 is not in use any more",)
     async with service.open():
         heard = [event async for event in _until_quiet(service.events("x-0"))]
     (fault,) = [event for event in heard if isinstance(event, Fault)]
     assert fault.code == "keyring_invalid"
-    assert fault.detail == keyrings.faults[0]
+    assert fault.detail == service.keyrings.faults[0]
 
 
 async def _until_quiet(events: AsyncIterator[Event | None]) -> AsyncIterator[Event]:

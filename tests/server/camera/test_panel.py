@@ -14,7 +14,7 @@ from tests.server.devices.clock import Clock
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.camera.self_test import Proof
+from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.errors import EpochError, FenceError, SelfTestError, UndecidedError
 from veilcam_server.masks.pairs import load_pairs
@@ -36,7 +36,7 @@ class Rig:
         self.epochs = EpochStore(bench.state_dir)
         self.preparation = Preparation(bench.source, self.epochs)
         device = Device(bench.display, bench.sensor, simulated=True)
-        self.proof = Proof(bench.test, device, Fence(), every=EVERY, clock=self.clock)
+        self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
         self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
         self.states: list[tuple[str, str | None]] = []
         self.masks: list[str] = []
@@ -57,7 +57,7 @@ class Rig:
     @property
     def opaque(self) -> bool:
         """Whether the glass is, and no mask counts as shown."""
-        return self.panel.showing is None and not self.display.shown[-1].any()
+        return self.panel.active is None and not self.display.shown[-1].any()
 
     @property
     def preparing(self) -> bool:
@@ -74,7 +74,7 @@ def rig(bench: Bench) -> Iterator[Rig]:
 
 def test_before_the_first_mask_nothing_is_shown_and_a_test_is_due(rig: Rig) -> None:
     assert rig.panel.state == ("starting", None)
-    assert rig.panel.showing is None
+    assert rig.panel.active is None
     assert rig.panel.proven_for() == 0
     rig.panel.test()  # there is no mask to put back
     assert rig.test.runs == 0
@@ -83,7 +83,7 @@ def test_before_the_first_mask_nothing_is_shown_and_a_test_is_due(rig: Rig) -> N
 
 def test_the_first_mask_is_tested_recorded_shown_and_told(rig: Rig) -> None:
     first = rig.show()
-    showing = rig.panel.showing
+    showing = rig.panel.active
     assert showing is not None
     assert showing.mask is first.mask
     assert showing.epoch == first.epoch.name
@@ -119,23 +119,23 @@ def test_a_mask_is_changed_after_a_test_once_that_is_due(rig: Rig, late: float) 
 
 def test_a_test_that_is_not_due_touches_nothing(rig: Rig) -> None:
     rig.show()
-    showing = rig.panel.showing
+    showing = rig.panel.active
     rig.clock.sleep(EVERY - 0.5)
     rig.panel.test()
-    assert rig.panel.showing is showing
+    assert rig.panel.active is showing
     assert (rig.test.runs, len(rig.display.shown)) == (1, 1)
 
 
 @pytest.mark.parametrize("late", [0.0, 5.0])
 def test_after_a_test_the_same_mask_is_put_back_and_must_settle(rig: Rig, late: float) -> None:
     first = rig.show()
-    showing = rig.panel.showing
+    showing = rig.panel.active
     assert showing is not None
     since = showing.since
     rig.clock.sleep(EVERY + late)
     rig.panel.test()
     assert rig.test.runs == 2
-    assert rig.panel.showing is showing
+    assert rig.panel.active is showing
     assert rig.shows(first)
     assert showing.since == since < showing.completed_at
     assert rig.states == [TESTED, READY] * 2
@@ -150,7 +150,7 @@ def test_while_the_panel_is_tested_no_mask_counts_as_shown(rig: Rig) -> None:
     run = rig.test.run
 
     def watched(device: Device, fence: Fence) -> None:
-        seen.extend((rig.panel.showing, rig.panel.state))
+        seen.extend((rig.panel.active, rig.panel.state))
         run(device, fence)
 
     rig.test.run = watched  # type: ignore[method-assign]
@@ -196,11 +196,11 @@ def test_a_test_from_a_failed_state_tells_no_state_of_its_own(rig: Rig, fault: E
 
 def test_a_failed_write_puts_the_mask_before_back_and_records_it(rig: Rig) -> None:
     first = rig.show()
-    showing = rig.panel.showing
+    showing = rig.panel.active
     rig.display.faults = [DisplayError("no answer")]
     with pytest.raises(DisplayError, match="the mask could not be changed: no answer"):
         rig.show()
-    assert rig.panel.showing is showing
+    assert rig.panel.active is showing
     assert rig.shows(first)
     assert rig.masks == [first.epoch.name]
     assert rig.states == [TESTED, READY]
@@ -295,7 +295,7 @@ def test_a_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
 def test_after_the_end_no_mask_counts_as_shown(rig: Rig) -> None:
     rig.show()
     rig.panel.end()
-    assert rig.panel.showing is None
+    assert rig.panel.active is None
     assert rig.panel.state == rig.states[-1] == ("stopping", "the daemon is stopping")
     told = len(rig.states)
     rig.panel.end()

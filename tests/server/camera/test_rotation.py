@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from veilcam_client.wire.captures import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 from veilcam_server.camera.rotation import due_in, reusable
 
 

@@ -32,7 +32,7 @@ def unstarted(bench: Bench) -> MaskedCamera:
         bench.test,
         fence=Fence(0.0),
     )
-    camera.listen(bench.epochs.append, lambda *told: bench.states.append(told), lambda: None)
+    camera.listen(bench.note)
     return camera
 
 

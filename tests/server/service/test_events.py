@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -22,11 +21,7 @@ pytestmark = pytest.mark.anyio
 
 def fill(log: EventLog, *names: str) -> None:
     for name in names:
-        log.publish(partial(_mask, name))
-
-
-def _mask(name: str, id_: str, at: datetime) -> Event:
-    return MaskChanged(id=id_, at=at, epoch=name)
+        log.publish(partial(MaskChanged, epoch=name))
 
 
 async def take(stream: AsyncIterator[Event | None], count: int) -> list[Event]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
-import os
-import tempfile
 import zipfile
 import zlib
 from pathlib import Path
 
+from veilcam_optics.files import write_whole
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.manifest import (
     FreshManifest,
@@ -110,7 +109,7 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
             if len(data) > MAX_PART[name]:
                 raise BundleError(f"{name} has {len(data)} bytes: use at most {MAX_PART[name]}")
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
-    _replace(path, buffer.getvalue())
+    write_whole(path, buffer.getvalue(), private=True)
 
 
 def _read(path: Path) -> Bundle:
@@ -191,22 +190,3 @@ def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:
 
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Write to a neighbour, flush to the disk, and move it into place."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)

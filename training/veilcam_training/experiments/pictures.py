@@ -5,7 +5,6 @@ These show how a mask spreads light; they belong into a report made offline, not
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -16,6 +15,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Scene
+from veilcam_optics.files import replacing
 from veilcam_training.data import Images
 from veilcam_training.encoders import Digital, LearnedMask, make_encoder
 from veilcam_training.errors import TrainingError
@@ -95,14 +95,12 @@ def save_pictures(path: Path, pictures: Pictures) -> None:
     arrays = {"scenes": pictures.scenes, "embeddings": pictures.embeddings}
     if pictures.psf is not None:
         arrays["psf"] = pictures.psf
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("wb") as stream:
+    with replacing(path) as stream:
         np.savez_compressed(
             stream,
             allow_pickle=False,
             **{name: np.round(255 * array).astype(np.uint8) for name, array in arrays.items()},
         )
-    temporary.replace(path)
 
 
 def load_pictures(path: Path) -> Pictures:

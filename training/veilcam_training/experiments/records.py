@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from veilcam_optics.files import write_whole
 from veilcam_training.errors import TrainingError
 from veilcam_training.files import check_folder
 
@@ -73,9 +74,7 @@ def record_figures(
         record = _read(path)
         for name, value in values.items():
             record[name] = {"value": value, **entry}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
-        temporary.replace(path)
+        write_whole(path, f"{json.dumps(record, indent=1, sort_keys=True)}\n".encode())
 
 
 def check_record(path: Path) -> None:

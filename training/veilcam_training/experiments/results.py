@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
+from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import Settings
@@ -90,12 +90,7 @@ def save_finished(work: Path, finished: Finished) -> None:
     if finished.bundle is not None:
         write_bundle(folder / BUNDLE, finished.bundle)
     save_pictures(folder / PICTURES, finished.pictures)
-    temporary = folder / f".{RESULT}.{os.getpid()}"
-    with temporary.open("w") as stream:
-        stream.write(finished.result.model_dump_json(indent=1) + "\n")
-        stream.flush()
-        os.fsync(stream.fileno())
-    temporary.replace(folder / RESULT)
+    write_whole(folder / RESULT, f"{finished.result.model_dump_json(indent=1)}\n".encode())
     (folder / CHECKPOINT).unlink(missing_ok=True)
 
 

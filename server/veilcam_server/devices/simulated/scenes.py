@@ -6,8 +6,6 @@ An exposure sees one scene from its beginning to its end: the one that was there
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 import threading
 import time
 from collections import deque
@@ -20,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from veilcam_optics.files import replacing
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.devices.simulated.images import Picture, PictureError, as_scene
 
@@ -79,14 +78,8 @@ class StillScene:
 
 def write_scene(path: Path, image: npt.NDArray[np.uint8]) -> None:
     """Hold up ``image``: replace the file at once, so that no reader sees half of it."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            np.save(stream, image, allow_pickle=False)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with replacing(path, private=True) as stream:
+        np.save(stream, image, allow_pickle=False)
 
 
 REMEMBERED = 16

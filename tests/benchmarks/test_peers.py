@@ -1,0 +1,64 @@
+"""Other libraries in the jobs of the accuracy command, where they are installed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tests.server.scripts import load_script
+
+from veilcam_optics.accuracy.field_job import FieldJob
+from veilcam_optics.accuracy.measure import measure
+from veilcam_optics.accuracy.transfer_job import TransferJob
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.errors import OpticsError
+
+SCRIPT = load_script(Path(__file__).parents[2] / "benchmarks" / "peers" / "accuracy.py")
+PEERS = SCRIPT.PEERS
+
+
+@pytest.mark.parametrize("peer", PEERS, ids=lambda peer: peer.name)
+def test_peers_solve_the_same_problem(peer):  # type: ignore[no-untyped-def]
+    """Independent code, same physics: each peer's field comes as near as sampling allows."""
+    if reason := peer.missing():
+        pytest.skip(reason)
+    field = FieldJob(quick=True)
+    errors = [
+        measure(s, field.reference(), least=1, budget=1e-9).error
+        for s in peer.field(field)
+        if s.dials["oversampling"] == 3
+    ]
+    assert errors
+    assert max(errors) < 5e-2
+
+
+def test_waveprop_is_used_with_even_samples_only() -> None:
+    with pytest.raises(OpticsError, match="even"):
+        SCRIPT.waveprop_peer.WavepropCamera(Camera(), Scene(), Embedding(), samples=(380, 507))
+
+
+def test_waveprop_sees_the_same_scene_as_we_do() -> None:
+    """Inversion, colours and scale agree: what is left is its sampling of the mask."""
+    peer = next(peer for peer in PEERS if peer.name == "waveprop")
+    if reason := peer.missing():
+        pytest.skip(reason)
+    job = TransferJob(quick=True)
+    (chosen,) = peer.transfer(job)
+    assert 1e-2 < measure(chosen, torch.empty(0), least=1, budget=1e-9).error < 0.1
+
+
+def test_peers_join_our_settings_and_say_why_they_do_not() -> None:
+    class Absent:
+        def load(self) -> None:
+            raise ImportError("no such library")
+
+    job = FieldJob(quick=True)
+    ours = [setting.label for setting in job.job().settings]
+    theirs = replace(job.job().settings[0], method="another")
+    there = SCRIPT.Peer("there", lambda: pytest, iter, iter, lambda _: iter([theirs]))
+    absent = SCRIPT.Peer("absent", Absent().load, iter, iter, iter)
+    assert (there.missing(), absent.missing()) == ("", "ImportError: no such library")
+    joined = SCRIPT.with_peers(job, [there]).settings
+    assert [setting.label for setting in joined] == [*ours, theirs.label]
