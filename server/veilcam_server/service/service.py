@@ -45,7 +45,7 @@ from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.devices.errors import SensorLostError
-from veilcam_server.devices.simulated.images import PictureError, decode, fitted
+from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
     KeyringInvalidError,
@@ -320,7 +320,7 @@ class Service:
 
 def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
     try:
-        return fitted(decode(content), scenes.shape)
+        return as_scene(content, scenes.shape)
     except PictureError as error:
         raise SceneInvalidError(f"this {error}") from None
 
