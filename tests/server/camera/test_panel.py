@@ -278,10 +278,10 @@ def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> 
     assert rig.panel.state == rig.states[-1] == ("safe", reason)
 
 
-def test_a_panel_that_is_lent_is_opaque_until_it_shows_a_mask(rig: Rig) -> None:
+def test_a_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> None:
     rig.show()
-    rig.panel.lend()
-    assert rig.opaque
+    rig.panel.suspend()
+    assert rig.panel.active is None
     assert rig.panel.state == ("calibrating", "the camera is being calibrated")
     rig.proof.void(Device(rig.display, rig.test, simulated=True), Fence())  # type: ignore[arg-type]
     shown = rig.show()
@@ -293,7 +293,7 @@ def test_a_panel_that_is_lent_is_opaque_until_it_shows_a_mask(rig: Rig) -> None:
 
 def test_a_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
     rig.show()
-    rig.panel.lend()
+    rig.panel.suspend()
     rig.display.show(np.ones((9, 5), np.uint8))  # what the borrower left
     rig.panel.strand()
     assert rig.opaque

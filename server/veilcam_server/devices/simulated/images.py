@@ -28,16 +28,23 @@ class PictureError(ValueError):
     """This is no picture; the message goes on after its name."""
 
 
-def decode(content: bytes) -> Picture:
-    """Read a ``.npy`` array, a PNG or a JPEG; what it is, is seen from its first bytes.
+def as_scene(picture: bytes | Picture, shape: tuple[int, int]) -> Reflectance:
+    """Return a picture as a scene: as large as fits, its sides' ratio kept, black around it.
 
-    Returns:
-        (rows, columns) grey or (rows, columns, 3) colour, turned upright, before black where it
-        is transparent.
+    Args:
+        picture: content of a ``.npy``, PNG or JPEG file, which its first bytes tell; or an array,
+            (rows, columns) or (rows, columns, 3), of uint8 or uint16, the largest number being
+            white, or floats in [0, 1]. A file is turned upright as it says, and black is behind
+            what is transparent.
+        shape: rows and columns of the scene, whose pixels are square.
 
     Raises:
         PictureError: it is none of those, or damaged, or too large.
     """
+    return _fitted(_decoded(picture) if isinstance(picture, bytes) else picture, shape)
+
+
+def _decoded(content: bytes) -> Picture:
     try:
         if content.startswith(_NPY):
             array: Picture = np.load(io.BytesIO(content), allow_pickle=False)
@@ -52,17 +59,7 @@ def decode(content: bytes) -> Picture:
         raise PictureError("is no image: use .npy, PNG or JPEG") from None
 
 
-def fitted(picture: Picture, shape: tuple[int, int]) -> Reflectance:
-    """Return a picture as a scene: as large as fits, its sides' ratio kept, black around it.
-
-    Args:
-        picture: (rows, columns) or (rows, columns, 3); uint8 or uint16, the largest number being
-            white, or floats in [0, 1].
-        shape: rows and columns of the scene, whose pixels are square.
-
-    Raises:
-        PictureError: it is not that.
-    """
+def _fitted(picture: Picture, shape: tuple[int, int]) -> Reflectance:
     grey = _grey(_reflectance(picture))
     scale = min(wanted / given for wanted, given in zip(shape, grey.shape, strict=True))
     inner = tuple(max(1, round(scale * given)) for given in grey.shape)

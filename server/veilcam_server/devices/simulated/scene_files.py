@@ -1,4 +1,8 @@
-"""From the settings to the scenes in front of a simulated camera."""
+"""Scenes in front of a simulated camera, from files, folders and data sets.
+
+Data sets are training's: whoever tries a classifier looks at what it was trained for, split as it
+was for the fit. It is the one door to training beside the bundle.
+"""
 
 from __future__ import annotations
 

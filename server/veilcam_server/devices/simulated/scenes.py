@@ -20,7 +20,7 @@ import torch
 
 from veilcam_optics.files import replacing
 from veilcam_server.devices.errors import SensorError
-from veilcam_server.devices.simulated.images import Picture, PictureError, decode, fitted
+from veilcam_server.devices.simulated.images import Picture, PictureError, as_scene
 
 MAX_BYTES = 64 * 2**20
 
@@ -51,7 +51,7 @@ class FileScene:
                 raise SensorError(
                     f"scene file {self._path} is too large: use at most {MAX_BYTES >> 20} MiB"
                 )
-            return fitted(decode(content), self._shape)
+            return as_scene(content, self._shape)
         except FileNotFoundError:
             raise SensorError(
                 f"there is no scene file {self._path}: check --scenes, or 'veilcamd show' a digit"
@@ -73,7 +73,7 @@ class StillScene:
 
     def read(self) -> npt.NDArray[np.float32]:
         """Return the picture; raises :class:`PictureError` for what is none."""
-        return fitted(self.picture, self.shape)
+        return as_scene(self.picture, self.shape)
 
 
 def write_scene(path: Path, image: npt.NDArray[np.uint8]) -> None:
@@ -133,7 +133,7 @@ class Scenes:
         returned sees the picture. The deck rests meanwhile.
 
         Args:
-            picture: as :func:`veilcam_server.devices.simulated.images.fitted` takes it.
+            picture: as :func:`veilcam_server.devices.simulated.images.as_scene` takes it.
 
         Returns:
             Its number, which no other scene of this camera has or gets; that of the deck's scene
@@ -146,7 +146,7 @@ class Scenes:
             with self._lock:
                 self._show(self._place, self._deck[self._place])
                 return self._place
-        scene = StillScene(fitted(np.asarray(picture), self.shape), self.shape)
+        scene = StillScene(as_scene(np.asarray(picture), self.shape), self.shape)
         with self._lock:
             number, self._free = self._free, self._free + 1
             self._show(number, scene)

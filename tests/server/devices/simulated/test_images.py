@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from veilcam_server.devices.simulated.images import MAX_PIXELS, PictureError, decode, fitted
+from veilcam_server.devices.simulated.images import MAX_PIXELS, PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import FileScene
 
 WHITE = np.full((4, 4), 255, np.uint8)
@@ -32,30 +32,30 @@ def saved(array: npt.NDArray[Any]) -> bytes:
 @pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA"])
 def test_white_is_white_in_every_mode(mode: str) -> None:
     content = encoded(Image.fromarray(WHITE).convert(mode))
-    assert fitted(decode(content), (4, 4)) == pytest.approx(1.0)
+    assert as_scene(content, (4, 4)) == pytest.approx(1.0)
 
 
 def test_every_depth_has_the_same_grey() -> None:
     ramp = np.linspace(0, 1, 16).reshape(4, 4)
     deep = np.round(65_535 * ramp).astype(np.uint16)
     for content in (encoded(Image.fromarray(deep)), saved(deep), saved(ramp.astype(np.float16))):
-        assert fitted(decode(content), (4, 4)) == pytest.approx(ramp, abs=1e-3)
+        assert as_scene(content, (4, 4)) == pytest.approx(ramp, abs=1e-3)
     flat = encoded(Image.fromarray(np.round(255 * ramp).astype(np.uint8)), "JPEG", quality=100)
-    assert fitted(decode(flat), (4, 4)) == pytest.approx(ramp, abs=0.02)
+    assert as_scene(flat, (4, 4)) == pytest.approx(ramp, abs=0.02)
 
 
 def test_colour_becomes_grey_and_what_is_transparent_black() -> None:
     colours = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], np.uint8)
-    assert fitted(colours, (1, 3))[0] == pytest.approx([0.299, 0.587, 0.114])
+    assert as_scene(colours, (1, 3))[0] == pytest.approx([0.299, 0.587, 0.114])
     clear = Image.new("RGBA", (2, 2), (255, 255, 255, 51))
-    assert fitted(decode(encoded(clear)), (2, 2)) == pytest.approx(0.2)
+    assert as_scene(encoded(clear), (2, 2)) == pytest.approx(0.2)
 
 
 def test_a_photograph_is_turned_upright() -> None:
     image = Image.fromarray(np.array([[255, 0], [255, 0]], np.uint8))
     exif = Image.Exif()
     exif[0x0112] = 6  # its top is on the right
-    upright = fitted(decode(encoded(image, exif=exif.tobytes())), (2, 2))
+    upright = as_scene(encoded(image, exif=exif.tobytes()), (2, 2))
     assert upright.tolist() == [[1, 1], [0, 0]]
 
 
@@ -71,7 +71,7 @@ def test_a_photograph_is_turned_upright() -> None:
 def test_a_picture_is_as_large_as_fits_and_keeps_its_sides(
     given: tuple[int, int], inside: tuple[slice, slice]
 ) -> None:
-    scene = fitted(np.ones(given, np.float32), (8, 8))
+    scene = as_scene(np.ones(given, np.float32), (8, 8))
     assert scene[inside] == pytest.approx(1.0)
     scene[inside] = 0
     assert not scene.any()
@@ -79,8 +79,8 @@ def test_a_picture_is_as_large_as_fits_and_keeps_its_sides(
 
 def test_light_is_averaged_where_pixels_come_together() -> None:
     fine = np.random.default_rng(1).random((12, 8))
-    assert fitted(fine, (3, 2)) == pytest.approx(fine.reshape(3, 4, 2, 4).mean((1, 3)), abs=1e-6)
-    coarse = fitted(np.array([[0.0, 1.0]]), (2, 4))
+    assert as_scene(fine, (3, 2)) == pytest.approx(fine.reshape(3, 4, 2, 4).mean((1, 3)), abs=1e-6)
+    coarse = as_scene(np.array([[0.0, 1.0]]), (2, 4))
     assert coarse.tolist() == [[0, 0, 1, 1], [0, 0, 1, 1]]
 
 
@@ -104,7 +104,7 @@ def test_light_is_averaged_where_pixels_come_together() -> None:
 )
 def test_what_is_no_picture_is_refused(content: bytes, message: str) -> None:
     with pytest.raises(PictureError, match=message):
-        fitted(decode(content), (2, 3))
+        as_scene(content, (2, 3))
 
 
 def test_a_file_may_be_any_of_these(tmp_path: Path) -> None:
