@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,20 +12,22 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 PACKAGES = [f"{name}/veilcam_{name}" for name in ("client", "optics", "training", "server")]
-NO_ROOMS = {"__init__", "__main__", "__pycache__/"}
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
+    "contracts"
+]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_its_rooms_are_those_of_the_tree(package: str) -> None:
+def test_its_rooms_are_those_of_the_tree_in_the_order_that_is_checked(package: str) -> None:
     [row] = re.findall(rf"^\| `{package}` \| (.*) \|$", PAGE, re.MULTILINE)
-    listed = re.findall(r"`([^`]+)`", row)
-    there = {
-        f"{entry.name}/" if entry.is_dir() else entry.stem
-        for entry in (ROOT / package).iterdir()
-        if entry.is_dir() or entry.suffix == ".py"
-    }
-    assert len(listed) == len(set(listed))
-    assert set(listed) == there - NO_ROOMS
+    folder = ROOT / package
+    [layers] = [each["layers"] for each in CONTRACTS if each.get("containers") == [folder.name]]
+    rooms = [room.strip() for layer in layers for room in layer.split(":")]
+    assert re.findall(r"`([^`]+)`", row) == [
+        f"{room}/" if (folder / room).is_dir() else room for room in rooms if room != "__main__"
+    ]
+    there = {entry.stem for entry in folder.iterdir() if entry.is_dir() or entry.suffix == ".py"}
+    assert set(rooms) == there - {"__init__", "__pycache__"} | ({"__main__"} & there)
 
 
 def test_its_files_are_there() -> None:

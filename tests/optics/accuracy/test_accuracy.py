@@ -103,6 +103,7 @@ def test_measure_refuses_nonsense() -> None:
         measure(Setting("m", {}, lambda: Prepared(lambda: 3)), torch.ones(1))
 
 
+@pytest.mark.slow
 def test_transfer_job_ranks_its_methods() -> None:
     """The operator beats every field by ten times in error; finer sampling helps the field."""
     job = TransferJob(quick=True).job()
@@ -133,6 +134,7 @@ def test_the_papers_algorithm_is_one_of_the_methods() -> None:
     assert 4 * errors["area"] < errors["bilinear"] < 0.5
 
 
+@pytest.mark.slow
 def test_psf_job_methods_agree() -> None:
     psf = PsfJob(quick=True)
     job = psf.job()
@@ -151,6 +153,7 @@ def test_psf_job_methods_agree() -> None:
     assert any("fresnel impulse" in method for method in job.skipped), "undersampled at 4 mm"
 
 
+@pytest.mark.slow
 def test_field_job_has_an_exact_truth() -> None:
     """The exact method converges to it; the paraxial one stops at its own error."""
     job = FieldJob(quick=True).job()
@@ -175,6 +178,7 @@ def test_quick_has_fewer_settings() -> None:
         assert len(job(quick=True).job().settings) < len(job(quick=False).job().settings)
 
 
+@pytest.mark.slow
 def test_plans_join_the_job_and_keep_their_word() -> None:
     job = TransferJob(quick=True)
     plans = [setting for setting in job.job().settings if setting.method == PLAN]
@@ -202,6 +206,7 @@ def test_reports(tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_command_writes_table_json_and_charts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -184,6 +184,7 @@ def make_frame(distribution: MaskDistribution | None) -> SceneFrame:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [None, 4.0])
 @pytest.mark.parametrize("form", ["white", "raw", "flat"])
 def test_decode_on_the_command_line(

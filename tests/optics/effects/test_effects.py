@@ -110,6 +110,7 @@ def test_every_effect_has_a_job_that_calls_for_it() -> None:
     assert [effect.name for effect in EFFECTS] == list(CALLED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
     """By hand: with it and without it. The plan's estimate is about what is found."""
@@ -129,6 +130,7 @@ def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
     assert found / 2.5 < estimated < found * 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_a_plan_switches_it_on_where_it_matters(effect: Effect) -> None:
     called = CALLED[effect.name]
@@ -158,6 +160,7 @@ ALWAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_it_is_off_in_an_ordinary_scene(effect: Effect) -> None:
     """What conditions would have to call for is off; what is always there has tests of its own."""
@@ -211,6 +214,7 @@ def test_what_is_off_is_not_computed() -> None:
     assert more.cost.step_ms > chosen.cost.step_ms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["factors", "grid"])
 def test_methods_agree_under_all_linear_conditions(method: str) -> None:
     conditions = Conditions(

@@ -44,6 +44,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
     return float((value - reference).norm() / reference.norm())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [5e-2, 3e-3, 3e-4])
 @pytest.mark.parametrize("panel", [BARE, Panel(filter_leakage=0.1)], ids=["bare", "leaky"])
 def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
@@ -63,6 +64,7 @@ def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -
     assert chosen.error / 4 < relative(measured, truth) < 2 * chosen.error + 3e-5
 
 
+@pytest.mark.slow
 def test_finer_tolerances_cost_more_and_err_less() -> None:
     plans = [plan(CAMERA, SCENE, EMBEDDING, tolerance, SOME) for tolerance in (1e-1, 1e-2, 1e-3)]
     times = [chosen.cost.step_ms for chosen in plans]
@@ -104,6 +106,7 @@ def test_plan_equals_no_plan() -> None:
     assert torch.equal(chosen.embed(scenes, weights), plain.embed(scenes, weights))
 
 
+@pytest.mark.slow
 def test_planning_twice_gives_the_same() -> None:
     first, second = (plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME) for _ in range(2))
     assert first.model == second.model
@@ -161,6 +164,7 @@ EXTREMES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("camera", "scene", "embedding", "tolerance"),
     [job[1:] for job in EXTREMES],
@@ -181,6 +185,7 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
         assert bool(torch.isfinite(values).all())
 
 
+@pytest.mark.slow
 @pytest.mark.long
 @settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(

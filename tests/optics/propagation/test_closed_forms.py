@@ -55,6 +55,7 @@ def slit(at: Tensor, half: float, wavelength: float, distance: float) -> Field:
     return np.subtract(edge(at + half, wavelength, distance), edge(at - half, wavelength, distance))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "fresnel_number"),
     [

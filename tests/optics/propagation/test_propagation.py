@@ -87,6 +87,7 @@ def test_linear_and_batch_equals_loop(method: Propagator) -> None:
     assert relative(run(a), single) < 1e-13
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("scaled", [False, True])
 def test_gradcheck_of_everything_physical(method: Propagator, scaled: bool) -> None:
@@ -188,6 +189,7 @@ def test_registry() -> None:
         propagator("magic")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 1e-1])
 def test_methods_that_say_they_fit_agree(distance: float) -> None:
     """A support that lies would show here: each is held to the direct sum."""

@@ -101,6 +101,7 @@ def error_at(oversampling: float, reference: np.ndarray) -> float:
     return relative(got, reference)
 
 
+@pytest.mark.slow
 def test_converges_to_brute_force(reference: np.ndarray) -> None:
     errors = [error_at(oversampling, reference) for oversampling in (1, 2, 4, 8, 16)]
     assert errors == sorted(errors, reverse=True)

@@ -111,6 +111,7 @@ def test_dropping_far_pairs_costs_little_and_is_monotone() -> None:
     assert rows < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [False, True])
 def test_gradient_for_the_mask(colour: bool) -> None:
     operator = TransferOperator(

@@ -67,6 +67,7 @@ def png(level: int) -> bytes:
     return stream.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_what_is_held_up_is_what_captures_see(given: dict[str, Any]) -> None:
     async with camera(given) as sdk:
@@ -87,6 +88,7 @@ async def test_what_is_held_up_is_what_captures_see(given: dict[str, Any]) -> No
         assert np.asarray(again) == pytest.approx(np.asarray(first))
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
     given: dict[str, Any],
@@ -102,6 +104,7 @@ async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
     assert not np.asarray(new).any()
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     ("content", "status", "code", "detail"),
@@ -131,6 +134,7 @@ async def test_it_has_to_be_allowed(given: dict[str, Any]) -> None:
             assert caught.value.code == "scene_api_off"
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_who_holds_the_camera_decides_what_it_sees(given: dict[str, Any]) -> None:
     async with camera(given) as sdk, client_of(sdk) as other, sdk.lease(seconds=30):

@@ -33,6 +33,7 @@ def badly() -> tuple[Built, CalibrationRecord]:
     return built, built.calibrate().record
 
 
+@pytest.mark.slow
 def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord]) -> None:
     built, record = badly
     assert built.presented == ["dark", "white card", "lamp"]
@@ -77,6 +78,7 @@ def test_decoders_for_what_was_found_expect_what_is_read(
     assert errors[1] > 10 * errors[0]
 
 
+@pytest.mark.slow
 def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
     built = Built(replace(BADLY, stray_light=0.1))
     record = built.calibrate().record
@@ -97,6 +99,7 @@ def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
         assert low < difference < high
 
 
+@pytest.mark.slow
 def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
     hardware = replace(QUIET, dead_rows=(4,), dead_columns=(5,), dead_level=63)
     record = Built(optical.Conditions(gamma=1.3), hardware).calibrate().record
@@ -108,6 +111,7 @@ def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
     assert record.psf_residual < 0.03
 
 
+@pytest.mark.slow
 def test_dead_lines_do_not_hide_the_floor() -> None:
     """A dark dead row shows what every dark sub-pixel does."""
     hardware = replace(QUIET, dead_rows=(4,))
@@ -118,6 +122,7 @@ def test_dead_lines_do_not_hide_the_floor() -> None:
     assert record.gamma.value == pytest.approx(1.4, abs=0.03)
 
 
+@pytest.mark.slow
 def test_settling_is_that_of_the_slowest_line() -> None:
     built = Built()
     settling = built.calibrate(budget=replace(BUDGET, samples=9)).record.settling_s
@@ -166,6 +171,7 @@ def test_light_that_drifts_is_refused() -> None:
         Built(hardware=hardware).calibrate()
 
 
+@pytest.mark.slow
 def test_a_lamp_in_the_wrong_place_is_refused() -> None:
     built = Built()
     present = built.present
@@ -204,6 +210,7 @@ def test_a_response_that_is_no_power_law_is_refused() -> None:
         built.calibrate()
 
 
+@pytest.mark.slow
 def test_a_mask_that_is_too_far_off_is_refused() -> None:
     with pytest.raises(CalibrationError, match=r"turned by|where they should be"):
         Built(optical.Conditions(rotation=40e-3)).calibrate()

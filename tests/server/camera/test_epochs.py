@@ -50,6 +50,7 @@ def test_the_mark_of_the_mask_shown_last_is_kept(tmp_path: Path) -> None:
         assert store.mark == "a1"
 
 
+@pytest.mark.slow
 def test_the_counter_survives_a_process_that_is_killed(tmp_path: Path) -> None:
     script = (
         "import os, pathlib, sys\n"

@@ -36,6 +36,7 @@ def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return int(caught.value.code or 0)
 
 
+@pytest.mark.slow
 def test_keyring_end_to_end(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -179,6 +180,7 @@ def test_no_bundle_of_a_reading_that_no_device_makes(source: Source) -> None:
         as_bundle([outcome], source, Camera())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [("fit",), ("keyring", "--pairs", 1)])
 def test_work_has_checkpoints(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, name: tuple[object, ...]

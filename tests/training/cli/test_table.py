@@ -304,6 +304,7 @@ def test_options_reach_the_cells(
 # --- running them
 
 
+@pytest.mark.slow
 def test_finished_cells_are_kept(
     *,
     call: Call,
@@ -370,6 +371,7 @@ def test_finished_cells_are_kept(
     assert "is not the result of a cell" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_killed_table_ends_with_the_same_numbers(
     call: Call, digit_folder: Path, tmp_path: Path
 ) -> None:
@@ -409,6 +411,7 @@ def test_a_killed_table_ends_with_the_same_numbers(
     assert [epoch.loss for epoch in epochs][: len(done)] == [epoch["loss"] for epoch in done]
 
 
+@pytest.mark.slow
 def test_workers_give_the_same_numbers(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     options = ("--data", digit_folder, "--epochs", 2, "--classifiers", "LR", "--embeddings", "3x4")
     for workers in (1, 2):

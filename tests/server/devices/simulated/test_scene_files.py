@@ -124,6 +124,7 @@ def test_the_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -
     assert Settings().redacted()["scenes"] is None  # type: ignore[call-arg]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_each_capture_sees_the_next_scene(
     tmp_path: Path, bundle_file: Path, folder: Path
