@@ -17,7 +17,7 @@ from veilcam_client.wire.calibration import (
     SignedCalibration,
     Stage,
 )
-from veilcam_server.bundles.loader import Keys
+from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration import CalibrationError, SigningKey
 from veilcam_server.calibration.progress import CancelledError, Run
@@ -175,7 +175,7 @@ class Calibrator:
         """Keep a record, and go on with it; or raise, and nothing was changed."""
         signed = workshop.sign(record, key)
 
-        async def change(keys: Keys) -> None:
+        async def change(keys: LoadedBundle) -> None:
             await asyncio.to_thread(workshop.keep, signed)
             settle = workshop.settle(signed)
             await self._on_device(lambda: self._camera.adopt(signed, settle, keys.source))
