@@ -36,10 +36,9 @@ from matplotlib.figure import Figure
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration import (
+    Budget,
     Calibrated,
-    CalibrationError,
     CalibrationScene,
-    Effort,
     Geometry,
     calibrate,
     correction,
@@ -49,13 +48,14 @@ from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.base import Device, Reading
 from veilcam_server.devices.corrected import CalibratedSensor
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
+from veilcam_server.errors import CalibrationError
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.experiments.records import record_figures
 
 SETTLE, SCAN, EXPOSURE = 0.05, 0.0123, 0.01
 """Of the simulated panel and sensor [s]."""
-EFFORT = Effort(repeats=1, samples=3)
+BUDGET = Budget(repeats=1, samples=3)
 PER_MASK = 5
 
 
@@ -221,7 +221,7 @@ class Bench:
             )
             self.device = replace(self.device, sensor=sensor)
 
-    def calibrate(self, effort: Effort = EFFORT) -> Calibrated:
+    def calibrate(self, budget: Budget = BUDGET) -> Calibrated:
         """Measure the camera with itself; raises :class:`CalibrationError`."""
         bundle = self.bundle
         return calibrate(
@@ -230,7 +230,7 @@ class Bench:
             self.held.present,
             longest=0.2,
             exposure=EXPOSURE,
-            effort=effort,
+            budget=budget,
             clock=self.clock,
         )
 
@@ -326,7 +326,7 @@ def picture(
 ) -> None:
     """Draw the calibration of a camera that was built badly."""
     torch.set_num_threads(1)
-    found = Bench(read_bundle(FRESH), BADLY_BUILT).calibrate(Effort(repeats=1))
+    found = Bench(read_bundle(FRESH), BADLY_BUILT).calibrate(Budget(repeats=1))
     write_picture(out, found)
     print(_summary(found))
 

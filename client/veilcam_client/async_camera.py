@@ -70,14 +70,14 @@ class AsyncCamera:
     async def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
         """Begin to measure the camera with itself; it takes no captures meanwhile.
 
-        It goes on by itself but for scenes that somebody must hold up: see ``stage`` and
-        ``instruction`` of :meth:`calibration` or of the events, and :meth:`scene_presented`.
+        It goes on by itself but for scenes that somebody must set: see ``stage`` and
+        ``instruction`` of :meth:`calibration` or of the events, and :meth:`confirm_scene`.
         """
         return await self._transport.send(calls.start_calibration(repeats))
 
-    async def scene_presented(self, scene: SceneName) -> CalibrationRun:
-        """Say that the scene that the calibration waits for is there."""
-        return await self._transport.send(calls.scene_presented(scene))
+    async def confirm_scene(self, scene: SceneName) -> CalibrationRun:
+        """Confirm that the scene that the calibration waits for is set."""
+        return await self._transport.send(calls.confirm_scene(scene))
 
     async def cancel_calibration(self) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""

@@ -86,14 +86,14 @@ class Camera:
     def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
         """Begin to measure the camera with itself; it takes no captures meanwhile.
 
-        It goes on by itself but for scenes that somebody must hold up: see ``stage`` and
-        ``instruction`` of :meth:`calibration` or of the events, and :meth:`scene_presented`.
+        It goes on by itself but for scenes that somebody must set: see ``stage`` and
+        ``instruction`` of :meth:`calibration` or of the events, and :meth:`confirm_scene`.
         """
         return self._transport.send(calls.start_calibration(repeats))
 
-    def scene_presented(self, scene: SceneName) -> CalibrationRun:
-        """Say that the scene that the calibration waits for is there."""
-        return self._transport.send(calls.scene_presented(scene))
+    def confirm_scene(self, scene: SceneName) -> CalibrationRun:
+        """Confirm that the scene that the calibration waits for is set."""
+        return self._transport.send(calls.confirm_scene(scene))
 
     def cancel_calibration(self) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""

@@ -12,14 +12,13 @@ import torch
 import uvicorn
 
 from veilcam_client.wire.bundles import BundleInfo
-from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.bundles.store import KeyringStore
-from veilcam_server.calibration.loading import open_calibration
-from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.calibration.loading import make_opener, open_calibration, settle_time
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
@@ -59,9 +58,8 @@ def build_service(settings: Settings) -> Service:
     try:
         bundle = read_bundle(settings.bundle)
         form = release_form(settings, bundle)
-        calibration = open_calibration(settings, bundle)
-        workshop = Workshop(settings, bundle)
-        opener = workshop.opener(calibration)
+        signed = open_calibration(settings, bundle)
+        opener = make_opener(settings, bundle, signed)
         store = KeyringStore(settings.state_dir / "keyrings", settings.bundle, bundle.digest)
         keys, faults = last_good(store, opener)
         keys = keys or opener.load(bundle)
@@ -77,10 +75,10 @@ def build_service(settings: Settings) -> Service:
                 preparation,
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
-                fence=Fence(workshop.settle(calibration), settings.capture_timeout),
+                fence=Fence(settle_time(settings, signed), settings.capture_timeout),
                 policy=rotation_policy(settings, bundle),
                 test_every=settings.self_test_every,
-                calibration=calibration,
+                calibration=signed,
             )
             undo.pop_all()
             undo.callback(camera.stop)
@@ -93,13 +91,13 @@ def build_service(settings: Settings) -> Service:
         raise StartError(str(error)) from error
     return Service(
         camera,
-        _identity(settings, keys.info, device, calibration),
+        _identity(settings, keys.info, device),
         Keyrings(store, opener, keys, limit=settings.keyring_limit, faults=faults),
+        CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
-        workshop=workshop,
     )
 
 
@@ -117,16 +115,13 @@ def _begin(camera: MaskedCamera) -> None:
         log.warning("no capture yet", reason=str(error))
 
 
-def _identity(
-    settings: Settings, bundle: BundleInfo, device: Device, calibration: SignedCalibration | None
-) -> Identity:
+def _identity(settings: Settings, bundle: BundleInfo, device: Device) -> Identity:
     return Identity(
         device=DeviceInfo(
             display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
         ),
         bundle=bundle,
         experiment="wrong-classifier" if settings.wrong_classifier else None,
-        calibration=calibration,
     )
 
 

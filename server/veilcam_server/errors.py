@@ -191,13 +191,13 @@ class SceneNotWantedError(
         super().__init__(f"{what} waited for, not {given!r}: see GET /v1/calibration")
 
 
-class CalibrationImpossibleError(
+class CalibrationError(
     ProblemError,
     code="calibration_impossible",
     status=409,
     title="This camera cannot be calibrated",
 ):
-    """This camera cannot be measured with itself."""
+    """A measurement or a record that cannot be used, or made; the message says what to do."""
 
 
 class ReplayingError(

@@ -17,7 +17,6 @@ import pytest
 import structlog
 import torch
 
-from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Release
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import RotationOff, RotationPolicy
@@ -29,7 +28,7 @@ from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.bundles.store import KeyringStore
-from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
@@ -41,6 +40,7 @@ from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.security.admission import Admission
 from veilcam_server.service.service import Service
+from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,
@@ -199,8 +199,7 @@ class Bench:
     test: FakeTest = field(default_factory=FakeTest)
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
-    calibration: SignedCalibration | None = None
-    workshop: Workshop | None = None
+    calibration: CalibrationService | None = None
 
     def note(self, make: Callable[..., Event]) -> None:
         """Remember new epochs and states."""
@@ -242,18 +241,18 @@ class Bench:
 
     def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
         keyrings = self.keyrings()
+        settings = Settings(bundle=self.state_dir / "configured.veilcam", state_dir=self.state_dir)
         service = Service(
             camera,
             Identity(
                 DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
                 keyrings.info,
-                calibration=self.calibration,
             ),
             keyrings,
+            self.calibration or CalibrationService(settings, None),
             form=self.release,
             queue_limit=queue_limit,
             heartbeat=0.05,
-            workshop=self.workshop,
         )
         publish = camera._panel.publish
 

@@ -60,7 +60,7 @@ def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
         if run.stage == "waiting" and run.scene is not None:
             typer.echo(f"\n{run.instruction}", err=True)
             typer.prompt("Press Enter when it is so", default="", show_default=False, err=True)
-            run = camera.scene_presented(run.scene)
+            run = camera.confirm_scene(run.scene)
             continue
         if (news := (run.stage, run.scene, 10 * run.exposures // max(1, run.total))) != said:
             typer.echo(run_in_words(run), err=True)

@@ -18,8 +18,8 @@ from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
     CalibrationStatus,
+    SceneConfirmation,
     SceneName,
-    ScenePresented,
 )
 from veilcam_client.wire.captures import Capture, Classification, ClassificationRequest
 from veilcam_client.wire.diagnostics import Diagnostics
@@ -78,9 +78,9 @@ def start_calibration(repeats: int) -> Call[CalibrationRun]:
     return _call("POST", "/v1/calibration", CalibrationRun, body, once=True)
 
 
-def scene_presented(scene: SceneName) -> Call[CalibrationRun]:
+def confirm_scene(scene: SceneName) -> Call[CalibrationRun]:
     """POST /v1/calibration/scene."""
-    body = ScenePresented(scene=scene)
+    body = SceneConfirmation(scene=scene)
     return _call("POST", "/v1/calibration/scene", CalibrationRun, body, once=True)
 
 

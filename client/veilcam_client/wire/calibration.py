@@ -10,9 +10,9 @@ from pydantic import Field
 from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Question
 
 SceneName = Literal["dark", "white card", "lamp"]
-"""What is held in front of a camera that is being measured."""
+"""What is set before a camera that is being measured."""
 Stage = Literal["waiting", "measuring", "fitting", "done", "failed", "cancelled"]
-"""``waiting`` for somebody to hold up a scene; after the last three it has ended."""
+"""``waiting`` for somebody to set a scene; after the last three it has ended."""
 
 
 class Quantity(Answer):
@@ -94,8 +94,8 @@ class CalibrationRequest(Question):
     """Exposures for one reading."""
 
 
-class ScenePresented(Question):
-    """The scene that was asked for is there."""
+class SceneConfirmation(Question):
+    """The scene that is waited for is set."""
 
     scene: SceneName
 
@@ -163,7 +163,7 @@ _RUN = CalibrationRun(
 )
 EXAMPLES = (
     CalibrationRequest(repeats=2),
-    ScenePresented(scene="lamp"),
+    SceneConfirmation(scene="lamp"),
     _RUN,
     CalibrationStatus(
         signed=SignedCalibration(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from veilcam_client.wire.bundles import BundleInfo
-from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
@@ -34,7 +33,6 @@ class Identity:
     device: Device
     bundle: BundleInfo
     experiment: str | None = None
-    calibration: SignedCalibration | None = None
 
 
 def bundle_info(bundle: Bundle) -> BundleInfo:

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, S
 from contextlib import asynccontextmanager
 
 from veilcam_client.wire.bundles import BundleInfo, Keyring
-from veilcam_client.wire.bundles import Keyrings as KeyringsAnswer
+from veilcam_client.wire.bundles import Keyrings as KeyringsResponse
 from veilcam_server.bundles.loader import LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.store import KeyringStore, append
 from veilcam_server.errors import (
@@ -51,10 +51,12 @@ class Keyrings:
         """What the keyring in use holds."""
         return self._keys.info
 
-    async def all(self) -> KeyringsAnswer:
+    async def all(self) -> KeyringsResponse:
         """Every keyring, the configured one first."""
         digests = await asyncio.to_thread(self._store.digests)
-        return KeyringsAnswer(keyrings=tuple([await self._answer(digest) for digest in digests]))
+        return KeyringsResponse(
+            keyrings=tuple([await self._response(digest) for digest in digests])
+        )
 
     async def install(self, chunks: AsyncIterable[bytes]) -> Keyring:
         """Take in a bundle; it is checked, and not used.
@@ -70,7 +72,7 @@ class Keyrings:
                 bundle = await asyncio.to_thread(self._opener.read, path)
                 await asyncio.to_thread(self._store.install, path, bundle.digest)
             self._infos[bundle.digest] = bundle_info(bundle)
-            return await self._answer(bundle.digest)
+            return await self._response(bundle.digest)
 
     async def activate(self, digest: str, change: Change) -> Keyring:
         """Use another keyring, also after a restart; when that fails, the one before goes on.
@@ -99,7 +101,7 @@ class Keyrings:
                     raise
             finally:
                 staged.unlink(missing_ok=True)
-            return await self._answer(digest)
+            return await self._response(digest)
 
     async def reopen(self, opener: Opener, change: Change) -> None:
         """Open the keyring in use anew, and all others from now on.
@@ -118,14 +120,14 @@ class Keyrings:
             await change(keys)
             self._opener, self._keys = opener, keys
 
-    async def remove(self, digest: str) -> KeyringsAnswer:
+    async def remove(self, digest: str) -> KeyringsResponse:
         """Remove a keyring for good; raises as :meth:`KeyringStore.remove`."""
         async with self._alone():
             await asyncio.to_thread(self._store.remove, digest, self._keys.info.digest)
             self._infos.pop(digest, None)
         return await self.all()
 
-    async def _answer(self, digest: str) -> Keyring:
+    async def _response(self, digest: str) -> Keyring:
         path = self._store.path(digest)
         if digest not in self._infos:
             self._infos[digest] = await asyncio.to_thread(self._look, digest)

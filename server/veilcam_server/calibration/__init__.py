@@ -1,7 +1,6 @@
 """The camera measured with itself: what panel, sensor and their distance really are."""
 
-from veilcam_server.calibration.errors import CalibrationError
-from veilcam_server.calibration.measurements import Effort
+from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
 from veilcam_server.calibration.record import (
     SigningKey,
@@ -14,10 +13,9 @@ from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.targets import CalibrationScene
 
 __all__ = [
+    "Budget",
     "Calibrated",
-    "CalibrationError",
     "CalibrationScene",
-    "Effort",
     "Geometry",
     "SigningKey",
     "calibrate",

@@ -96,6 +96,11 @@ class Optics:
         readings = [self._scenes @ operator(weights) for weights in self._weights]
         return torch.stack(readings, dim=1).flatten(1)
 
+    def readings(self, calibration: Calibration, stray: float) -> Values:
+        """(sights, patterns x embedding pixels), a share of the light being spread evenly."""
+        place = torch.tensor([getattr(calibration, name) for name in NAMES], dtype=torch.float64)
+        return strayed(self.predict(place).numpy(), stray, self._geometry.embedding.size)
+
     def linearise(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """Prediction and its derivatives, (sights, values) and (4, sights, values).
 

@@ -12,14 +12,13 @@ from scipy.optimize import nnls
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Calibration
 from veilcam_optics.transfer.operator import Reach
-from veilcam_server.calibration.alignment import NAMES, Alignment, Optics, Sight, align, strayed
-from veilcam_server.calibration.errors import CalibrationError
-from veilcam_server.calibration.lines import Lines
-from veilcam_server.calibration.measurements import Observations
-from veilcam_server.calibration.response import Response, Staircase, fit_response, uncertainties
-from veilcam_server.calibration.result import Findings
+from veilcam_server.calibration.alignment import Alignment, Optics, Sight, align
+from veilcam_server.calibration.measurements import Measurements
+from veilcam_server.calibration.response import Response, fit_response, uncertainties
+from veilcam_server.calibration.result import CalibrationResult
 from veilcam_server.calibration.rig import Geometry, Patterns, Values
 from veilcam_server.devices.base import Levels
+from veilcam_server.errors import CalibrationError
 
 
 def split_darkness(
@@ -50,9 +49,7 @@ def split_darkness(
     optics = Optics(
         geometry, torch.stack([alive, ones - alive]), [sight.image for sight in opaque], reach
     )
-    place = torch.tensor([getattr(calibration, name) for name in NAMES], dtype=torch.float64)
-    straight = optics.predict(place).reshape(len(opaque), 2, -1).numpy()
-    predicted = strayed(straight, stray, geometry.embedding.size)
+    predicted = optics.readings(calibration, stray).reshape(len(opaque), 2, -1)
     columns, values = [], []
     for sight, gain, each in zip(opaque, gains, predicted, strict=True):
         # Not scaled to each other: what little comes of a lamp is below a step of the converter.
@@ -81,17 +78,17 @@ _FARTHEST, _TURNED = 1e-3, 20e-3
 
 
 def fit(
-    seen: Observations,
+    measured: Measurements,
     geometry: Geometry,
     *,
     reach: Reach,
     patterns: Patterns,
     check: Callable[[], None],
-) -> Findings:
+) -> CalibrationResult:
     """Find the camera that would read what was read.
 
     Args:
-        seen: what was read.
+        measured: what was read.
         geometry: the camera as drawn.
         reach: which sub-pixels interfere.
         patterns: that were shown.
@@ -100,7 +97,7 @@ def fit(
     Raises:
         CalibrationError: there is no such camera, or it is too far from the drawing.
     """
-    return _Fit(geometry, reach, patterns, check).fit(seen)
+    return _Fit(geometry, reach, patterns, check).fit(measured)
 
 
 @dataclass(eq=False, slots=True)
@@ -112,38 +109,28 @@ class _Fit:
     stuck_uncertainty: float = 0.0
     """Of what dead lines let through."""
 
-    def fit(self, seen: Observations) -> Findings:
+    def fit(self, measured: Measurements) -> CalibrationResult:
         """Return everything that was found."""
-        response, alignment = self._fit(seen.levels, seen.sights, seen.lines, seen.staircase)
-        predicted, errors = self._verdict(seen.levels, seen.sights, alignment)
-        return Findings(
-            unlit=seen.unlit,
-            settling=seen.settling,
-            lines=seen.lines,
-            staircase=seen.staircase,
+        response, alignment = self._fit(measured)
+        predicted, errors = self._verdict(measured.levels, measured.sights, alignment)
+        return CalibrationResult(
+            measured=measured,
             response=response,
             alignment=alignment,
             stuck_uncertainty=self.stuck_uncertainty,
             card_error=errors[0],
             lamp_error=errors[1],
-            drift=seen.drift,
-            seen=seen.sights[1].readings[-1],
-            predicted=predicted[1, -1],
+            lamp_predicted=predicted[1, -1],
         )
 
-    def _fit(
-        self,
-        levels: Sequence[Levels],
-        sights: Sequence[Sight],
-        lines: Lines,
-        staircase: Staircase,
-    ) -> tuple[Response, Alignment]:
+    def _fit(self, measured: Measurements) -> tuple[Response, Alignment]:
         """Coarse patterns first, then all.
 
         What dead lines let through is not known at first, but is there at every pattern: where
         there are any, the first fits are of what patterns add to the opaque panel's light.
         """
-        patterns = self.patterns
+        levels, sights, staircase = measured.levels, measured.sights, measured.staircase
+        lines, patterns = measured.lines, self.patterns
         coarse = slice(1, 1 + patterns.coarse)
         every = slice(1, 1 + patterns.coarse + patterns.fine)
         dead = bool(lines.dead_rows or lines.dead_columns)
@@ -216,12 +203,9 @@ class _Fit:
             [sight.image for sight in sights],
             self.reach,
         )
-        place = torch.tensor([getattr(found, name) for name in NAMES], dtype=torch.float64)
         gains = np.array(alignment.gains)[:, None, None, None]
         shape = (len(sights), -1, *self.geometry.embedding.shape)
-        straight = optics.predict(place).numpy()
-        light = strayed(straight, alignment.stray, self.geometry.embedding.size)
-        predicted: Values = gains * light.reshape(shape)
+        predicted: Values = gains * optics.readings(found, alignment.stray).reshape(shape)
         seen = np.stack([sight.readings[held_out] for sight in sights])
         axes = (1, 2, 3)
         errors = np.sqrt(((predicted - seen) ** 2).sum(axes) / (seen**2).sum(axes))

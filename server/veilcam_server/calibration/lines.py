@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_server.calibration.errors import CalibrationError
-from veilcam_server.calibration.rig import Bench, Geometry, Values
+from veilcam_server.calibration.rig import Geometry, Rig, Values
+from veilcam_server.errors import CalibrationError
 
 _DEAD = 0.5
 """A line with less than this share of the light that its neighbours let through is dead."""
@@ -34,20 +34,12 @@ class Lines:
         """From 0."""
         return _dead(self.columns)
 
-    @property
-    def scatter(self) -> float:
-        """Relative scatter of the lines that obey."""
-        alive = np.concatenate([each[each >= _DEAD] for each in (self.rows, self.columns)])
-        return float(alive.std())
 
-
-def measure_lines(
-    bench: Bench, geometry: Geometry, image: Values, operator: TransferOperator
-) -> Lines:
+def measure_lines(rig: Rig, geometry: Geometry, image: Values, operator: TransferOperator) -> Lines:
     """Open each row and each column alone.
 
     Args:
-        bench: in front of ``image``.
+        rig: in front of ``image``.
         geometry: the camera as drawn.
         image: (rows, columns) of the scene.
         operator: of the camera as drawn: how much light each line is expected to let through.
@@ -56,8 +48,8 @@ def measure_lines(
         CalibrationError: so many do not obey that the panel cannot be used.
     """
     rows, columns = geometry.camera.mask_shape
-    floor = bench.read(bench.opaque).mean()
-    top = int(bench.open.max())
+    floor = rig.read(rig.opaque).mean()
+    top = int(rig.open.max())
     scene = torch.from_numpy(image.reshape(1, -1))
     found = []
     for count, axis in ((rows, 0), (columns, 1)):
@@ -67,7 +59,7 @@ def measure_lines(
             opened.swapaxes(0, axis)[line] = top
             weights = torch.from_numpy(opened / top)
             expected = float((scene @ operator(weights)).mean())
-            shares[line] = (bench.read(opened).mean() - floor) / expected
+            shares[line] = (rig.read(opened).mean() - floor) / expected
         typical = float(np.median(shares))
         if not typical > 0:
             raise CalibrationError("single lines let no light through: light the card, try again")

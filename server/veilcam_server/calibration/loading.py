@@ -1,23 +1,15 @@
-"""What a daemon makes of its calibration: which record it is, and what it changes."""
+"""The record that the settings name, and what a daemon takes from it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_optics.decoding import AS_DRAWN, Calibration
-from veilcam_server.calibration import (
-    CalibrationError,
-    Geometry,
-    SigningKey,
-    correction,
-    read_record,
-)
-from veilcam_server.calibration.record import RECORD_NAME, check_fits
-from veilcam_server.devices.base import Device
-from veilcam_server.devices.corrected import CalibratedSensor
-from veilcam_server.errors import StartError
+from veilcam_optics.decoding import AS_DRAWN
+from veilcam_server.bundles.loader import Opener, open_source
+from veilcam_server.calibration.record import RECORD_NAME, SigningKey, correction, read_record
+from veilcam_server.calibration.rig import Geometry
+from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
 
@@ -45,16 +37,26 @@ def record_path(settings: Settings) -> Path:
 
 
 def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) -> None:
-    """Raise :class:`CalibrationError` if ``record`` is of another camera than is set up."""
-    check_fits(
-        record,
-        display=settings.panel,
-        sensor=settings.sensor,
-        simulated=settings.device == "simulated",
-        tab=panel_tab(settings),
-        exposure=settings.exposure,
-        geometry=Geometry(bundle.camera, bundle.scene, bundle.embedding).digest,
-    )
+    """Refuse a record of another camera.
+
+    Raises:
+        CalibrationError: which of its properties differs, and what to do.
+    """
+    geometry = Geometry(bundle.camera, bundle.scene, bundle.embedding).digest
+    kind = "simulated" if record.simulated else "real"
+    for what, measured, present in (
+        ("panel", record.display, settings.panel),
+        ("sensor", record.sensor, settings.sensor),
+        ("kind of device", kind, "simulated" if settings.device == "simulated" else "real"),
+        ("panel's tab", record.tab, panel_tab(settings)),
+        ("exposure [s]", record.exposure_s, settings.exposure),
+        ("geometry", record.geometry[:12], geometry[:12]),
+    ):
+        if measured != present:
+            raise CalibrationError(
+                f"the calibration is of another {what}, {measured}, not {present}: run "
+                "'veilcamd calibrate' for this camera, or give another --calibration"
+            )
 
 
 def panel_tab(settings: Settings) -> str | None:
@@ -62,16 +64,10 @@ def panel_tab(settings: Settings) -> str | None:
     return None if settings.device == "simulated" else settings.panel_tab
 
 
-def decoder_calibration(signed: SignedCalibration | None) -> Calibration:
-    """What decoders are prepared for."""
-    return AS_DRAWN if signed is None else correction(signed.record)
-
-
-def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
-    """The device with readings as decoders expect them."""
-    if signed is None:
-        return device
-    return replace(device, sensor=CalibratedSensor.of(device.sensor, signed.record))
+def make_opener(settings: Settings, bundle: Bundle, signed: SignedCalibration | None) -> Opener:
+    """What opens keyrings, their readers made for the camera as it was measured."""
+    calibration = AS_DRAWN if signed is None else correction(signed.record)
+    return Opener(bundle, lambda keys: open_source(settings, keys, calibration))
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:

@@ -1,4 +1,4 @@
-"""Everything that a calibration reads: three scenes, behind patterns."""
+"""Measurements of a calibration: three scenes, read behind patterns."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import torch
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_server.calibration import targets as scenes
 from veilcam_server.calibration.alignment import Sight
-from veilcam_server.calibration.errors import CalibrationError
 from veilcam_server.calibration.lines import Lines, measure_lines
 from veilcam_server.calibration.response import STEPS, Staircase, climb
-from veilcam_server.calibration.rig import Bench, Geometry, Patterns, Values
+from veilcam_server.calibration.rig import Geometry, Patterns, Rig, Values
 from veilcam_server.calibration.settling import Settling, measure_settling
 from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.devices.base import Levels
+from veilcam_server.errors import CalibrationError
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class Budget:
     """How much is read."""
 
     repeats: int = 2
@@ -45,7 +45,7 @@ _DRIFT = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Observations:
+class Measurements:
     """Everything that was read."""
 
     unlit: Values
@@ -58,45 +58,45 @@ class Observations:
     drift: float
 
 
-def observe(
-    make: Callable[[float], Bench],
+def measure(
+    make: Callable[[float], Rig],
     geometry: Geometry,
-    present: Callable[[CalibrationScene], None],
+    set_scene: Callable[[CalibrationScene], None],
     *,
     longest: float,
     reach: Reach,
-    effort: Effort,
-) -> Observations:
+    budget: Budget,
+) -> Measurements:
     """Ask for scenes, and read them behind patterns.
 
     Args:
-        make: a bench that grants the panel so long to settle [s].
+        make: a rig that grants the panel so long to settle [s].
         geometry: the camera as drawn.
-        present: brings a scene before the camera and returns once it is there.
+        set_scene: brings a scene before the camera and returns once it is there.
         longest: what the panel's settling may take [s].
         reach: which sub-pixels interfere.
-        effort: how much is read.
+        budget: how much is read.
 
     Raises:
         CalibrationError: the camera or its light is not good enough, and what to do.
         DeviceError, FenceError: panel or sensor failed.
     """
-    bench = make(longest)
-    present(scenes.dark(geometry.scene))
+    rig = make(longest)
+    set_scene(scenes.dark(geometry.scene))
     # Both: what leaks in around the panel is not told from what comes through it.
-    unlit = np.stack([bench.read(bench.opaque), bench.read(bench.open)])
+    unlit = np.stack([rig.read(rig.opaque), rig.read(rig.open)])
     black = float(unlit.mean())
     card, lamp = scenes.white(geometry.scene), scenes.lamp(geometry.scene)
 
-    present(card)
-    begin = bench.read(bench.open).mean() - black
-    _check_light(begin, black, bench)
-    opaque = bench.read(bench.opaque).mean() - black
+    set_scene(card)
+    begin = rig.read(rig.open).mean() - black
+    _check_light(begin, black, rig)
+    opaque = rig.read(rig.opaque).mean() - black
     if opaque > _HIDES * begin:
         raise CalibrationError("the panel does not hide the scene: check its power and its wiring")
-    settling = measure_settling(bench, longest=longest, samples=effort.samples)
+    settling = measure_settling(rig, longest=longest, samples=budget.samples)
     # Twice as long: within 2 % is good enough for captures, not for what they are corrected by.
-    bench = make(min(longest, 2 * (settling.seconds + settling.uncertainty)))
+    rig = make(min(longest, 2 * (settling.seconds + settling.uncertainty)))
     operator = TransferOperator(
         geometry.camera,
         geometry.scene,
@@ -104,30 +104,30 @@ def observe(
         reach=reach,
         dtype=torch.float64,
     )
-    lines = measure_lines(bench, geometry, card.image.astype(np.float64), operator)
-    staircase = climb(bench, black_level=black)
-    levels = effort.patterns.draw(geometry.camera)
-    before_card = _look(bench, levels, card, black)
-    drift = float((bench.read(bench.open).mean() - black) / begin - 1)
+    lines = measure_lines(rig, geometry, card.image.astype(np.float64), operator)
+    staircase = climb(rig, black_level=black)
+    levels = budget.patterns.draw(geometry.camera)
+    before_card = _look(rig, levels, card, black)
+    drift = float((rig.read(rig.open).mean() - black) / begin - 1)
     if abs(drift) > _DRIFT:
         raise CalibrationError(
             f"the light changed by {100 * drift:+.2g} % meanwhile: let the lamp warm up and "
             "hold everything still"
         )
-    present(lamp)
-    sights = (before_card, _look(bench, levels, lamp, black))
-    return Observations(unlit, settling, lines, staircase, levels, sights, drift)
+    set_scene(lamp)
+    sights = (before_card, _look(rig, levels, lamp, black))
+    return Measurements(unlit, settling, lines, staircase, levels, sights, drift)
 
 
-def _look(bench: Bench, levels: Sequence[Levels], scene: CalibrationScene, black: float) -> Sight:
-    readings = np.stack([bench.read(each) for each in levels]) - black
+def _look(rig: Rig, levels: Sequence[Levels], scene: CalibrationScene, black: float) -> Sight:
+    readings = np.stack([rig.read(each) for each in levels]) - black
     if not readings.mean() > 0:
         raise CalibrationError(f"there is no light from the {scene.name}: light it, try again")
     return Sight(scene.image.astype(np.float64), readings)
 
 
-def _check_light(light: float, black: float, bench: Bench) -> None:
-    if light < _DIM * bench.full_scale:
+def _check_light(light: float, black: float, rig: Rig) -> None:
+    if light < _DIM * rig.full_scale:
         raise CalibrationError(
             "too little light comes from the white card: light it, or expose longer"
         )

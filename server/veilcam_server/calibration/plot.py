@@ -28,7 +28,7 @@ def write_picture(path: Path, found: Calibrated) -> None:
     below = figure.add_gridspec(
         1, 4, width_ratios=(1, 1, 1, 2.1), left=0.06, right=0.97, top=0.31, bottom=0.04, wspace=0.13
     )
-    record, findings = found.record, found.findings
+    record, result = found.record, found.result
     figure.text(
         0.06, 0.955, "The camera measured with itself", color=INK, fontsize=18, weight="bold"
     )
@@ -40,22 +40,22 @@ def write_picture(path: Path, found: Calibrated) -> None:
         color=FAINT,
         fontsize=10,
     )
-    _settling(figure.add_subplot(curves[0, 0]), findings.settling)
+    _settling(figure.add_subplot(curves[0, 0]), result.measured.settling)
     _staircase(figure.add_subplot(curves[0, 1]), found)
-    _lines(figure.add_subplot(curves[1, 0]), "rows opened alone", findings.lines.rows)
-    _lines(figure.add_subplot(curves[1, 1]), "columns opened alone", findings.lines.columns)
+    _lines(figure.add_subplot(curves[1, 0]), "rows opened alone", result.measured.lines.rows)
+    _lines(figure.add_subplot(curves[1, 1]), "columns opened alone", result.measured.lines.columns)
     # A pattern is held out; what it shows of the lamp is the point spread function, binned.
-    top = float(findings.seen.max())
-    _image(figure.add_subplot(below[0]), "lamp, as read", findings.seen / top)
+    top = float(result.lamp.max())
+    _image(figure.add_subplot(below[0]), "lamp, as read", result.lamp / top)
     _image(
         figure.add_subplot(below[1]),
         f"predicted: {100 * record.psf_residual:.2g} % off",
-        findings.predicted / top,
+        result.lamp_predicted / top,
     )
     _image(
         figure.add_subplot(below[2]),
         "difference x 10",
-        0.5 + 10 * (findings.seen - findings.predicted) / top,
+        0.5 + 10 * (result.lamp - result.lamp_predicted) / top,
     )
     _table(figure.add_subplot(below[3]), record)
     figure.savefig(path, facecolor=PAPER)
@@ -85,7 +85,7 @@ def _settling(axes: Axes, settling: Settling) -> None:
 
 
 def _staircase(axes: Axes, found: Calibrated) -> None:
-    staircase, response = found.findings.staircase, found.findings.response
+    staircase, response = found.result.measured.staircase, found.result.response
     _styled(axes, f"panel: gamma {response.gamma:.3f}, contrast floor {response.floor:.3f}")
     fine = np.linspace(0, 1, 200)
     # Lines that do not obey add the same light to every step.

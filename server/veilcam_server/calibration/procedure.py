@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.fit import fit
-from veilcam_server.calibration.measurements import Effort, observe
-from veilcam_server.calibration.result import Findings, make_record
-from veilcam_server.calibration.rig import Bench, Geometry
+from veilcam_server.calibration.measurements import Budget, measure
+from veilcam_server.calibration.result import CalibrationResult, make_record
+from veilcam_server.calibration.rig import Geometry, Rig
 from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.camera.capture import Fence
 from veilcam_server.devices.base import Device
@@ -22,20 +22,20 @@ class Calibrated:
     """The record, and the curves that it was made from."""
 
     record: CalibrationRecord
-    findings: Findings
+    result: CalibrationResult
 
 
 def calibrate(
     device: Device,
     geometry: Geometry,
-    present: Callable[[CalibrationScene], None],
+    set_scene: Callable[[CalibrationScene], None],
     *,
     longest: float,
     exposure: float,
     tab: str | None = None,
     reach: Reach = Reach(),  # noqa: B008 - immutable
     timeout: float = 5.0,
-    effort: Effort = Effort(),  # noqa: B008 - immutable
+    budget: Budget = Budget(),  # noqa: B008 - immutable
     advance: Callable[[], None] = lambda: None,
     check: Callable[[], None] = lambda: None,
     fitting: Callable[[], None] = lambda: None,
@@ -46,16 +46,16 @@ def calibrate(
     Args:
         device: panel and sensor; it is not closed here.
         geometry: the camera as drawn.
-        present: brings a scene before the camera and returns once it is there.
+        set_scene: brings a scene before the camera and returns once it is there.
         longest: what the panel's settling may take [s].
         exposure: of readings, for the record [s].
         tab: of the panel, for the record.
         reach: which sub-pixels decoders let interfere.
         timeout: longest wait for one reading [s].
-        effort: how much is read.
-        advance: called after each of ``effort.captures(geometry)`` exposures.
-        check: called after each of them and before each evaluation of a fit; what it raises ends
-            the calibration.
+        budget: how much is read.
+        advance: called after each of ``budget.captures(geometry)`` exposures; what it raises ends
+            the calibration, as what ``check`` does.
+        check: called before each evaluation of a fit.
         fitting: called once everything is read; the panel is opaque from then on.
         clock: monotonic time [s].
 
@@ -64,26 +64,22 @@ def calibrate(
         DeviceError, FenceError: panel or sensor failed.
     """
 
-    def bench(settle: float) -> Bench:
-        return Bench(
+    def rig(settle: float) -> Rig:
+        return Rig(
             device,
             geometry.camera,
             geometry.embedding.shape,
             fence=Fence(settle, timeout),
-            repeats=effort.repeats,
-            advance=advanced,
+            repeats=budget.repeats,
+            advance=advance,
             clock=clock,
         )
 
-    def advanced() -> None:
-        advance()
-        check()
-
     try:
-        seen = observe(bench, geometry, present, longest=longest, reach=reach, effort=effort)
+        measured = measure(rig, geometry, set_scene, longest=longest, reach=reach, budget=budget)
     finally:
         device.display.blank()
     fitting()
-    found = fit(seen, geometry, reach=reach, patterns=effort.patterns, check=check)
+    found = fit(measured, geometry, reach=reach, patterns=budget.patterns, check=check)
     record = make_record(found, device, exposure=exposure, tab=tab, geometry=geometry.digest)
     return Calibrated(record, found)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.decoding import Calibration
 from veilcam_optics.files import create_private, write_whole
-from veilcam_server.calibration.errors import CalibrationError
+from veilcam_server.errors import CalibrationError
 
 KEY_NAME = "calibration-key"
 """Of the private key in the state directory."""
@@ -137,40 +137,6 @@ def read_record(path: Path, key: SigningKey) -> SignedCalibration:
     if not is_signed(_message(signed.record), signed.signature, signed.public_key):
         raise CalibrationError(f"{path} was changed after it was signed: {again}")
     return signed
-
-
-def check_fits(
-    record: CalibrationRecord,
-    *,
-    display: str,
-    sensor: str,
-    simulated: bool,
-    tab: str | None,
-    exposure: float,
-    geometry: str,
-) -> None:
-    """Refuse a record of another camera.
-
-    Raises:
-        CalibrationError: which of its properties differs, and what to do.
-    """
-    for what, measured, present in (
-        ("panel", record.display, display),
-        ("sensor", record.sensor, sensor),
-        ("kind of device", _kind(record.simulated), _kind(simulated)),
-        ("panel's tab", record.tab, tab),
-        ("exposure [s]", record.exposure_s, exposure),
-        ("geometry", record.geometry[:12], geometry[:12]),
-    ):
-        if measured != present:
-            raise CalibrationError(
-                f"the calibration is of another {what}, {measured}, not {present}: run "
-                "'veilcamd calibrate' for this camera, or give another --calibration"
-            )
-
-
-def _kind(simulated: bool) -> str:
-    return "simulated" if simulated else "real"
 
 
 def _message(record: CalibrationRecord) -> bytes:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
-from veilcam_server.calibration.errors import CalibrationError
-from veilcam_server.calibration.rig import Bench, Values
+from veilcam_server.calibration.rig import Rig, Values
+from veilcam_server.errors import CalibrationError
 
 STEPS = 16
 _MISFIT = 0.03
@@ -43,13 +43,13 @@ class Response:
         return light
 
 
-def climb(bench: Bench, *, black_level: float) -> Staircase:
+def climb(rig: Rig, *, black_level: float) -> Staircase:
     """Read all steps, in an order that keeps a slow drift out of the curve."""
-    top = int(bench.open.max())
+    top = int(rig.open.max())
     levels = np.unique(np.linspace(0, top, STEPS).round().astype(int))
     light = np.zeros(len(levels))
     for index in np.random.default_rng(0).permutation(len(levels)):
-        light[index] = bench.read(bench.uniform(int(levels[index]))).mean() - black_level
+        light[index] = rig.read(rig.uniform(int(levels[index]))).mean() - black_level
     return Staircase(levels / top, light)
 
 

@@ -9,22 +9,17 @@ import numpy as np
 
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity
 from veilcam_server.calibration.alignment import NAMES, Alignment
-from veilcam_server.calibration.lines import Lines
-from veilcam_server.calibration.response import Response, Staircase
+from veilcam_server.calibration.measurements import Measurements
+from veilcam_server.calibration.response import Response
 from veilcam_server.calibration.rig import Values
-from veilcam_server.calibration.settling import Settling
 from veilcam_server.devices.base import Device
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Findings:
+class CalibrationResult:
     """What a calibration came to."""
 
-    unlit: Values = field(repr=False)
-    """Readings in the dark."""
-    settling: Settling
-    lines: Lines
-    staircase: Staircase
+    measured: Measurements
     response: Response
     alignment: Alignment
     stuck_uncertainty: float
@@ -33,20 +28,18 @@ class Findings:
     """Relative error of predicted readings of the white card, behind patterns held out."""
     lamp_error: float
     """The same of the lamp."""
-    drift: float
-    seen: Values = field(repr=False)
-    """The lamp behind a pattern that no fit has seen, as read."""
-    predicted: Values = field(repr=False)
-    """The same as predicted."""
+    lamp_predicted: Values = field(repr=False)
+    """What should be read of the lamp behind the last pattern, which no fit has seen."""
 
     @property
-    def black_level(self) -> float:
-        """Mean reading in the dark."""
-        return float(self.unlit.mean())
+    def lamp(self) -> Values:
+        """What was read there."""
+        seen: Values = self.measured.sights[1].readings[-1]
+        return seen
 
 
 def make_record(
-    found: Findings, device: Device, *, exposure: float, tab: str | None, geometry: str
+    found: CalibrationResult, device: Device, *, exposure: float, tab: str | None, geometry: str
 ) -> CalibrationRecord:
     """Return what a daemon needs to know.
 
@@ -57,9 +50,10 @@ def make_record(
         tab: of the panel.
         geometry: digest of the drawing.
     """
-    alignment, response = found.alignment, found.response
+    measured, alignment, response = found.measured, found.alignment, found.response
     calibration, gain = alignment.calibration, alignment.gains[0]
-    full_scale, black, noise = device.sensor.full_scale, found.black_level, float(found.unlit.std())
+    full_scale, settling, lines = device.sensor.full_scale, measured.settling, measured.lines
+    black, noise = float(measured.unlit.mean()), float(measured.unlit.std())
     fit = float(np.sqrt(np.mean(np.square(alignment.residuals))))
     gain_spread = alignment.gain_uncertainties[0]
 
@@ -79,13 +73,13 @@ def make_record(
         exposure_s=exposure,
         geometry=geometry,
         settling_s=Quantity(
-            value=found.settling.seconds,
-            uncertainty=found.settling.uncertainty,
-            residual=found.settling.residual,
+            value=settling.seconds,
+            uncertainty=settling.uncertainty,
+            residual=settling.residual,
         ),
         black_level=Quantity(
             value=black,
-            uncertainty=noise / float(np.sqrt(found.unlit.size)),
+            uncertainty=noise / float(np.sqrt(measured.unlit.size)),
             residual=noise / full_scale,
         ),
         gain=Quantity(value=gain, uncertainty=gain_spread, residual=found.card_error),
@@ -96,8 +90,8 @@ def make_record(
         ),
         gamma=shown(response.gamma, response.gamma_uncertainty),
         contrast_floor=shown(response.floor, response.floor_uncertainty),
-        dead_rows=found.lines.dead_rows,
-        dead_columns=found.lines.dead_columns,
+        dead_rows=lines.dead_rows,
+        dead_columns=lines.dead_columns,
         dead_transmittance=Quantity(
             value=calibration.dead_transmittance,
             uncertainty=found.stuck_uncertainty,
@@ -111,5 +105,5 @@ def make_record(
             value=alignment.stray, uncertainty=alignment.stray_uncertainty, residual=fit
         ),
         psf_residual=found.lamp_error,
-        drift=found.drift,
+        drift=measured.drift,
     )

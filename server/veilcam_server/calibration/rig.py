@@ -84,7 +84,7 @@ class Moment:
     mean: float
 
 
-class Bench:
+class Rig:
     """Shows patterns and reads. Patterns are no masks: they never come from a key.
 
     Args:

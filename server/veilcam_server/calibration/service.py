@@ -1,10 +1,13 @@
-"""The camera measured with itself while the daemon runs, one calibration at a time."""
+"""Calibrations of one camera, one at a time, over the API or from a terminal, and their records."""
 
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import structlog
@@ -17,22 +20,41 @@ from veilcam_client.wire.calibration import (
     SignedCalibration,
     Stage,
 )
+from veilcam_client.wire.events import CalibrationChanged
+from veilcam_optics.transfer.operator import Reach
 from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import Keyrings
-from veilcam_server.calibration import CalibrationError, SigningKey
-from veilcam_server.calibration.progress import CancelledError, Run
-from veilcam_server.calibration.workshop import Workshop
-from veilcam_server.camera.engine import CameraEngine
+from veilcam_server.calibration.loading import (
+    check_record,
+    make_opener,
+    panel_tab,
+    record_path,
+    settle_time,
+)
+from veilcam_server.calibration.measurements import Budget
+from veilcam_server.calibration.procedure import Calibrated, calibrate
+from veilcam_server.calibration.record import SigningKey, sign_record, write_record
+from veilcam_server.calibration.rig import Geometry
+from veilcam_server.calibration.run import CancelledError, Run
+from veilcam_server.calibration.targets import CalibrationScene
+from veilcam_server.camera.engine import CameraEngine, Publish
+from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
     CalibratingError,
-    CalibrationImpossibleError,
+    CalibrationError,
     NotCalibratingError,
     NotReadyError,
     ProblemError,
 )
+from veilcam_server.settings import Settings
+from veilcam_training.bundle import Bundle
 
 log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
+
+LONGEST = 3.0
+"""Settling may take so many times what the daemon would grant it without a calibration."""
+_NO_CAMERA = "there is no panel and no sensor to calibrate: this daemon replays a recording"
 
 
 class OnDevice(Protocol):
@@ -44,39 +66,121 @@ class OnDevice(Protocol):
         """Return what ``work`` returns, and raise what it raises."""
 
 
-class Calibrator:
-    """Measures when it is told to. Lives on one event loop.
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A camera that captures are taken with between its calibrations.
+
+    Attributes:
+        camera: whose device is measured, and which goes on with what was found.
+        keyrings: of which the one in use is opened anew for what was found.
+        on_device: does work on the device's thread.
+        publish: takes every change of a calibration; on any thread.
+    """
+
+    camera: CameraEngine
+    keyrings: Keyrings
+    on_device: OnDevice
+    publish: Publish
+
+
+class CalibrationService:
+    """Measures a camera with itself, and keeps what was found.
+
+    Whoever has the device to himself calls :meth:`begin`, :meth:`measure`, :meth:`sign` and
+    :meth:`write`, which block. A daemon lives with the rest on one event loop.
 
     Args:
-        camera: whose device is measured, and which goes on with what was found.
-        keyrings: of which the one in use is opened anew for what was found; None: there are none.
-        workshop: that measures; None: this camera cannot be measured.
+        settings: checked.
+        bundle: whose camera it is; None: a recording is replayed, and there is no camera.
         signed: the record in use.
-        on_device: does work on the device's thread.
-        tell: takes every change of a calibration; on any thread.
     """
 
     def __init__(
-        self,
-        camera: CameraEngine,
-        keyrings: Keyrings | None,
-        workshop: Workshop | None,
-        signed: SignedCalibration | None,
-        *,
-        on_device: OnDevice,
-        tell: Callable[[CalibrationRun], None],
+        self, settings: Settings, bundle: Bundle | None, signed: SignedCalibration | None = None
     ) -> None:
-        self._camera, self._keyrings, self._workshop = camera, keyrings, workshop
-        self._signed, self._on_device, self._tell = signed, on_device, tell
+        self._settings, self._given, self._signed = settings, bundle, signed
+        self._served: Served | None = None
         self._run: Run | None = None
         self._task: asyncio.Task[None] | None = None
         self._starting = asyncio.Lock()
+
+    def begin(self, repeats: int, report: Callable[[CalibrationRun], None]) -> Run:
+        """Return a calibration to measure.
+
+        Args:
+            repeats: exposures for one reading.
+            report: takes every change of it.
+
+        Raises:
+            CalibrationError: this camera cannot be measured, or no record be kept.
+        """
+        budget = Budget(repeats=repeats)
+        run = Run(budget, budget.captures(self._geometry), report)
+        # A disk that cannot be written should not be found out minutes later.
+        SigningKey.open(self._settings.state_dir, create=True)
+        folder = record_path(self._settings).parent
+        if not os.access(folder, os.W_OK):
+            raise CalibrationError(f"no calibration can be written into {folder}: check it")
+        self._run = run
+        report(run.state)
+        return run
+
+    def measure(self, device: Device, run: Run) -> Calibrated:
+        """Measure a device; it takes minutes.
+
+        Raises:
+            CancelledError: somebody wants it to end.
+            CalibrationError: the camera, its light or the fit is not good enough.
+            DeviceError, FenceError: panel or sensor failed.
+        """
+        settings, fresh, scenes = self._settings, self._bundle.fresh, device.scenes
+
+        def set_scene(scene: CalibrationScene) -> None:
+            if scenes is None:
+                # Somebody stands before the camera now, maybe for minutes.
+                device.display.blank()
+                run.wait_for(scene)
+            else:
+                scenes.hold(scene.image)
+                run.enter("measuring", scene.name)
+
+        try:
+            return calibrate(
+                device,
+                self._geometry,
+                set_scene,
+                longest=LONGEST * settings.settle,
+                exposure=settings.exposure,
+                tab=panel_tab(settings),
+                reach=fresh.reach if fresh else Reach(),
+                timeout=settings.capture_timeout,
+                budget=run.budget,
+                advance=run.advance,
+                check=run.check,
+                fitting=lambda: run.enter("fitting"),
+            )
+        finally:
+            if scenes is not None:
+                scenes.hold(None)
+
+    def sign(self, record: CalibrationRecord) -> SignedCalibration:
+        """Vouch for a record; raises :class:`CalibrationError` if it is of another camera."""
+        check_record(record, self._settings, self._bundle)
+        return sign_record(record, SigningKey.open(self._settings.state_dir))
+
+    def write(self, signed: SignedCalibration) -> None:
+        """Let the next daemon begin with a record; raises :class:`CalibrationError`."""
+        write_record(record_path(self._settings), signed)
+
+    def serve(self, served: Served) -> None:
+        """Take the camera that :meth:`start` measures."""
+        self._served = served
 
     @property
     def status(self) -> CalibrationStatus:
         """The record in use, and how the last calibration goes on."""
         return CalibrationStatus(
-            signed=self._signed, run=None if self._run is None else self._run.seen
+            signed=self._signed, run=None if self._run is None else self._run.state
         )
 
     def require_idle(self) -> None:
@@ -85,44 +189,39 @@ class Calibrator:
             raise CalibratingError
 
     async def start(self, repeats: int) -> CalibrationRun:
-        """Begin to measure.
+        """Begin to measure the camera that is served.
 
         Args:
             repeats: exposures for one reading.
 
         Raises:
-            CalibrationImpossibleError: this camera cannot be measured, or no record be kept.
+            CalibrationError: this camera cannot be measured, or no record be kept.
             CalibratingError: it is being measured.
             NotReadyError: the daemon is stopping.
         """
-        workshop = self._workshop
-        if workshop is None:
-            raise CalibrationImpossibleError(
-                "there is no panel and no sensor to calibrate: this daemon replays a recording"
-            )
+        served = self._served
+        if served is None:
+            raise CalibrationError(_NO_CAMERA)
+
+        def report(state: CalibrationRun) -> None:
+            served.publish(partial(CalibrationChanged, run=state))
+
         async with self._starting:
             self.require_idle()
-            if self._camera.state[0] in ("starting", "stopping"):
-                raise NotReadyError(f"the daemon is {self._camera.state[0]}")
-            try:
-                key = await asyncio.to_thread(workshop.open_key)
-            except CalibrationError as error:
-                raise CalibrationImpossibleError(str(error)) from None
-            run = self._run = Run(workshop.exposures(repeats), self._tell)
-            self._task = asyncio.create_task(self._calibrate(workshop, run, key, repeats))
-        self._tell(run.seen)
-        return run.seen
+            if (state := served.camera.state[0]) in ("starting", "stopping"):
+                raise NotReadyError(f"the daemon is {state}")
+            run = await asyncio.to_thread(self.begin, repeats, report)
+            self._task = asyncio.create_task(self._calibrate(served, run))
+        return run.state
 
-    def presented(self, scene: SceneName) -> CalibrationRun:
+    def confirm(self, scene: SceneName) -> CalibrationRun:
         """The scene that is waited for is there.
 
         Raises:
             NotCalibratingError: no calibration is under way.
             SceneNotWantedError: another scene is waited for, or none.
         """
-        run = self._under_way()
-        run.presented(scene)
-        return run.seen
+        return self._under_way().confirm(scene)
 
     async def cancel(self) -> CalibrationRun:
         """End the calibration under way, and wait until the camera is back.
@@ -132,7 +231,7 @@ class Calibrator:
         """
         run = self._under_way()
         await self.close()
-        return run.seen
+        return run.state
 
     async def close(self) -> None:
         """Let nothing be under way any more."""
@@ -145,41 +244,51 @@ class Calibrator:
             raise NotCalibratingError
         return self._run
 
-    async def _calibrate(self, workshop: Workshop, run: Run, key: SigningKey, repeats: int) -> None:
+    async def _calibrate(self, served: Served, run: Run) -> None:
         stage: Stage = "done"
         detail: str | None = None
         exclusive = ExitStack()
 
         def measure() -> CalibrationRecord:
-            device = exclusive.enter_context(self._camera.exclusive())
-            return workshop.measure(device, run, repeats)
+            device = exclusive.enter_context(served.camera.exclusive())
+            return self.measure(device, run).record
 
         try:
-            record = await self._on_device(measure, counted=False)
+            record = await served.on_device(measure, counted=False)
             run.check()
-            await self._adopt(workshop, record, key)
+            await self._adopt(served, record)
         except CancelledError:
             stage = "cancelled"
         except Exception as error:
             stage, detail = "failed", str(error)
-            if not isinstance(error, (ProblemError, CalibrationError)):
+            if not isinstance(error, ProblemError):
                 log.error("defect", error=type(error).__name__, during="calibration")
                 detail = "the daemon has a defect: nothing was changed"
         # Why no mask is shown, where none is, the state tells.
         with suppress(Exception):
-            await self._on_device(exclusive.close)
+            await served.on_device(exclusive.close)
         log.info("calibration", outcome=stage, detail=detail)
-        run.end(stage, detail)
+        run.enter(stage, detail=detail)
 
-    async def _adopt(self, workshop: Workshop, record: CalibrationRecord, key: SigningKey) -> None:
+    async def _adopt(self, served: Served, record: CalibrationRecord) -> None:
         """Keep a record, and go on with it; or raise, and nothing was changed."""
-        signed = workshop.sign(record, key)
+        signed = self.sign(record)
+        settle = settle_time(self._settings, signed)
 
         async def change(keys: LoadedBundle) -> None:
-            await asyncio.to_thread(workshop.keep, signed)
-            settle = workshop.settle(signed)
-            await self._on_device(lambda: self._camera.adopt(signed, settle, keys.source))
+            await asyncio.to_thread(self.write, signed)
+            await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source))
 
-        assert self._keyrings is not None  # noqa: S101 - a camera that can be measured has some
-        await self._keyrings.reopen(workshop.opener(signed), change)
+        await served.keyrings.reopen(make_opener(self._settings, self._bundle, signed), change)
         self._signed = signed
+
+    @property
+    def _bundle(self) -> Bundle:
+        if self._given is None:
+            raise CalibrationError(_NO_CAMERA)
+        return self._given
+
+    @property
+    def _geometry(self) -> Geometry:
+        bundle = self._bundle
+        return Geometry(bundle.camera, bundle.scene, bundle.embedding)

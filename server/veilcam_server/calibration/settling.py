@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from veilcam_server.calibration.errors import CalibrationError
-from veilcam_server.calibration.rig import Bench, Moment
+from veilcam_server.calibration.rig import Moment, Rig
+from veilcam_server.errors import CalibrationError
 
 SETTLED = 0.02
 """Largest distance from the end, over the step, that counts as settled."""
@@ -28,11 +28,11 @@ class Settling:
     falling: tuple[Moment, ...]
 
 
-def measure_settling(bench: Bench, *, longest: float, samples: int) -> Settling:
+def measure_settling(rig: Rig, *, longest: float, samples: int) -> Settling:
     """Sample both steps at equal distances, then more finely where they end.
 
     Args:
-        bench: in front of a lit scene.
+        rig: in front of a lit scene.
         longest: what settling may take [s].
         samples: of each step and of each of the two passes.
 
@@ -41,14 +41,14 @@ def measure_settling(bench: Bench, *, longest: float, samples: int) -> Settling:
     """
     steps: tuple[list[Moment], list[Moment]] = ([], [])
     low, high = 0.0, longest
-    end = bench.after(bench.opaque, longest).mean
+    end = rig.after(rig.opaque, longest).mean
     for _ in range(2):
         for delay in np.linspace(low, high, samples):
-            for moments, levels in zip(steps, (bench.open, bench.opaque), strict=True):
+            for moments, levels in zip(steps, (rig.open, rig.opaque), strict=True):
                 begin = end
-                seen = bench.after(levels, float(delay))
+                seen = rig.after(levels, float(delay))
                 # What it comes to, and the beginning of the next step.
-                end = bench.after(levels, longest).mean
+                end = rig.after(levels, longest).mean
                 if end == begin:
                     raise CalibrationError(
                         "the panel shows nothing of what it is told: check its power and wiring"

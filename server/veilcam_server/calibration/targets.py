@@ -1,4 +1,4 @@
-"""What is held in front of a camera that is being measured."""
+"""Scenes that are set before a camera to measure it."""
 
 from __future__ import annotations
 

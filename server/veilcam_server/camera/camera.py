@@ -18,7 +18,6 @@ from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import State
-from veilcam_server.calibration.loading import calibrated
 from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
 from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
@@ -27,6 +26,7 @@ from veilcam_server.camera.rotation import due_in, reusable
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device
+from veilcam_server.devices.corrected import calibrated
 from veilcam_server.errors import (
     CalibratingError,
     FenceError,
@@ -175,13 +175,13 @@ class MaskedCamera:
         failure.
 
         Raises:
-            NotReadyError: it is lent already, or the daemon is stopping.
+            NotReadyError: somebody else has it, or the daemon is stopping.
             SelfTestError, SensorError, FenceError, EpochError, DisplayError: at the end, as
                 :meth:`rotate`.
         """
         with self._lock:
             self._require_running()
-            self._panel.lend()
+            self._panel.suspend()
         try:
             self._bare.display.blank()
             yield self._bare

@@ -100,13 +100,13 @@ class MaskedPanel:
             self._prove()
             self._put_back(active)
 
-    def lend(self) -> None:
-        """Let others show what they like."""
+    def suspend(self) -> None:
+        """No mask counts as shown: somebody has the panel for a calibration."""
         self._active = None
         self._enter("calibrating", "the camera is being calibrated")
 
     def strand(self) -> None:
-        """After something was lent, and no mask could be shown."""
+        """Be opaque after a calibration, if no mask could be shown."""
         if self._state == "calibrating":
             self._make_opaque(
                 "degraded", "no mask is shown after the calibration: it is tried again"

@@ -9,7 +9,7 @@ import typer
 
 from veilcam_server.cli.options import options_of
 from veilcam_server.cli.terminal import fail
-from veilcam_server.errors import StartError
+from veilcam_server.errors import CalibrationError, FenceError, StartError
 from veilcam_server.settings import Settings, Wiring
 
 
@@ -44,10 +44,8 @@ def calibrate(
     # Imported late: --help need not wait for torch and matplotlib.
     from rich.console import Console  # noqa: PLC0415
 
-    from veilcam_server.calibration import CalibrationError  # noqa: PLC0415
-    from veilcam_server.calibration.session import calibrate_device  # noqa: PLC0415
+    from veilcam_server.cli.calibration_session import calibrate_device  # noqa: PLC0415
     from veilcam_server.devices.errors import DeviceError  # noqa: PLC0415
-    from veilcam_server.errors import FenceError  # noqa: PLC0415
     from veilcam_training.bundle import BundleError  # noqa: PLC0415
 
     try:

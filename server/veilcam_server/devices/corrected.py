@@ -7,8 +7,15 @@ from typing import Self
 
 import numpy as np
 
-from veilcam_client.wire.calibration import CalibrationRecord
-from veilcam_server.devices.base import Exposure, Reading, Sensor
+from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
+from veilcam_server.devices.base import Device, Exposure, Reading, Sensor
+
+
+def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
+    """The device with readings as decoders expect them."""
+    if signed is None:
+        return device
+    return replace(device, sensor=CalibratedSensor.of(device.sensor, signed.record))
 
 
 class CalibratedSensor:

@@ -30,7 +30,7 @@ class EventLog:
         self._boot = secrets.token_hex(4)
         self._events: deque[Event] = deque(maxlen=capacity)
         self._next = 0
-        self._news = asyncio.Event()
+        self._appended = asyncio.Event()
         self._closed = False
 
     def publish(self, make: Callable[..., Event]) -> Event:
@@ -71,7 +71,7 @@ class EventLog:
             else:
                 try:
                     async with asyncio.timeout(heartbeat):
-                        await self._news.wait()
+                        await self._appended.wait()
                 except TimeoutError:
                     yield None
 
@@ -80,8 +80,8 @@ class EventLog:
         return self._next - len(self._events)
 
     def _wake(self) -> None:
-        self._news.set()
-        self._news = asyncio.Event()
+        self._appended.set()
+        self._appended = asyncio.Event()
 
     def _id(self, number: int) -> str:
         return f"{self._boot}-{number}"

@@ -15,6 +15,7 @@ from veilcam_client.wire.events import Fault
 from veilcam_server.camera.engine import Publish
 from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.errors import (
+    CalibrationError,
     ProblemError,
     QueueFullError,
     ReplayingError,
@@ -22,7 +23,7 @@ from veilcam_server.errors import (
 )
 
 ResultT = TypeVar("ResultT")
-_REFUSALS = (RotationImpossibleError, ReplayingError)
+_REFUSALS = (CalibrationError, RotationImpossibleError, ReplayingError)
 """At which nothing failed."""
 
 

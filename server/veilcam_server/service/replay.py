@@ -23,6 +23,7 @@ from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, Rot
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_client.wire.status import State
 from veilcam_server.bundles.loader import Identity
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import EpochStore, Prepared
@@ -59,6 +60,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
             experiment=status.experiment,
         ),
         None,
+        CalibrationService(settings, None),
         form=status.release,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,

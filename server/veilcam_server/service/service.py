@@ -28,7 +28,6 @@ from veilcam_client.wire.captures import (
     Release,
 )
 from veilcam_client.wire.events import (
-    CalibrationChanged,
     CaptureTaken,
     Classified,
     Event,
@@ -42,8 +41,7 @@ from veilcam_client.wire.simulation import HeldScene
 from veilcam_client.wire.status import Queue, Status
 from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import Keyrings
-from veilcam_server.calibration.service import Calibrator
-from veilcam_server.calibration.workshop import Workshop
+from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.devices.errors import SensorLostError
@@ -75,11 +73,11 @@ class Service:
         camera: with its first mask on the panel.
         identity: for the status.
         keyrings: of which one is in use; None: labels and masks come from a recording.
+        calibration: that measures the camera.
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
-        workshop: that measures the camera; None: it cannot be measured.
     """
 
     def __init__(
@@ -87,12 +85,12 @@ class Service:
         camera: CameraEngine,
         identity: Identity,
         keyrings: Keyrings | None,
+        calibration: CalibrationService,
         *,
         form: Release = "none",
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
-        workshop: Workshop | None = None,
     ) -> None:
         self._camera, self._identity, self._form = camera, identity, form
         self._keyrings, self._scenes = keyrings, scenes
@@ -100,14 +98,9 @@ class Service:
         publish = self._events.publish
         self._queue = DeviceQueue(queue_limit, publish)
         self._scheduler = Scheduler(camera, self._queue)
-        self.calibrator = Calibrator(
-            camera,
-            keyrings,
-            workshop,
-            identity.calibration,
-            on_device=self._queue.run,
-            tell=lambda run: publish(partial(CalibrationChanged, run=run)),
-        )
+        self.calibration = calibration
+        if keyrings is not None:
+            calibration.serve(Served(camera, keyrings, self._queue.run, publish))
         for take in (self.history.add, log_event, tell_systemd, self._scheduler.wake):
             self._events.subscribe(take)
         self._since = time.monotonic()
@@ -133,7 +126,7 @@ class Service:
     async def _close(self) -> None:
         self.end_streams()
         try:
-            await self.calibrator.close()
+            await self.calibration.close()
             await self._queue.run(self._camera.stop)
         finally:
             self._queue.close()
@@ -287,7 +280,7 @@ class Service:
     @contextmanager
     def _admitted(self) -> Iterator[None]:
         """Take a place in the queue, unless the device will be busy for minutes."""
-        self.calibrator.require_idle()
+        self.calibration.require_idle()
         with self._queue.admitted():
             yield
 

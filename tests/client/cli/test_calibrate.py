@@ -81,7 +81,7 @@ async def test_calibrations_by_both_cameras(daemon: Daemon, kind: type) -> None:
     assert (await result(camera.start_calibration(repeats=3))).total == 330
     seen = await result(camera.calibration())
     assert (seen.signed, seen.run.scene) == (None, "lamp")
-    assert (await result(camera.scene_presented("lamp"))).stage == "measuring"
+    assert (await result(camera.confirm_scene("lamp"))).stage == "measuring"
     assert (await result(camera.cancel_calibration())).stage == "done"
     assert [
         (request.method, request.url.path, request.content and json.loads(request.content))

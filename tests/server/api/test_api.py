@@ -6,6 +6,7 @@ import asyncio
 import io
 import re
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, Rotation
 from veilcam_client.wire.status import Status
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
+from veilcam_server.errors import ProblemError
 from veilcam_server.service.service import Service
 
 if TYPE_CHECKING:
@@ -397,6 +399,16 @@ async def test_every_route_documents_its_problems_and_nobody_phones_home(running
 def test_every_problem_code_is_documented_and_no_other() -> None:
     documented = set(re.findall(r"^\| `([a-z_]+)` \| \d{3} \|", DOCS.read_text(), re.MULTILINE))
     assert documented == set(PROBLEMS)
+
+
+def test_no_two_errors_share_a_code_and_none_is_forgotten() -> None:
+    def kinds(base: type[ProblemError]) -> Iterator[type[ProblemError]]:
+        for kind in base.__subclasses__():
+            yield kind
+            yield from kinds(kind)
+
+    codes = [kind.code for kind in kinds(ProblemError) if "code" in vars(kind)]
+    assert sorted(codes) == sorted(PROBLEMS)
 
 
 def test_every_route_is_documented(bench: Bench) -> None:

@@ -10,7 +10,7 @@ from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_server.calibration import Calibrated, CalibrationScene, Effort, Geometry, calibrate
+from veilcam_server.calibration import Budget, Calibrated, CalibrationScene, Geometry, calibrate
 from veilcam_server.calibration.rig import Patterns
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
@@ -18,7 +18,7 @@ from veilcam_server.devices.simulated.device import Conditions, raw_shape, simul
 GEOMETRY = Geometry(
     Camera(window=Window(rows=15, columns=7)), Scene(rows=6, columns=6), Embedding(24, 16)
 )
-EFFORT = Effort(repeats=1, samples=3, patterns=Patterns(coarse=3, fine=4, held_out=2))
+BUDGET = Budget(repeats=1, samples=3, patterns=Patterns(coarse=3, fine=4, held_out=2))
 SETTLE, SCAN, EXPOSURE = 0.04, 0.01, 0.01
 QUIET = Conditions(SETTLE, EXPOSURE, scan=SCAN)
 
@@ -69,7 +69,7 @@ class Built:
         self.presented.append(scene.name)
         self.image = scene.image
 
-    def calibrate(self, *, longest: float = 0.12, effort: Effort = EFFORT) -> Calibrated:
+    def calibrate(self, *, longest: float = 0.12, budget: Budget = BUDGET) -> Calibrated:
         """Measure it with itself."""
 
         def advance() -> None:
@@ -81,7 +81,7 @@ class Built:
             self.present,
             longest=longest,
             exposure=EXPOSURE,
-            effort=effort,
+            budget=budget,
             advance=advance,
             clock=self.clock,
         )

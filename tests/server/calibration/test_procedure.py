@@ -10,11 +10,12 @@ import torch
 
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
-from veilcam_server.calibration import CalibrationError, CalibrationScene, correction
+from veilcam_server.calibration import CalibrationScene, correction
 from veilcam_server.calibration.settling import SETTLED
 from veilcam_server.devices.corrected import CalibratedSensor
+from veilcam_server.errors import CalibrationError
 
-from .camera import EFFORT, GEOMETRY, QUIET, SCAN, SETTLE, Built
+from .camera import BUDGET, GEOMETRY, QUIET, SCAN, SETTLE, Built
 
 BADLY = optical.Conditions(
     shift_y=30e-6,
@@ -35,7 +36,7 @@ def badly() -> tuple[Built, CalibrationRecord]:
 def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord]) -> None:
     built, record = badly
     assert built.presented == ["dark", "white card", "lamp"]
-    assert built.captures == EFFORT.captures(GEOMETRY)
+    assert built.captures == BUDGET.captures(GEOMETRY)
     for quantity, true, tolerance in (
         (record.shift_y_m, 30e-6, 1e-6),
         (record.shift_x_m, -50e-6, 1e-6),
@@ -119,7 +120,7 @@ def test_dead_lines_do_not_hide_the_floor() -> None:
 
 def test_settling_is_that_of_the_slowest_line() -> None:
     built = Built()
-    settling = built.calibrate(effort=replace(EFFORT, samples=9)).record.settling_s
+    settling = built.calibrate(budget=replace(BUDGET, samples=9)).record.settling_s
     # A linear turn is 2 % short of its end a little before it; light goes with its square.
     assert settling.value > SETTLE * (1 - SETTLED)
     assert settling.value <= SETTLE + SCAN + settling.uncertainty

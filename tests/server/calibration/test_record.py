@@ -13,7 +13,6 @@ import pytest
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_server.calibration import (
-    CalibrationError,
     Geometry,
     SigningKey,
     correction,
@@ -21,11 +20,11 @@ from veilcam_server.calibration import (
     sign_record,
     write_record,
 )
-from veilcam_server.calibration.loading import calibrated, open_calibration, settle_time
+from veilcam_server.calibration.loading import open_calibration, settle_time
 from veilcam_server.calibration.record import KEY_NAME, RECORD_NAME
 from veilcam_server.devices.base import Device, Exposure
-from veilcam_server.devices.corrected import CalibratedSensor
-from veilcam_server.errors import StartError
+from veilcam_server.devices.corrected import CalibratedSensor, calibrated
+from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
 

@@ -13,28 +13,26 @@ import numpy as np
 import pytest
 
 from veilcam_client.wire.calibration import (
-    CalibrationRecord,
     CalibrationRun,
     CalibrationStatus,
+    Quantity,
     SceneName,
     SignedCalibration,
 )
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Scope
-from veilcam_server.bundles.loader import Opener
-from veilcam_server.calibration import CalibrationError, CalibrationScene, SigningKey, sign_record
-from veilcam_server.calibration.progress import CancelledError, Run
+from veilcam_server.calibration import Budget, Calibrated, CalibrationScene
+from veilcam_server.calibration.loading import open_calibration
+from veilcam_server.calibration.run import CancelledError, Run
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import dark, lamp, white
-from veilcam_server.calibration.workshop import Workshop
 from veilcam_server.devices import Device, DisplayError
-from veilcam_server.errors import SceneNotWantedError
-from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.errors import CalibrationError, SceneNotWantedError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.tokens import TokenStore
-from veilcam_training.bundle import read_bundle
 
-from .test_record import make_record
+from .test_record import geometry_of, make_record, settings_for
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
@@ -45,54 +43,50 @@ READS = 4
 """Of each scene."""
 
 
-class Measuring(Workshop):
-    """Asks for scenes and reads them as a real one does, and finds what it is told to find."""
+class Measuring(CalibrationService):
+    """Asks for scenes and exposes as a real one does, and finds what it is told to find."""
 
     def __init__(self, bench: Bench) -> None:
-        self.bench = bench
-        self.record = make_record()
+        bundle = bench.bundle
+        super().__init__(settings_for(bench.state_dir), bundle)
+        self.scene = bundle.scene
+        self.found = make_record(
+            geometry=geometry_of(bundle),
+            exposure_s=self._settings.exposure,
+            settling_s=Quantity(value=0.02, uncertainty=0.01, residual=0.0),
+        )
         self.before_reading: Callable[[], None] = lambda: None
-        self.kept: list[SignedCalibration] = []
         self.fault: Exception | None = None
 
-    def open_key(self) -> SigningKey:
-        return SigningKey.open(self.bench.state_dir, create=True)
+    def begin(self, repeats: int, report: Callable[[CalibrationRun], None]) -> Run:
+        begun = super().begin(repeats, report)
+        self._run = Run(begun.budget, repeats * READS * len(SCENES), report)
+        return self._run
 
-    def exposures(self, repeats: int) -> int:
-        return repeats * READS * len(SCENES)
-
-    def measure(self, device: Device, run: Run, repeats: int) -> CalibrationRecord:
-        scene = self.bench.bundle.scene
-        for wanted in (dark(scene), white(scene), lamp(scene)):
-            run.ask_for(wanted)
-            for _ in range(repeats * READS):
+    def measure(self, device: Device, run: Run) -> Calibrated:
+        for wanted in (dark(self.scene), white(self.scene), lamp(self.scene)):
+            run.wait_for(wanted)
+            for _ in range(run.budget.repeats * READS):
                 self.before_reading()
                 device.display.show(np.zeros((9, 5), np.uint8))
                 device.sensor.capture(0.0, 1.0)
                 run.advance()
-                run.check()
-        run.fit()
-        return self.record
+        run.enter("fitting")
+        return Calibrated(self.found, None)  # type: ignore[arg-type]
 
-    def sign(self, record: CalibrationRecord, key: SigningKey) -> SignedCalibration:
-        return sign_record(record, key)
-
-    def keep(self, signed: SignedCalibration) -> None:
+    def write(self, signed: SignedCalibration) -> None:
         if self.fault is not None:
             raise self.fault
-        self.kept.append(signed)
+        super().write(signed)
 
-    def settle(self, signed: SignedCalibration | None) -> float:
-        return 0.03
-
-    def opener(self, signed: SignedCalibration | None) -> Opener:
-        return Opener(read_bundle(self.bench.state_dir / "configured.veilcam"), load_pairs)
+    def written(self) -> SignedCalibration | None:
+        return open_calibration(self._settings, self._bundle)
 
 
 @pytest.fixture
-def workshop(bench: Bench) -> Measuring:
+def service(bench: Bench) -> Measuring:
     made = Measuring(bench)
-    bench.workshop = made
+    bench.calibration = made
     return made
 
 
@@ -148,7 +142,7 @@ async def reading(client: httpx.AsyncClient) -> Capture:
 
 
 async def test_what_is_found_is_used_from_then_on(
-    running: Running, bench: Bench, workshop: Measuring
+    running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client:
         assert await status(client) == CalibrationStatus(signed=None, run=None)
@@ -166,13 +160,13 @@ async def test_what_is_found_is_used_from_then_on(
         assert bench.pair_shown() is not None
         found = await status(client)
         assert found.signed is not None
-        assert workshop.kept == [found.signed]
+        assert service.written() == found.signed
         counted = (await client.get("/v1/diagnostics")).json()
         assert counted["events"]["calibration"] > 6
         assert "calibrating" in [past["state"] for past in counted["states"]]
 
 
-async def test_nobody_disturbs_it(running: Running, bench: Bench, workshop: Measuring) -> None:
+async def test_nobody_disturbs_it(running: Running, bench: Bench, service: Measuring) -> None:
     async with running() as client:
         assert (await start(client)).json()["total"] == 2 * READS * len(SCENES)
         run = await until(client, waits_for("dark"))
@@ -197,7 +191,7 @@ async def test_nobody_disturbs_it(running: Running, bench: Bench, workshop: Meas
 
 
 async def test_it_can_be_cancelled_while_it_waits_and_while_it_reads(
-    running: Running, bench: Bench, workshop: Measuring
+    running: Running, bench: Bench, service: Measuring
 ) -> None:
     reads = threading.Event()
     async with running() as client:
@@ -205,7 +199,7 @@ async def test_it_can_be_cancelled_while_it_waits_and_while_it_reads(
             await start(client)
             await until(client, waits_for("dark"))
             if not at_once:
-                workshop.before_reading = reads.set
+                service.before_reading = reads.set
                 await present(client, "dark")
                 await asyncio.to_thread(reads.wait, 10)
             ended_as = (await client.delete("/v1/calibration")).json()
@@ -216,7 +210,7 @@ async def test_it_can_be_cancelled_while_it_waits_and_while_it_reads(
             assert (again.status_code, again.json()["code"]) == (409, "not_calibrating")
             assert (await present(client, "dark")).json()["code"] == "not_calibrating"
         assert (await status(client)).signed is None
-        assert not workshop.kept
+        assert service.written() is None
 
 
 def refused() -> None:
@@ -241,11 +235,11 @@ def defective() -> None:
 )
 async def test_a_failure_changes_nothing(
     running: Running,
-    workshop: Measuring,
+    service: Measuring,
     before_reading: Callable[[], None],
     detail: str,
 ) -> None:
-    workshop.before_reading = before_reading
+    service.before_reading = before_reading
     async with running() as client:
         run = await measured(client)
         assert (run.stage, run.detail) == ("failed", detail)
@@ -254,20 +248,20 @@ async def test_a_failure_changes_nothing(
         assert np.asarray(await reading(client)) == pytest.approx(1.0)
 
 
-async def test_what_cannot_be_kept_is_not_used(running: Running, workshop: Measuring) -> None:
-    workshop.fault = CalibrationError("the disk is full: check it")
+async def test_what_cannot_be_kept_is_not_used(running: Running, service: Measuring) -> None:
+    service.fault = CalibrationError("the disk is full: check it")
     async with running() as client:
         run = await measured(client)
         assert (run.stage, run.detail) == ("failed", "the disk is full: check it")
         assert (await status(client)).signed is None
         assert np.asarray(await reading(client)) == pytest.approx(1.0)
-        workshop.fault = None
+        service.fault = None
         assert (await measured(client)).stage == "done"
         assert np.asarray(await reading(client)) == pytest.approx(1.96)
 
 
 async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
-    running: Running, bench: Bench, workshop: Measuring
+    running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client:
         await start(client)
@@ -281,7 +275,7 @@ async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
 
 
 async def test_a_daemon_that_stops_waits_for_no_scene(
-    running: Running, bench: Bench, workshop: Measuring
+    running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client, asyncio.timeout(10):
         await start(client)
@@ -297,7 +291,7 @@ async def test_a_recording_cannot_be_calibrated(running: Running) -> None:
 
 
 async def test_a_key_that_cannot_be_made_is_found_out_at_once(
-    running: Running, bench: Bench, workshop: Measuring
+    running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client:
         (bench.state_dir / "calibration-key").write_text("no key")
@@ -315,7 +309,7 @@ def store(tmp_path: Path) -> Iterator[TokenStore]:
 
 
 async def test_it_wants_its_scope_and_that_nobody_else_holds_the_camera(
-    running: Running, workshop: Measuring, store: TokenStore
+    running: Running, service: Measuring, store: TokenStore
 ) -> None:
     def headers(*scopes: Scope) -> dict[str, str]:
         return {"Authorization": "Bearer " + store.create("x", scopes, None).secret}
@@ -341,8 +335,8 @@ async def test_it_wants_its_scope_and_that_nobody_else_holds_the_camera(
 
 
 def run_of(total: int = 40, patience: float = 10.0) -> tuple[Run, list[CalibrationRun]]:
-    told: list[CalibrationRun] = []
-    return Run(total, told.append, patience=patience), told
+    reports: list[CalibrationRun] = []
+    return Run(Budget(), total, reports.append, patience=patience), reports
 
 
 def scene_of(name: SceneName) -> CalibrationScene:
@@ -352,29 +346,44 @@ def scene_of(name: SceneName) -> CalibrationScene:
 async def test_nobody_is_waited_for_for_ever() -> None:
     run, _ = run_of(patience=0.01)
     with pytest.raises(CalibrationError, match=r"within 0.01 s.*lamp.*start again"):
-        run.ask_for(scene_of("lamp"))
+        run.wait_for(scene_of("lamp"))
 
 
-async def test_every_twentieth_part_is_told() -> None:
-    run, told = run_of(40)
+async def test_every_twentieth_part_is_reported() -> None:
+    run, reports = run_of(40)
     for _ in range(40):
         run.advance()
-    assert [each.exposures for each in told] == list(range(2, 41, 2))
+    assert [each.exposures for each in reports] == list(range(2, 41, 2))
     run.cancel()
-    with pytest.raises(CancelledError):
-        run.check()
+    for ends in (run.advance, run.check):
+        with pytest.raises(CancelledError):
+            ends()
     with pytest.raises(SceneNotWantedError, match="no scene is waited for"):
-        run.presented("dark")
+        run.confirm("dark")
 
 
-async def test_a_scene_that_is_there_already_is_said_once() -> None:
-    run, told = run_of()
-    waiting = threading.Thread(target=run.ask_for, args=(scene_of("dark"),))
+async def test_a_scene_is_confirmed_once() -> None:
+    run, reports = run_of()
+    waiting = threading.Thread(target=run.wait_for, args=(scene_of("dark"),))
     waiting.start()
-    while not told:
+    while not reports:
         await asyncio.sleep(0.001)
-    run.presented("dark")
+    run.confirm("dark")
     waiting.join()
     with pytest.raises(SceneNotWantedError):
-        run.presented("dark")
-    assert [each.stage for each in told] == ["waiting", "measuring"]
+        run.confirm("dark")
+    assert [each.stage for each in reports] == ["waiting", "measuring"]
+
+
+async def test_whoever_is_told_to_wait_may_confirm_on_the_spot() -> None:
+    """As a command does that asks at the terminal, on the thread that measures."""
+    stages: list[str] = []
+
+    def report(state: CalibrationRun) -> None:
+        stages.append(state.stage)
+        if state.stage == "waiting" and state.scene is not None:
+            run.confirm(state.scene)
+
+    run = Run(Budget(), 1, report, patience=0.01)
+    run.wait_for(scene_of("dark"))
+    assert (stages, run.state.stage) == (["waiting", "measuring"], "measuring")

@@ -13,7 +13,13 @@ import pytest
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.camera.rotation import due_in
 from veilcam_server.devices import DisplayError, SensorError
-from veilcam_server.errors import EpochError, FenceError, NotReadyError, RotationImpossibleError
+from veilcam_server.errors import (
+    CalibratingError,
+    EpochError,
+    FenceError,
+    NotReadyError,
+    RotationImpossibleError,
+)
 from veilcam_server.masks.pairs import PairReader
 
 if TYPE_CHECKING:
@@ -321,6 +327,36 @@ def test_a_first_mask_that_fails_leaves_the_panel_opaque(
         bench.camera()
     assert not bench.display.shown[-1].any()
     assert bench.states[-1][0] == "safe"
+
+
+def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
+    camera = bench.camera()
+    camera.capture()
+    tests = bench.test.runs
+    with camera.exclusive() as device:
+        assert camera.state[0] == "calibrating"
+        assert camera.present == (None, 0)
+        assert not bench.display.shown[-1].any()
+        for refused in (camera.capture, camera.rotate):
+            with pytest.raises(CalibratingError):
+                refused()
+        with pytest.raises(CalibratingError), camera.exclusive():
+            pass
+        assert np.array_equal(device.sensor.capture(0.0, 1.0).embedding, bench.sensor.reading)
+    assert bench.states[-1] == ("ready", None)
+    assert bench.test.runs == tests + 1
+    assert camera.capture().epoch == bench.epochs[-1] != bench.epochs[0]
+
+
+def test_what_ends_early_gives_the_device_back(bench: Bench, display_fault: DisplayError) -> None:
+    camera = bench.camera()
+    bench.display.faults = [display_fault]  # it cannot be made opaque
+    with pytest.raises(DisplayError), camera.exclusive():
+        pytest.fail("nobody may have a panel that shows a mask")
+    assert camera.state[0] == "ready"
+    with pytest.raises(ZeroDivisionError), camera.exclusive():
+        raise ZeroDivisionError
+    assert camera.state[0] == "ready"
 
 
 def test_secrets_stay_out_of_representations(bench: Bench) -> None:

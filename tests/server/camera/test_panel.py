@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from tests.server.devices.clock import Clock
 
+from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
@@ -40,8 +42,15 @@ class Rig:
         self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
         self.states: list[tuple[str, str | None]] = []
         self.masks: list[str] = []
-        self.panel.on_state = lambda *told: self.states.append(told)
-        self.panel.on_mask = self.masks.append
+        self.panel.publish = self._note
+
+    def _note(self, make: Callable[..., Event]) -> None:
+        event = make(id="0-0", at=datetime.now(UTC))
+        if isinstance(event, StateChanged):
+            self.states.append((event.state, event.detail))
+        else:
+            assert isinstance(event, MaskChanged)
+            self.masks.append(event.epoch)
 
     def show(self) -> Prepared:
         """Show the next mask; gives what was shown."""
@@ -269,10 +278,10 @@ def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> 
     assert rig.panel.state == rig.states[-1] == ("safe", reason)
 
 
-def test_a_panel_that_is_lent_is_opaque_until_it_shows_a_mask(rig: Rig) -> None:
+def test_a_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> None:
     rig.show()
-    rig.panel.lend()
-    assert rig.opaque
+    rig.panel.suspend()
+    assert rig.panel.active is None
     assert rig.panel.state == ("calibrating", "the camera is being calibrated")
     rig.proof.void(Device(rig.display, rig.test, simulated=True), Fence())  # type: ignore[arg-type]
     shown = rig.show()
@@ -284,7 +293,7 @@ def test_a_panel_that_is_lent_is_opaque_until_it_shows_a_mask(rig: Rig) -> None:
 
 def test_a_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
     rig.show()
-    rig.panel.lend()
+    rig.panel.suspend()
     rig.display.show(np.ones((9, 5), np.uint8))  # what the borrower left
     rig.panel.strand()
     assert rig.opaque

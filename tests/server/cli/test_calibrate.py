@@ -28,14 +28,16 @@ from veilcam_server.calibration import (
     correction,
     read_record,
 )
-from veilcam_server.calibration import session as calibration_session
+from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.loading import open_calibration
-from veilcam_server.calibration.session import _by_hand
+from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import dark, lamp, white
+from veilcam_server.cli import calibration_session
+from veilcam_server.cli.calibration_session import calibrate_device
 from veilcam_server.cli.main import app
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.simulated.scenes import FileScene
-from veilcam_server.errors import StartError
+from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, read_bundle
@@ -43,7 +45,7 @@ from veilcam_training.bundle import Bundle, read_bundle
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
 
-Present: TypeAlias = Callable[[CalibrationScene], None]
+SetScene: TypeAlias = Callable[[CalibrationScene], None]
 COMMAND = ["calibrate", "--simulate", "--settle", "0.02", "--exposure", "0.001", "--repeats", "1"]
 
 
@@ -59,11 +61,13 @@ def test_the_command_keeps_what_was_found(
         assert FileScene(Path(settings.scenes[0]), bundle.scene.shape).read().max() == 0
         return built.device
 
-    def measured(device: Device, geometry: Geometry, present: Present, **told: Any) -> Calibrated:
+    def measured(
+        device: Device, geometry: Geometry, set_scene: SetScene, **told: Any
+    ) -> Calibrated:
         assert device is built.device
         assert told["longest"] == pytest.approx(0.06)
         for scene in (white(geometry.scene), dark(geometry.scene)):
-            present(scene)
+            set_scene(scene)
             assert device.scenes is not None
             held_up.append(float(device.scenes.read().mean()))
         told["advance"]()
@@ -71,7 +75,7 @@ def test_the_command_keeps_what_was_found(
         return replace(found, record=found.record.model_copy(update=changes))
 
     monkeypatch.setattr(calibration_session, "open_device", opened)
-    monkeypatch.setattr(calibration_session, "calibrate", measured)
+    monkeypatch.setattr(calibration_service, "calibrate", measured)
     state, frame = tmp_path / "state", tmp_path / "frame.safetensors"
     options = ["--bundle", str(fresh_file), "--state-dir", str(state), "--frame", str(frame)]
     result = CliRunner().invoke(app, [*COMMAND, *options])
@@ -105,14 +109,24 @@ def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Pa
     assert set(tmp_path.iterdir()) - before == {tmp_path / "calibration-key"}
 
 
-def test_a_person_is_told_what_to_hold_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = Scene()
+def test_a_person_is_told_what_to_set(
+    fresh_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked: list[str] = []
     console = Console(file=io.StringIO(), width=200)
     monkeypatch.setattr(console, "input", asked.append)
-    present = _by_hand(console)
-    for wanted in (dark(scene), white(scene), lamp(scene)):
-        present(wanted)
+    device = replace(Built().device, scenes=None)
+
+    def refused(device: Device, geometry: Geometry, set_scene: SetScene, **_: Any) -> Calibrated:
+        for wanted in (dark, white, lamp):
+            set_scene(wanted(geometry.scene))
+        raise CalibrationError("too little light")
+
+    monkeypatch.setattr(calibration_session, "open_device", lambda *_: device)
+    monkeypatch.setattr(calibration_service, "calibrate", refused)
+    settings = settings_for(tmp_path, bundle=fresh_file)
+    with pytest.raises(CalibrationError, match="too little light"):
+        calibrate_device(settings, console, out=None, picture=None, frame=None, repeats=2)
     assert isinstance(console.file, io.StringIO)
     told = console.file.getvalue()
     for words in (
@@ -123,6 +137,7 @@ def test_a_person_is_told_what_to_hold_up(monkeypatch: pytest.MonkeyPatch) -> No
     ):
         assert words in told
     assert len(asked) == 3
+    assert not (tmp_path / "calibration.json").exists()
 
 
 def test_the_lamp_is_in_the_middle() -> None:
@@ -159,7 +174,7 @@ async def test_the_record_is_served(running: Running, bench: Bench) -> None:
         answer = await client.get("/v1/calibration")
         assert answer.json() == {"signed": None, "run": None}
     signed = SignedCalibration(record=make_record(), public_key="a" * 64, signature="b" * 128)
-    bench.calibration = signed
+    bench.calibration = CalibrationService(settings_for(bench.state_dir), bench.bundle, signed)
     async with running() as client:
         answer = await client.get("/v1/calibration")
         assert CalibrationStatus.model_validate_json(answer.content).signed == signed

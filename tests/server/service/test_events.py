@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from veilcam_client.wire.events import Event, Gap, MaskChanged
-from veilcam_server.service.events import EventLog
+from veilcam_server.service.events import EventLog, EventPublisher
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -130,3 +130,20 @@ async def test_the_service_tells_what_it_does(bench: Bench) -> None:
     assert numbers == list(range(numbers[0], numbers[0] + 4))
     assert getattr(heard[1], "label", None) == result.label
     assert getattr(heard[2], "epoch", None) == bench.epochs[-1]
+
+
+async def test_subscribers_hear_what_is_published_from_whatever_thread() -> None:
+    publisher = EventPublisher(1.0)
+    heard: list[Event] = []
+    publisher.subscribe(heard.append)
+    publisher.publish(partial(MaskChanged, epoch="before"))
+    with publisher.open():
+        publisher.publish(partial(MaskChanged, epoch="a"))
+        # On the loop's own thread nobody waits: what is answered next already counts it.
+        assert names(heard) == ["a"]
+        await asyncio.to_thread(publisher.publish, partial(MaskChanged, epoch="b"))
+        assert names(heard) == ["a", "b"]
+        followed = await take(publisher.follow(heard[0].id), 1)
+    publisher.publish(partial(MaskChanged, epoch="after"))
+    assert names(heard) == ["a", "b"]
+    assert names(followed) == ["b"]

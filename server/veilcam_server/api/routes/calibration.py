@@ -8,7 +8,7 @@ from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
     CalibrationStatus,
-    ScenePresented,
+    SceneConfirmation,
 )
 from veilcam_server.api.dependencies import BODY, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.scopes import requires
@@ -24,7 +24,7 @@ async def calibration(service: ServiceDep) -> CalibrationStatus:
 
     There is no mask in it.
     """
-    return service.calibrator.status
+    return service.calibration.status
 
 
 @router.post(
@@ -41,7 +41,7 @@ async def start(
     What is found is used from then on, and after a restart. Nothing changes if it fails.
     """
     repeats = (question or CalibrationRequest()).repeats
-    return await once(lambda: service.calibrator.start(repeats))
+    return await once(lambda: service.calibration.start(repeats))
 
 
 @router.post(
@@ -49,11 +49,13 @@ async def start(
     dependencies=_CALIBRATES,
     responses=problems(*BODY, "leased", "not_calibrating", "scene_not_wanted"),
 )
-async def presented(service: ServiceDep, once: OnceDep, question: ScenePresented) -> CalibrationRun:
-    """Say that the scene that the calibration waits for is there."""
+async def confirm(
+    service: ServiceDep, once: OnceDep, question: SceneConfirmation
+) -> CalibrationRun:
+    """Confirm that the scene that the calibration waits for is set."""
 
     async def work() -> CalibrationRun:
-        return service.calibrator.presented(question.scene)
+        return service.calibration.confirm(question.scene)
 
     return await once(work)
 
@@ -65,4 +67,4 @@ async def presented(service: ServiceDep, once: OnceDep, question: ScenePresented
 )
 async def cancel(service: ServiceDep) -> CalibrationRun:
     """End the calibration that is under way; answered once the camera is back."""
-    return await service.calibrator.cancel()
+    return await service.calibration.cancel()

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 
-from veilcam_client.wire.lease import Lease as LeaseAnswer
+from veilcam_client.wire.lease import Lease as LeaseResponse
 from veilcam_client.wire.lease import LeaseRequest, NewLease
 from veilcam_server.api.dependencies import BODY, AdmissionDep, HolderDep, OnceDep, problems
 from veilcam_server.api.scopes import CallerDep, requires
@@ -17,9 +17,9 @@ router = APIRouter(prefix="/v1/lease", redirect_slashes=False)
 
 
 @router.get("", dependencies=[requires("read:status")], responses=problems("invalid_request"))
-async def lease(admission: AdmissionDep, holder: HolderDep) -> LeaseAnswer:
+async def lease(admission: AdmissionDep, holder: HolderDep) -> LeaseResponse:
     """Whether somebody holds the camera."""
-    return LeaseAnswer(**_answer(admission, holder))
+    return LeaseResponse(**_response(admission, holder))
 
 
 @router.post("", dependencies=[requires("mask:rotate")], responses=problems(*BODY, "leased"))
@@ -35,7 +35,7 @@ async def take(
             name = secrets.token_hex(16)
         admission.lease.take(name, question.owner, question.seconds)
         secret = name if admission.tokens is None else None
-        return NewLease(**_answer(admission, name), secret=secret)
+        return NewLease(**_response(admission, name), secret=secret)
 
     return await once(work)
 
@@ -50,7 +50,7 @@ async def release(
     holder: HolderDep,
     *,
     force: Annotated[bool, Query()] = False,
-) -> LeaseAnswer:
+) -> LeaseResponse:
     """Hold the camera no longer; `force=true` ends the lease of another, for `admin:tokens`.
 
     Who was put out stands in the audit log.
@@ -62,10 +62,10 @@ async def release(
             request.state.noted = {"broke": owner}
     else:
         admission.lease.release(holder)
-    return LeaseAnswer(**_answer(admission, holder))
+    return LeaseResponse(**_response(admission, holder))
 
 
-def _answer(admission: Admission, holder: str) -> dict[str, Any]:
+def _response(admission: Admission, holder: str) -> dict[str, Any]:
     holding = admission.lease.holding
     return {
         "held": holding is not None,
