@@ -9,8 +9,8 @@ from pathlib import Path
 from veilcam_optics import Camera
 from veilcam_training.bundle import write_bundle
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import open_source
-from veilcam_training.experiments.fit import Settings
 from veilcam_training.experiments.keyring import fit_keyring
 
 data, out = map(Path, sys.argv[1:])

@@ -62,7 +62,7 @@ def build_service(settings: Settings) -> Service:
         opener = make_opener(settings, bundle, signed)
         store = KeyringStore(settings.state_dir / "keyrings", settings.bundle, bundle.digest)
         keys, faults = last_good(store, opener)
-        keys = keys or opener.keys(bundle)
+        keys = keys or opener.load(bundle)
         with ExitStack() as undo:
             epochs = EpochStore(settings.state_dir)
             undo.callback(epochs.close)

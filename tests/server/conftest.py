@@ -25,7 +25,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Wind
 from veilcam_optics.decoding import ReadingNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
 from veilcam_server.api.app import create_app
-from veilcam_server.bundles.loader import Identity, Keys, Opener, bundle_info
+from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.bundles.store import KeyringStore
 from veilcam_server.calibration.service import CalibrationService
@@ -237,7 +237,7 @@ class Bench:
         bundle = read_bundle(path)
         opener = Opener(bundle, load_pairs if bundle.mode == "pairs" else lambda _: self.source)
         store = KeyringStore(self.state_dir / "keyrings", path, bundle.digest)
-        return Keyrings(store, opener, Keys(bundle_info(bundle), self.source), limit=limit)
+        return Keyrings(store, opener, LoadedBundle(bundle_info(bundle), self.source), limit=limit)
 
     def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
         keyrings = self.keyrings()

@@ -104,7 +104,7 @@ def try_one(path: Path, openers: Sequence[Opener], originals: Sequence[bytes]) -
     for opener in openers:
         try:
             bundle = opener.read(path)
-            opener.keys(bundle)
+            opener.load(bundle)
         except (KeyringInvalidError, KeyringUnfitError) as error:
             reason = str(error)
             if not reason or "\n" in reason or str(path) in reason or len(reason) > 2000:

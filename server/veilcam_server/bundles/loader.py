@@ -109,8 +109,8 @@ def rotation_policy(settings: Settings, bundle: Bundle) -> RotationPolicy:
 
 
 @dataclass(frozen=True, slots=True)
-class Keys:
-    """A keyring that can be used."""
+class LoadedBundle:
+    """A bundle that can be used: what may be told of it, and where its masks come from."""
 
     info: BundleInfo
     source: MaskSource = field(repr=False)
@@ -147,22 +147,22 @@ class Opener:
                 )
         return bundle
 
-    def open(self, path: Path, digest: str) -> Keys:
+    def open(self, path: Path, digest: str) -> LoadedBundle:
         """Open the keyring of this digest; raises as :meth:`read`."""
         bundle = self.read(path)
         if bundle.digest != digest:
             raise KeyringInvalidError("this keyring was changed on the disk: install it again")
-        return self.keys(bundle)
+        return self.load(bundle)
 
-    def keys(self, bundle: Bundle) -> Keys:
+    def load(self, bundle: Bundle) -> LoadedBundle:
         """What serves the masks of a bundle; raises :class:`KeyringUnfitError`."""
         try:
-            return Keys(bundle_info(bundle), self._open_source(bundle))
+            return LoadedBundle(bundle_info(bundle), self._open_source(bundle))
         except (StartError, BundleError) as error:
             raise KeyringUnfitError(str(error)) from None
 
 
-def last_good(store: KeyringStore, opener: Opener) -> tuple[Keys | None, Sequence[str]]:
+def last_good(store: KeyringStore, opener: Opener) -> tuple[LoadedBundle | None, Sequence[str]]:
     """The keyring that was in use last and still can be; None for the configured one.
 
     Returns:

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 from veilcam_client.wire.bundles import BundleInfo, Keyring
 from veilcam_client.wire.bundles import Keyrings as KeyringsResponse
-from veilcam_server.bundles.loader import Keys, Opener, bundle_info
+from veilcam_server.bundles.loader import LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.store import KeyringStore, append
 from veilcam_server.errors import (
     KeyringInvalidError,
@@ -17,7 +17,7 @@ from veilcam_server.errors import (
     KeyringUnfitError,
 )
 
-Change = Callable[[Keys], Awaitable[None]]
+Change = Callable[[LoadedBundle], Awaitable[None]]
 """Makes the camera use other keys, or raises and leaves it with those that it has."""
 
 
@@ -36,7 +36,7 @@ class Keyrings:
         self,
         store: KeyringStore,
         opener: Opener,
-        keys: Keys,
+        keys: LoadedBundle,
         *,
         limit: int,
         faults: Sequence[str] = (),

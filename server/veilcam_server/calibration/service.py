@@ -22,7 +22,7 @@ from veilcam_client.wire.calibration import (
 )
 from veilcam_client.wire.events import CalibrationChanged
 from veilcam_optics.transfer.operator import Reach
-from veilcam_server.bundles.loader import Keys
+from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration.loading import (
     check_record,
@@ -275,7 +275,7 @@ class CalibrationService:
         signed = self.sign(record)
         settle = settle_time(self._settings, signed)
 
-        async def change(keys: Keys) -> None:
+        async def change(keys: LoadedBundle) -> None:
             await asyncio.to_thread(self.write, signed)
             await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source))
 

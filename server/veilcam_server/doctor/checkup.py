@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Set
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, Self
 
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import drivers
 from veilcam_server.devices.spi import GPIO_CHIPS
-from veilcam_server.doctor.finding import Finding
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import StartError
 from veilcam_server.masks.secret import find_secret
@@ -22,6 +23,34 @@ LEAST_SYSTEMD = 250
 """The first with encrypted credentials."""
 LEAST_ROOM = 200 * 2**20
 """On the disk of the state directory [bytes]."""
+
+
+Outcome = Literal["ok", "bad", "skipped"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found, and if it is not well, what to do about it."""
+
+    name: str
+    outcome: Outcome
+    found: str
+    remedy: str | None = None
+
+    @classmethod
+    def ok(cls, name: str, found: str) -> Self:
+        """All is well."""
+        return cls(name, "ok", found)
+
+    @classmethod
+    def bad(cls, name: str, found: str, remedy: str) -> Self:
+        """The daemon cannot serve, or not as it should."""
+        return cls(name, "bad", found, remedy)
+
+    @classmethod
+    def skipped(cls, name: str, why: str) -> Self:
+        """It cannot be checked before something else is well."""
+        return cls(name, "skipped", why)
 
 
 Probe = tuple[str, Callable[[], Iterable[Finding]]]

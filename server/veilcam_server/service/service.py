@@ -39,7 +39,7 @@ from veilcam_client.wire.events import (
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import HeldScene
 from veilcam_client.wire.status import Queue, Status
-from veilcam_server.bundles.loader import Identity, Keys
+from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import Keyrings
 from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
@@ -265,7 +265,7 @@ class Service:
         """Use another keyring from now on; raises as :meth:`Keyrings.activate`, or as `rotate`."""
         return await self.keyrings.activate(digest, self._use)
 
-    async def _use(self, keys: Keys) -> None:
+    async def _use(self, keys: LoadedBundle) -> None:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
         with self._admitted():
             first = await asyncio.to_thread(self._camera.first_of, keys.source)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from veilcam_training.encoders.base import Encoder, Setup
+from veilcam_training.encoders.base import LinearEncoder, Setup
 from veilcam_training.encoders.baselines import coded_aperture_spread, diffuser_spread, lens_spread
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
@@ -15,7 +15,7 @@ from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask
 from veilcam_training.encoders.psf import SpreadEncoder, read_spread
 from veilcam_training.errors import TrainingError
 
-Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], Encoder]
+Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], LinearEncoder]
 
 ENCODERS: Mapping[str, Maker] = {
     "lens": lambda setup, _generator, _psf, _errors: SpreadEncoder(
@@ -44,7 +44,7 @@ def make_encoder(
     psf: Path | None = None,
     errors: PanelErrors = NO_ERRORS,
     pinhole: bool = False,
-) -> Encoder:
+) -> LinearEncoder:
     """Encoder ``name``.
 
     Args:
@@ -72,7 +72,7 @@ def make_encoder(
     return encoder
 
 
-def _measured(setup: Setup, psf: Path | None) -> Encoder:
+def _measured(setup: Setup, psf: Path | None) -> LinearEncoder:
     if psf is None:
         raise TrainingError("encoder 'fixed_measured' needs a measured PSF: give --psf FILE")
     return SpreadEncoder(setup, read_spread(psf, setup.camera.distance))

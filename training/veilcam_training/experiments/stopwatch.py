@@ -8,7 +8,7 @@ from typing import Literal
 
 import torch
 
-from veilcam_training.trainer.loop import Epoch
+from veilcam_training.trainer.callbacks import Epoch
 
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""

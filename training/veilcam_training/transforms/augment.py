@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import torch
+from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
-from veilcam_training.config.fresh import Augmentation
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Augmentation(BaseModel):
+    """Random changes of a training image; uniform over plus and minus these amounts."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    rotation: NotNegative = 12.0
+    """[degree]."""
+    scale: Annotated[float, Field(ge=0, lt=1)] = 0.12
+    shear: NotNegative = 0.15
+    shift: NotNegative = 1.5
+    """[pixel]."""
+    mirror: bool = False
+    """Left and right are swapped in every second image."""
 
 
 def augment(scenes: Tensor, settings: Augmentation, generator: torch.Generator) -> Tensor:
@@ -17,7 +34,7 @@ def augment(scenes: Tensor, settings: Augmentation, generator: torch.Generator) 
     Args:
         scenes: (batch, rows, columns).
         settings: the largest amounts.
-        generator: source of the random numbers.
+        generator: source of the random numbers, on the CPU.
 
     Returns:
         The same shape, by bilinear interpolation; what comes from outside is black.
@@ -36,5 +53,5 @@ def augment(scenes: Tensor, settings: Augmentation, generator: torch.Generator) 
         matrix[:, 0] *= random[5].sign()[:, None]
     matrix[:, 0, 2] = random[3] * settings.shift * 2 / columns
     matrix[:, 1, 2] = random[4] * settings.shift * 2 / rows
-    grid = affine_grid(matrix, [count, 1, rows, columns], align_corners=False)
+    grid = affine_grid(matrix, [count, 1, rows, columns], align_corners=False).to(scenes)
     return grid_sample(scenes[:, None], grid, align_corners=False)[:, 0]

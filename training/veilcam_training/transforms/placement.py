@@ -2,59 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_training.transforms.scene import Change, Shift, Shown
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Shows images of shape ``image`` in a scene that is as large or larger."""
+class Anywhere(Shift):
+    """Every image at a place of its own, in training too, in all that the sensor sees.
 
-    image: Scene
-    scene: Scene
+    Args:
+        image: how large and how far away images are shown.
+        camera: whose geometric image of the scene the sensor holds.
+        multiple: the scene's sides are the nearest multiples of so many pixels.
+    """
 
-    @classmethod
-    def centred(cls, image: Scene) -> Placement:
-        """The image is the scene."""
-        return cls(image, image)
-
-    @classmethod
-    def anywhere(cls, image: Scene, camera: Camera, multiple: int = 1) -> Placement:
-        """The scene is all that the sensor's geometric image holds.
-
-        Its sides are the nearest multiples of ``multiple`` pixels.
-        """
+    def __init__(self, image: Scene, camera: Camera, multiple: int = 1) -> None:
         pixel = image.pixel_at_sensor(camera)
         rows, columns = (
             multiple * round(side / pixel / multiple)
             for side in (camera.sensor.height, camera.sensor.width)
         )
-        scene = Scene(rows, columns, rows * image.pixel, image.distance)
-        return cls(image, scene)
+        Change.__init__(self, replace(image, rows=rows, columns=columns, height=rows * image.pixel))
 
-    def place(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Scenes with each image at its own place, drawn uniformly; the rest is black.
-
-        Args:
-            images: (batch, rows, columns).
-            generator: source of the random numbers.
-
-        Returns:
-            (batch, scene rows, scene columns).
-        """
-        if self.scene.shape == self.image.shape:
-            return images
-        rows, columns = self.image.shape
-        free_rows, free_columns = self.scene.rows - rows, self.scene.columns - columns
-        tops = torch.randint(free_rows + 1, (len(images),), generator=generator)
-        lefts = torch.randint(free_columns + 1, (len(images),), generator=generator)
-        scenes = images.new_zeros(len(images), *self.scene.shape)
-        for scene, image, top, left in zip(
-            scenes, images, tops.tolist(), lefts.tolist(), strict=True
-        ):
-            scene[top : top + rows, left : left + columns] = image
-        return scenes
+    def in_parts(
+        self, images: Tensor, generator: torch.Generator, *, training: bool
+    ) -> Iterator[Shown]:
+        """All scenes at once."""
+        return Change.in_parts(self, images, generator, training=training)
