@@ -72,6 +72,7 @@ def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_a_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_file: Path) -> None:
     log = tmp_path / "log"
     with daemon(log, "--port", "0", *options) as (process, url), Camera(url) as camera:
@@ -160,6 +161,7 @@ def _check_no_secrets(text: bytes, bundle: Bundle) -> None:
                 assert f" {run} ".encode() not in numbers
 
 
+@pytest.mark.slow
 def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
     path = tmp_path / "v.sock"
     left_behind = socket.socket(socket.AF_UNIX)
@@ -178,6 +180,7 @@ def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> None:
     path = tmp_path / "api.sock"
     serve = [sys.executable, "-m", "veilcam_server", "serve", "--simulate", *options]
@@ -215,6 +218,7 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
     assert path.exists()  # systemd goes on listening there
 
 
+@pytest.mark.slow
 def test_a_journey_through_fresh_masks(
     fresh_file: Path, secret_file: Path, scene_file: Path, tmp_path: Path, secret: Secret
 ) -> None:
@@ -411,6 +415,7 @@ def test_a_label_makes_other_masks(
     assert 1.6e15 < counter < 1e16
 
 
+@pytest.mark.slow
 def test_a_start_that_fails_leaves_nothing_locked(
     tmp_path: Path, bundle_file: Path, scene_file: Path
 ) -> None:

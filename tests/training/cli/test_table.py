@@ -446,6 +446,7 @@ def test_budget(
     assert len(numbers(tmp_path)) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "files", "part", "cells"),
     [
@@ -479,6 +480,7 @@ def test_every_data_set_has_its_table(
         assert f"{100 * result.test_accuracy:.2f}" in text
 
 
+@pytest.mark.slow
 def test_robust_and_fashion(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     options = ("--data", digit_folder, "--work", tmp_path / "work", "--epochs", 1)

@@ -16,6 +16,7 @@ CAMERA, SCENE = Camera(), Scene()
 SMALL = Camera(sensor=Sensor(rows=1520, columns=2028))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(0, 0), (0, 27), (20, 5)])
 def test_a_lens_shows_a_scene_pixel_inverted_where_geometry_says(place: tuple[int, int]) -> None:
     embedding = Embedding(152, 203)  # 31 um

@@ -60,6 +60,7 @@ def scenes(colour: bool) -> torch.Tensor:
     return torch.rand(shape, generator=stream(1, "scenes"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("name", ENCODERS)
 def test_contract(name: str, colour: bool, psf_file: Path) -> None:
@@ -230,6 +231,7 @@ def test_a_closed_sub_pixel_is_closed_when_it_counts() -> None:
     assert not encoder.levels().any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", [False, True])
 def test_psf_and_transfer_operator_agree(point: bool) -> None:
     """Two routes to one camera: the operator, and the PSF of the grid path."""

@@ -86,6 +86,7 @@ def test_one_process_is_this_one() -> None:
         list(HERE.run(refuse, [1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["local", "ray"])
 def test_results_come_with_the_index_of_their_task(
     request: pytest.FixtureRequest, kind: str
@@ -98,11 +99,13 @@ def test_results_come_with_the_index_of_their_task(
     assert all(torch.equal(tensor, torch.ones(1000)) for _, _, tensor in results.values())
 
 
+@pytest.mark.slow
 def test_a_lost_task_is_run_again(workers: Workers, folder: Path) -> None:
     assert list(workers.run(kill_once, [folder])) == [(0, 1)]
     assert len(list(folder.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_every_worker(workers: Workers, folder: Path) -> None:
     with pytest.raises(TrainingError, match=r"task 1 of 1 lost its worker 3 times .* use fewer"):
         list(workers.run(kill, [folder]))
@@ -143,6 +146,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", [signal.SIGINT, signal.SIGKILL])
 def test_workers_end_with_their_parent(tmp_path: Path, folder: Path, cause: signal.Signals) -> None:
     script = tmp_path / "parent.py"
@@ -179,6 +183,7 @@ def fit_pairs(monkeypatch: pytest.MonkeyPatch, data: Path, out: Path, *options: 
     return read_bundle(out)
 
 
+@pytest.mark.slow
 def test_a_keyring_is_the_same_wherever_it_is_made(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
@@ -195,6 +200,7 @@ def test_a_keyring_is_the_same_wherever_it_is_made(
             assert all(torch.equal(ours.weights[n], theirs.weights[n]) for n in ours.weights)
 
 
+@pytest.mark.slow
 def test_a_table_is_the_same_wherever_it_is_made(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
 ) -> None:
@@ -254,6 +260,7 @@ def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
         RayWorkers("local")
 
 
+@pytest.mark.slow
 def test_workers_of_the_command_line() -> None:
     assert isinstance(make_workers(None, None), LocalWorkers)
     assert isinstance(make_workers(None, "local"), RayWorkers)
