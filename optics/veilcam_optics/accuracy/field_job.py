@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import Job, Prepared, Setting
-from veilcam_optics.accuracy.psf_methods import PRECISIONS
+from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Setting
 from veilcam_optics.propagation import (
     AngularSpectrum,
     FresnelImpulse,

@@ -13,6 +13,7 @@ import torch
 
 from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.effects.model import Model
+from veilcam_optics.transfer.grid import sample_pitch
 
 _PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
 _NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}
@@ -130,7 +131,7 @@ def cost(model: Model, batch: int) -> Cost:
 def _grid_cost(model: Model, batch: int) -> Cost:
     """One propagation per sample of light and channel, one convolution per scene and channel."""
     sensor, scene, dtype = model.camera.sensor, model.scene, model.sampling.dtype
-    pitch = 8 * sensor.pixel / model.sampling.oversampling
+    pitch = sample_pitch(model.camera, model.sampling.oversampling)
     image = scene.pixel_at_sensor(model.actual_camera)
     rows, columns = model.camera.mask_shape
     panel = model.camera.panel

@@ -15,6 +15,7 @@ from veilcam_optics.plan.cost import nodes
 from veilcam_optics.plan.probe import MAX_VALUES, Probe, relative, scatter
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.grid import sample_pitch
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
@@ -27,7 +28,6 @@ _LEAST_TOLERANCE = 1e-5
 _MOST_SHELLS = 100
 """Farther reaches are not looked at: they would take longer to plan than to do without."""
 
-_SENSOR_PIXELS_PER_CELL = 8
 _GRID_ERROR, _GRID_ORDER = 0.035, 0.7
 """The grid's error is about 0.035 / oversampling^0.7, measured from 1 to 8: cells cut apertures."""
 
@@ -261,7 +261,7 @@ class ErrorModel:
         """Relative L2 of the grid path; 1 where it cannot work."""
         camera, scene = self.model.actual_camera, self.model.scene
         sensor, panel = camera.sensor, camera.panel
-        cell = _SENSOR_PIXELS_PER_CELL * sensor.pixel / oversampling
+        cell = sample_pitch(camera, oversampling)
         image = scene.pixel_at_sensor(camera)
         mask = Grid(
             math.ceil(camera.window.rows * panel.pitch_y / cell),

@@ -12,7 +12,8 @@ from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.effects.model import Model, Zone
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.sensor.readout import bayer_shares, read
-from veilcam_optics.simulation.rotated_mask import RotatedLight
+from veilcam_optics.simulation.rotated_mask import RotatedMask
+from veilcam_optics.transfer.grid import GridLight, sample_pitch
 from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 
 Response = tuple[Tensor, ...]
@@ -42,7 +43,7 @@ class LightOperator(nn.Module):
         self.register_buffer("shares", shares.to(dtype).contiguous())
         self._parts = model.zones()
         self._zones: list[list[TransferOperator]] = []
-        self._grids: list[tuple[float, Zone, RotatedLight]] = []
+        self._grids: list[tuple[float, Zone, GridLight]] = []
         if model.sampling.method == "grid":
             self._grids = list(_grids(model))
         else:
@@ -114,7 +115,7 @@ class LightOperator(nn.Module):
             return (self._transfer(weights),)
         check_weights(weights, self.model.camera)
         shown = self.model.shown(weights.to(self.dtype))
-        return tuple(light.psf(shown) for _, _, light in self._grids) or (shown,)
+        return tuple(light.psf_of_amplitudes(shown) for _, _, light in self._grids) or (shown,)
 
     def collect(self, scenes: Tensor, response: Response) -> Tensor:
         """The light on the sensor, without what the sensor makes of it.
@@ -155,9 +156,10 @@ class LightOperator(nn.Module):
             total = total + share * self._blurred(light, lit, psf)
         return total
 
-    def _blurred(self, light: RotatedLight, scenes: Tensor, psf: Tensor) -> Tensor:
+    def _blurred(self, light: GridLight, scenes: Tensor, psf: Tensor) -> Tensor:
         if self.model.conditions.bayer:
-            values = light.embed_colour(scenes, psf, self.model.embedding)
+            coloured = scenes[:, None].expand(-1, len(CHANNELS), -1, -1)
+            values = light.embed_colour(coloured, psf, self.model.embedding)
             return (values * self.shares).sum(1)
         # Every pixel has the same share of each colour: one convolution does for all of them.
         return light.embed(scenes, psf, self.model.embedding)
@@ -234,9 +236,17 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
     )
 
 
-def _grids(model: Model) -> list[tuple[float, Zone, RotatedLight]]:
+def _grids(model: Model) -> list[tuple[float, Zone, GridLight]]:
     """(share, zone, light) for every sample of spectrum, depth and field."""
     lights = []
+    mask = RotatedMask(
+        model.camera,
+        sample_pitch(model.camera, model.sampling.oversampling),
+        rotation=model.conditions.rotation,
+        shift_y=model.conditions.shift_y,
+        shift_x=model.conditions.shift_x,
+        dtype=model.sampling.dtype,
+    )
     for row in model.zones():
         for zone in row:
             by_channel = [
@@ -259,14 +269,12 @@ def _grids(model: Model) -> list[tuple[float, Zone, RotatedLight]]:
                         for beam in beams
                     ),
                 )
-                light = RotatedLight(
+                light = GridLight(
                     camera,
                     scene if distance is None else replace(scene, distance=distance),
-                    rotation=model.conditions.rotation,
-                    shift_y=model.conditions.shift_y,
-                    shift_x=model.conditions.shift_x,
                     oversampling=model.sampling.oversampling,
                     dtype=model.sampling.dtype,
+                    mask=mask,
                 )
                 lights.append((sample.share, zone, light))
     return lights
