@@ -134,6 +134,7 @@ class FieldJob:
         return Prepared(lambda: along_y @ values @ along_x)
 
     def _reference(self) -> Tensor:
+        """The Rayleigh-Sommerfeld integral over every square, complex128 (points, points)."""
         nodes, shares = np.polynomial.legendre.leggauss(_NODES_PER_SQUARE)
         centres = (torch.arange(SQUARES, dtype=torch.float64) - (SQUARES - 1) / 2) * SIDE
         within = torch.from_numpy(nodes) * SIDE / 2

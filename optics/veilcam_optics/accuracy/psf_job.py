@@ -152,6 +152,7 @@ class PsfJob:
         return self.averaged(light.psf, oversampling, dtype)
 
     def _reason_against(self, propagator: Propagator, oversampling: int) -> str:
+        """Why a propagator says that it is not accurate here; empty where it is."""
         target = self.finer(oversampling)
         source = mask_grid(self.camera, float(target.pitch_y))
         for wavelength in self.camera.wavelengths:

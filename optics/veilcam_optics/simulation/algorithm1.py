@@ -151,10 +151,12 @@ class Algorithm1:
         return shot_noise(small.clamp(min=0), self.snr_db, generator)
 
     def _object_samples(self) -> tuple[int, int]:
+        """Samples (rows, columns) that the scene's image covers."""
         side = self.scene.pixel_at_sensor(self.camera) / float(self.grid.pitch_y)
         return max(1, round(self.scene.rows * side)), max(1, round(self.scene.columns * side))
 
     def _shares(self, pixels: int, samples: int) -> Tensor:
+        """Share of each sample that each scene pixel's image covers, (samples, pixels)."""
         side = self.scene.pixel_at_sensor(self.camera)
         low = (torch.arange(pixels, dtype=torch.float64) - pixels / 2) * side
         return coverage(low, low + side, samples, float(self.grid.pitch_y)).mT
