@@ -15,7 +15,8 @@ import typer
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.simulated.panel import PanelEmulator
-from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS
+from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R
+from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_training.experiments.records import record_figures
 
 
