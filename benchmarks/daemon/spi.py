@@ -15,7 +15,8 @@ from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.simulated.panel import PanelEmulator
-from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R, TABS
+from veilcam_server.devices.st7735r import FULL_FRAME, ST7735R
+from veilcam_server.devices.st7735r_glass import TABS
 
 
 def most_bytes(tab: str, masks: int) -> int:

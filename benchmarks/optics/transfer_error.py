@@ -12,7 +12,7 @@ import typer
 from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.accuracy import relative_error
-from veilcam_optics.accuracy.psf_methods import example_mask
+from veilcam_optics.accuracy.measure import example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer

@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.accuracy.field_job import DISTANCE, PITCH, WAVELENGTH, FieldJob
-from veilcam_optics.accuracy.measure import Prepared, Setting
+from veilcam_optics.accuracy.measure import Prepared, Psf, Setting
 from veilcam_optics.accuracy.psf_job import PsfJob
-from veilcam_optics.accuracy.psf_methods import Psf, sampled_masks
 from veilcam_optics.accuracy.transfer_job import TransferJob
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.propagation.illumination import spherical_wave
 from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.grid import SampledMask
 
 NAME = "torchoptics"
 
@@ -84,13 +84,17 @@ def _prepare_field(job: FieldJob, method: str, oversampling: int) -> Prepared:
 
 def _psf(camera: Camera, scene: Scene, grid: Grid, padding: tuple[int, int] | None) -> Psf:
     """From weights to the PSF on a grid that the sampled mask shares."""
-    masks = sampled_masks(camera, grid, torch.float64)
+    mask = SampledMask(camera, grid, torch.float64)
+    filters = [
+        torch.tensor(camera.row_amplitudes(channel), dtype=torch.float64)[:, None]
+        for channel in range(3)
+    ]
     waves = [spherical_wave(grid, scene.distance, length) for length in camera.wavelengths]
 
     def psf(weights: Tensor) -> Tensor:
         fields = [
             propagate(
-                mask * wave,
+                mask(weights * passed) * wave,
                 pitch=float(grid.pitch_y),
                 wavelength=wavelength,
                 distance=camera.distance,
@@ -98,9 +102,7 @@ def _psf(camera: Camera, scene: Scene, grid: Grid, padding: tuple[int, int] | No
                 method="ASM",
                 padding=padding,
             )
-            for mask, wave, wavelength in zip(
-                masks(weights), waves, camera.wavelengths, strict=True
-            )
+            for passed, wave, wavelength in zip(filters, waves, camera.wavelengths, strict=True)
         ]
         return torch.stack(fields).abs().square()
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.effects import Model, Sampling
+from veilcam_optics.effects.composition import read
 from veilcam_optics.effects.model import Method
-from veilcam_optics.sensor.readout import read
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
 
-from .setting import Bound, Operator, Setting, symmetric_weights
+from .setting import Bound, Operator, Setting, reading_model, symmetric_weights
 
 
 def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0.0) -> Model:
@@ -85,16 +83,18 @@ def _light_mask(setting: Setting) -> Bound:
 
 def _reading(setting: Setting) -> Bound:
     """Black level, full well and converter, no noise."""
-    conditions = Conditions(electrons=1e4, full_well=8e3, adc_bits=10, black_level=0.02)
+    model = reading_model(
+        Conditions(electrons=1e4, full_well=8e3, adc_bits=10, black_level=0.02), shot=False
+    )
     shape = setting.embedding().shape
-    return Bound(lambda values: read(values, conditions, shot=False), shape, shape)
+    return Bound(lambda values: read(model, values), shape, shape)
 
 
 def _saturation(setting: Setting) -> Bound:
     """Offset and full well alone: no rounding, so the gradient is the derivative."""
-    conditions = replace(Conditions(electrons=1e4), full_well=5e3, black_level=0.02)
+    model = reading_model(Conditions(electrons=1e4, full_well=5e3, black_level=0.02), shot=False)
     shape = setting.embedding().shape
-    return Bound(lambda values: read(values, conditions, shot=False), shape, shape)
+    return Bound(lambda values: read(model, values), shape, shape)
 
 
 _BOXES = "the phases of an embedding's boxes are made, in float64, when its shape is first known"

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.propagation.sampling import Real
 
 CPU = torch.device("cpu")
@@ -173,3 +175,8 @@ def centred(count: int, setting: Setting) -> Tensor:
     """Whole steps around zero, float64 (count,)."""
     index = torch.arange(count, dtype=torch.float64, device=setting.device)
     return index - (count - 1) / 2
+
+
+def reading_model(conditions: Conditions, *, shot: bool = True) -> Model:
+    """The model of a sensor: its readings do not depend on the light before it."""
+    return Model(Camera(), Scene(), Embedding(), conditions, Sampling(shot=shot))

@@ -8,8 +8,15 @@ from .contracts import CONTRACTS, Contract
 from .registry import OPERATORS
 from .setting import Operator
 
+SLOW = ("adjoint", "length gradients", "sizes, mirror", "type kept")
+"""Contracts that build a matrix, or compute more than once for every input."""
 PAIRS = [
-    pytest.param(operator, contract, id=f"{contract.name}-{operator.name}")
+    pytest.param(
+        operator,
+        contract,
+        id=f"{contract.name}-{operator.name}",
+        marks=[pytest.mark.slow] if contract.name in SLOW else [],
+    )
     for operator in OPERATORS
     for contract in CONTRACTS
     if contract.applies(operator)

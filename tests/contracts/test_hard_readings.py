@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.effects.composition import read
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.sensor.readout import read
+
+from .setting import reading_model
 
 
 def seeded(seed: int = 0) -> torch.Generator:
@@ -23,14 +25,14 @@ def test_saturated_sensor(electrons: float, dtype: torch.dtype) -> None:
     """However bright: every pixel reads a full well, and the converter its largest number."""
     conditions = Conditions(electrons=8000.0, full_well=8000.0, adc_bits=12, read_noise=3.0)
     values = torch.full((20, 20), electrons / 8000.0, dtype=dtype)
-    assert torch.equal(read(values, conditions, generator=seeded()), torch.ones_like(values))
+    assert torch.equal(read(reading_model(conditions), values, seeded()), torch.ones_like(values))
 
 
 def test_around_the_full_well() -> None:
     """Readings rise up to the full well and stay there; nothing wraps around."""
     conditions = Conditions(electrons=1e4, full_well=8e3, adc_bits=12, adc_range=1.0)
     values = torch.linspace(0, 1.6, 4001, dtype=torch.float64)
-    readings = read(values, conditions, shot=False)
+    readings = read(reading_model(conditions, shot=False), values)
     assert bool((readings.diff() >= 0).all())
     assert float(readings[0]) == 0
     # Half a step of the converter is the most that rounding moves a reading.
@@ -41,7 +43,7 @@ def test_saturated_embedding() -> None:
     """The full well of an embedding value: clipped, and no gradient where more light is no news."""
     conditions = Conditions(electrons=1000.0, full_well=500.0, adc_bits=8)
     values = torch.tensor([[0.1, 0.49, 0.51, 1e6]], dtype=torch.float64, requires_grad=True)
-    reading = read(values, conditions, shot=False)
+    reading = read(reading_model(conditions, shot=False), values)
     assert torch.allclose(
         reading.detach(), torch.tensor([[0.1, 0.49, 0.5, 0.5]]).double(), atol=1e-3
     )
@@ -65,7 +67,7 @@ def test_one_photon(mean: float) -> None:
     )
     count = 400_000
     values = torch.full((count,), mean / 1000, dtype=torch.float64)
-    electrons = (read(values, conditions, generator=seeded()) - 1) * 1000
+    electrons = (read(reading_model(conditions), values, seeded()) - 1) * 1000
     variance = mean + 2.0**2 + (2000 / (2**14 - 1)) ** 2 / 12
     assert float(electrons.mean()) == pytest.approx(mean, abs=5 * math.sqrt(variance / count))
     assert float(electrons.var()) == pytest.approx(variance, rel=5 * math.sqrt(2 / count) + 1e-3)
@@ -75,7 +77,7 @@ def test_one_photon(mean: float) -> None:
 def test_one_photon_embedding() -> None:
     """An all-white scene that gives one electron per embedding value: whole numbers of them."""
     values = torch.full((500, 24, 32), 1.0, dtype=torch.float64)
-    reading = read(values, Conditions(electrons=1.0), generator=seeded())
+    reading = read(reading_model(Conditions(electrons=1.0)), values, seeded())
     assert torch.equal(reading, reading.round())
     assert float(reading.mean()) == pytest.approx(1, abs=0.01)
     assert float(reading.var()) == pytest.approx(1, abs=0.02)

@@ -55,6 +55,7 @@ def draw(path: Path, results: Sequence[Result]) -> None:
 
 
 def _panel(axes: Axes, result: Result) -> None:
+    """One job: its points, their Pareto front and the legend."""
     points = [point for point in result.points if 0 < point.error <= WORST_ERROR]
     axes.set(xscale="log", yscale="log", title=result.title)
     axes.set_xlabel("time of one run, one thread")
@@ -117,6 +118,7 @@ def _panel(axes: Axes, result: Result) -> None:
 
 
 def _series(axes: Axes, points: Sequence[Point], colour: str, marker: str, *, filled: bool) -> None:
+    """The points of one method in one precision, and lines along its sampling."""
     # A line leads along the sampling, everything else alike.
     lines: dict[frozenset[object], list[Point]] = {}
     for point in points:
@@ -146,6 +148,7 @@ def _series(axes: Axes, points: Sequence[Point], colour: str, marker: str, *, fi
 
 
 def _styles(points: Sequence[Point]) -> dict[str, tuple[str, str]]:
+    """Colour and marker of each method: ours by name, the others' in turn."""
     styles: dict[str, tuple[str, str]] = {}
     peers = iter(_PEERS * 4)
     for point in sorted(points, key=lambda p: (p.source != OURS, p.source, p.method)):

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import Job, Prepared, Setting
-from veilcam_optics.accuracy.psf_methods import PRECISIONS
+from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Setting
 from veilcam_optics.propagation import (
     AngularSpectrum,
     FresnelImpulse,
@@ -135,6 +134,7 @@ class FieldJob:
         return Prepared(lambda: along_y @ values @ along_x)
 
     def _reference(self) -> Tensor:
+        """The Rayleigh-Sommerfeld integral over every square, complex128 (points, points)."""
         nodes, shares = np.polynomial.legendre.leggauss(_NODES_PER_SQUARE)
         centres = (torch.arange(SQUARES, dtype=torch.float64) - (SQUARES - 1) / 2) * SIDE
         within = torch.from_numpy(nodes) * SIDE / 2

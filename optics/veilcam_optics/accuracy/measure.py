@@ -10,9 +10,20 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import require_count, require_positive
 
 OURS = "veilcam"
+PRECISIONS = {"float32": torch.float32, "float64": torch.float64}
+
+Psf = Callable[[Tensor], Tensor]
+"""From weights to the irradiance (3, rows, columns)."""
+
+
+def example_mask(camera: Camera) -> Tensor:
+    """The mask that the jobs use: uniform random, float64, always the same."""
+    return random_mask(camera, torch.Generator().manual_seed(2022)).double()
 
 
 @dataclass(frozen=True, slots=True)

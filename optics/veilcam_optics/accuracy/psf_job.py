@@ -8,15 +8,7 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import Job, Prepared, Setting
-from veilcam_optics.accuracy.psf_methods import (
-    PRECISIONS,
-    Psf,
-    example_mask,
-    factored_psf,
-    grid_psf,
-    mask_grid,
-)
+from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.propagation import (
     AngularSpectrum,
@@ -26,8 +18,9 @@ from veilcam_optics.propagation import (
     Propagator,
 )
 from veilcam_optics.propagation.sampling import Grid, covering_grid
+from veilcam_optics.transfer.grid import GridLight, mask_grid, sample_pitch
 from veilcam_optics.transfer.operator import Reach, TransferOperator
-from veilcam_optics.transfer.reference import SENSOR_PIXELS_PER_SAMPLE, reference_psf
+from veilcam_optics.transfer.reference import reference_psf, sampled_psf
 
 
 class PsfJob:
@@ -47,7 +40,7 @@ class PsfJob:
         self.cells = covering_grid(
             self.camera.sensor.height,
             self.camera.sensor.width,
-            SENSOR_PIXELS_PER_SAMPLE * self.camera.sensor.pixel,
+            sample_pitch(self.camera),
         )
         self.reference = cache(self._reference)
 
@@ -115,7 +108,7 @@ class PsfJob:
                 )
 
     def _prepare_factored(self, oversampling: int, dtype: torch.dtype) -> Prepared:
-        psf = factored_psf(self.camera, self.scene, self.finer(oversampling), dtype)
+        psf = sampled_psf(self.camera, self.scene, self.finer(oversampling), dtype)
         return self.averaged(psf, oversampling, dtype)
 
     def _grids(self, skipped: dict[str, str]) -> Iterator[Setting]:
@@ -149,10 +142,17 @@ class PsfJob:
     def _prepare_grid(
         self, propagator: Propagator, oversampling: int, dtype: torch.dtype
     ) -> Prepared:
-        psf = grid_psf(self.camera, self.scene, self.finer(oversampling), propagator, dtype)
-        return self.averaged(psf, oversampling, dtype)
+        light = GridLight(
+            self.camera,
+            self.scene,
+            dtype=dtype,
+            grid=self.finer(oversampling),
+            propagator=propagator,
+        )
+        return self.averaged(light.psf, oversampling, dtype)
 
     def _reason_against(self, propagator: Propagator, oversampling: int) -> str:
+        """Why a propagator says that it is not accurate here; empty where it is."""
         target = self.finer(oversampling)
         source = mask_grid(self.camera, float(target.pitch_y))
         for wavelength in self.camera.wavelengths:

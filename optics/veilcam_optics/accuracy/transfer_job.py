@@ -10,18 +10,17 @@ from typing import get_args
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import Job, Prepared, Setting
-from veilcam_optics.accuracy.psf_methods import PRECISIONS, Psf, example_mask, factored_psf
+from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
-from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.transfer.grid import GridLight, sample_pitch
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_optics.transfer.reference import (
-    SENSOR_PIXELS_PER_SAMPLE,
     TransferBinning,
     reference_transfer,
+    sampled_psf,
 )
 
 PLAN = "plan"
@@ -62,7 +61,7 @@ class TransferJob:
         return covering_grid(
             self.camera.sensor.height + self.scene.rows * image,
             self.camera.sensor.width + self.scene.columns * image,
-            SENSOR_PIXELS_PER_SAMPLE * self.camera.sensor.pixel / oversampling,
+            sample_pitch(self.camera, oversampling),
         )
 
     def units(self, dtype: torch.dtype) -> Tensor:
@@ -126,7 +125,7 @@ class TransferJob:
 
     def _prepare_factored(self, oversampling: int, dtype: torch.dtype) -> Prepared:
         grid = self.grid(oversampling)
-        return self.gray_transfer(factored_psf(self.camera, self.scene, grid, dtype), grid, dtype)
+        return self.gray_transfer(sampled_psf(self.camera, self.scene, grid, dtype), grid, dtype)
 
     def _grids(self) -> Iterator[Setting]:
         for precision, dtype in PRECISIONS.items():

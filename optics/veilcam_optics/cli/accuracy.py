@@ -73,6 +73,7 @@ def run(jobs: Sequence[Job], *, quick: bool, out: Path, threads: int) -> None:
 
 
 def _measured(job: Job, progress: Progress, *, budget: float) -> Result:
+    """Run a job setting by setting, and show how far it is."""
     bar = progress.add_task(f"{job.name}: reference", total=len(job.settings) + 1)
     reference = job.reference()
     progress.advance(bar)

@@ -2,63 +2,35 @@
 
 from __future__ import annotations
 
+from veilcam_optics.effects import light, mask, sensor
 from veilcam_optics.effects.base import Assessment, Comparison, Effect
-from veilcam_optics.effects.light import (
-    Binning,
-    ColourFilters,
-    DeadSpace,
-    Depth,
-    Diffraction,
-    FilterLeakage,
-    Interference,
-    OffAxis,
-    Spectrum,
-    SphericalWavefront,
-    StrayLight,
-)
-from veilcam_optics.effects.mask import (
-    ContrastFloor,
-    DistanceError,
-    Gamma,
-    MaskRotation,
-    MaskShift,
-    Quantisation,
-)
 from veilcam_optics.effects.model import Model, Sampling
-from veilcam_optics.effects.sensor import (
-    Bayer,
-    BlackLevel,
-    Converter,
-    FullWell,
-    ReadNoise,
-    ShotNoise,
-)
 
 __all__ = ["EFFECTS", "Assessment", "Comparison", "Effect", "Model", "Sampling"]
 
 EFFECTS: tuple[Effect, ...] = (
-    Diffraction(),
-    SphericalWavefront(),
-    DeadSpace(),
-    Interference(),
-    ColourFilters(),
-    FilterLeakage(),
-    Spectrum(),
-    Depth(),
-    OffAxis(),
-    Gamma(),
-    ContrastFloor(),
-    Quantisation(),
-    MaskShift(),
-    MaskRotation(),
-    DistanceError(),
-    StrayLight(),
-    Binning(),
-    Bayer(),
-    ShotNoise(),
-    ReadNoise(),
-    FullWell(),
-    Converter(),
-    BlackLevel(),
+    light.Diffraction(),
+    light.SphericalWavefront(),
+    mask.DeadSpace(),
+    light.Interference(),
+    mask.ColourFilters(),
+    mask.FilterLeakage(),
+    light.Spectrum(),
+    light.Depth(),
+    light.OffAxis(),
+    mask.Quantisation(),
+    mask.Gamma(),
+    mask.ContrastFloor(),
+    mask.MaskShift(),
+    mask.MaskRotation(),
+    mask.DistanceError(),
+    light.StrayLight(),
+    light.Binning(),
+    sensor.Bayer(),
+    sensor.ShotNoise(),
+    sensor.ReadNoise(),
+    sensor.FullWell(),
+    sensor.BlackLevel(),
+    sensor.Converter(),
 )
-"""In the order in which light meets them."""
+"""In the order in which they are applied."""

@@ -1,13 +1,17 @@
-"""What an effect is, and what it is judged by."""
+"""An effect: when it is there, what it does to light and readings, and its worth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Protocol
 
+import torch
 from torch import Tensor
 
 from veilcam_optics.effects.model import Model
+from veilcam_optics.transfer.operator import Beam
 
 
 class Comparison(Protocol):
@@ -23,7 +27,7 @@ class Comparison(Protocol):
     def rotated(self) -> float:
         """Relative L2 of ignoring the mask's rotation."""
 
-    def off_axis(self, zones: int | None) -> float:
+    def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
 
     def sampled(self, name: str, count: int) -> float:
@@ -61,28 +65,77 @@ class Assessment:
     reason: str
 
 
-class Effect(Protocol):
-    """One thing that light, panel or sensor may do. Stateless; all of them are in one registry."""
+class Effect:
+    """One thing that light, panel or sensor may do: when it is there, what it does, its worth.
 
-    @property
-    def name(self) -> str:
-        """In the field's terms."""
+    Stateless. A new one is a class of its own, which says only what it does, and one line in
+    :data:`~veilcam_optics.effects.EFFECTS`. What it does is applied where it is present alone.
 
-    @property
-    def free(self) -> bool:
-        """Whether computing it adds (next to) nothing to a step."""
+    Attributes:
+        name: in the field's terms.
+        free: whether computing it adds (next to) nothing to a step.
+        absent: why a model may not have it, in words.
+        neutral: conditions, with the values at which the effect is not there.
+    """
+
+    name: str
+    free = True
+    absent = ""
+    neutral: Mapping[str, object] = MappingProxyType({})
 
     def present(self, model: Model) -> bool:
-        """Whether this camera, scene or these conditions have it at all."""
+        """Whether this camera, scene or these conditions have it at all; by default its own."""
+        conditions = model.conditions
+        return any(getattr(conditions, field) != value for field, value in self.neutral.items())
 
     def without(self, model: Model) -> Model:
         """The same model with the effect ignored: nothing of it is computed."""
+        neutral: dict[str, Any] = dict(self.neutral)
+        return replace(model, conditions=replace(model.conditions, **neutral))
 
     def error(self, comparison: Comparison) -> float:
-        """Relative L2 at the embedding if it is ignored."""
+        """Relative L2 at the embedding if it is ignored; by default measured by leaving it out."""
+        return comparison.error(self.without(comparison.model))
 
     def reason(self, model: Model) -> str:
         """What makes it large or small here, in words; for a model that has it."""
+        raise NotImplementedError
 
-    def absent(self) -> str:
-        """Why a model may not have it, in words."""
+    def shown(self, weights: Tensor, model: Model) -> Tensor:  # noqa: ARG002 - part of the interface
+        """What the panel makes of a mask's amplitudes, same shape."""
+        return weights
+
+    def beams(self, beams: list[Beam], model: Model) -> list[Beam]:  # noqa: ARG002 - part of the interface
+        """What becomes of the light of each channel."""
+        return beams
+
+    def fade(self, model: Model) -> Tensor | None:  # noqa: ARG002 - part of the interface
+        """Share of the light that each scene pixel keeps, float64 (rows, columns); None: all."""
+        return None
+
+    def collected(
+        self,
+        values: Tensor,
+        axes: tuple[int, ...],  # noqa: ARG002 - part of the interface
+        model: Model,  # noqa: ARG002 - part of the interface
+    ) -> Tensor:
+        """What becomes of the light on the sensor; embedding pixels run along ``axes``. Linear."""
+        return values
+
+    def electrons(
+        self,
+        electrons: Tensor,
+        model: Model,  # noqa: ARG002 - part of the interface
+        generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
+    ) -> Tensor:
+        """What a pixel makes of its photo-electrons, where they are counted."""
+        return electrons
+
+    def reading(
+        self,
+        values: Tensor,
+        model: Model,  # noqa: ARG002 - part of the interface
+        generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
+    ) -> Tensor:
+        """What the camera makes of embedding values, after the electrons."""
+        return values

@@ -3,29 +3,86 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
 
-from veilcam_optics.effects.base import Comparison
+import numpy as np
+import torch
+from torch import Tensor
+
+from veilcam_optics.effects.base import Comparison, Effect
+from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.operator import Beam, Reach
+
+_DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
+"""Standard deviations in the full width at half maximum of a normal distribution."""
 
 
-class Probed:
-    """An effect whose error is measured by leaving it out."""
-
-    name = ""
-    free = True
-
-    def without(self, model: Model) -> Model:
-        """See :class:`~veilcam_optics.effects.base.Effect`."""
-        raise NotImplementedError
-
-    def error(self, comparison: Comparison) -> float:
-        """Relative L2 at the embedding if it is ignored."""
-        return comparison.error(self.without(comparison.model))
+def tangents(model: Model) -> tuple[Tensor, Tensor]:
+    """Tangent of the angle to the axis of every scene row, and of every column, float64."""
+    scale = math.tan(model.conditions.off_axis) * 2 / model.scene.rows
+    return tuple(  # type: ignore[return-value]
+        (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * scale
+        for count in model.scene.shape
+    )
 
 
-class Diffraction(Probed):
+def stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x`` to the axis.
+
+    Around a ray at angle theta, the second derivative of the distance ``R`` to a point is
+    ``(1 - u^2) / R``, ``u`` the direction cosine along that axis, and ``R = d / cos theta``: the
+    paraxial field of a longer wavelength.
+    """
+    squares = 1 + y.square() + x.square()
+    root = squares.sqrt()
+    return root / (1 - y.square() / squares), root / (1 - x.square() / squares)
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """A block of scene pixels that share one point spread function.
+
+    Attributes:
+        rows: scene rows.
+        columns: scene columns.
+        tangent_y: tangent of the angle to the axis, along y, at the block's centre.
+        tangent_x: along x.
+    """
+
+    rows: slice
+    columns: slice
+    tangent_y: float
+    tangent_x: float
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """Factors on the wavelength along y and x; see :func:`stretch`."""
+        y, x = torch.tensor([self.tangent_y, self.tangent_x], dtype=torch.float64)
+        along_y, along_x = stretch(y, x)
+        return float(along_y), float(along_x)
+
+
+def zones(model: Model) -> list[list[Zone]]:
+    """The parts of the scene that have a point spread function each, by rows and columns."""
+    y, x = tangents(model)
+    parts = []
+    for positions in (y, x):
+        count = min(model.sampling.zones if model.conditions.off_axis else 1, len(positions))
+        edges = [round(k * len(positions) / count) for k in range(count + 1)]
+        parts.append([slice(a, b) for a, b in pairwise(edges)])
+    return [
+        [
+            Zone(rows, columns, float(y[rows].mean()), float(x[columns].mean()))
+            for columns in parts[1]
+        ]
+        for rows in parts[0]
+    ]
+
+
+class Diffraction(Effect):
     """Light spreads behind a sub-pixel, against its geometric shadow."""
 
     name = "diffraction"
@@ -41,18 +98,14 @@ class Diffraction(Probed):
 
     def reason(self, model: Model) -> str:
         """Fresnel number."""
-        panel, distance = model.camera.panel, model.actual_camera.distance
+        panel, distance = model.camera.panel, actual_camera(model).distance
         side = min(panel.aperture_y, panel.aperture_x)
         number = side**2 / (max(model.camera.wavelengths) * distance)
         spread = "edges blur a little" if number > 10 else "light spreads beyond the shadow"
         return f"Fresnel number {number:.3g}: {spread}"
 
-    def absent(self) -> str:
-        """Never used: it is always there."""
-        return "no light"
 
-
-class SphericalWavefront(Probed):
+class SphericalWavefront(Effect):
     """The wave from a scene at a finite distance is curved."""
 
     name = "spherical wavefront"
@@ -67,47 +120,17 @@ class SphericalWavefront(Probed):
 
     def reason(self, model: Model) -> str:
         """Magnification of the shadow."""
-        ratio = model.actual_camera.distance / model.scene.distance
+        ratio = actual_camera(model).distance / model.scene.distance
         edge = ratio * model.camera.window.rows * model.camera.panel.pitch_y / 2
         return f"shadow magnified by {100 * ratio:.2g} %: its edge moves {edge * 1e6:.3g} um"
 
-    def absent(self) -> str:
-        """Never used: it is always there."""
-        return "scene at infinity"
 
-
-class DeadSpace(Probed):
-    """Wiring between the sub-pixels lets no light through."""
-
-    name = "dead space"
-
-    def present(self, model: Model) -> bool:
-        """Where apertures are smaller than their pitch."""
-        panel = model.camera.panel
-        return panel.aperture_y < panel.pitch_y or panel.aperture_x < panel.pitch_x
-
-    def without(self, model: Model) -> Model:
-        """Apertures as wide as their pitch."""
-        panel = model.camera.panel
-        panel = replace(panel, aperture_y=panel.pitch_y, aperture_x=panel.pitch_x)
-        return replace(model, camera=replace(model.camera, panel=panel))
-
-    def reason(self, model: Model) -> str:
-        """Open share of the area."""
-        panel = model.camera.panel
-        fill = panel.aperture_y * panel.aperture_x / (panel.pitch_y * panel.pitch_x)
-        return f"only {100 * fill:.3g} % of the panel's area is open"
-
-    def absent(self) -> str:
-        """Apertures fill the panel."""
-        return "apertures as wide as their pitch"
-
-
-class Interference(Probed):
+class Interference(Effect):
     """Light of different sub-pixels interferes."""
 
     name = "neighbour interference"
     free = False
+    absent = "one sub-pixel, or no diffraction"
 
     def present(self, model: Model) -> bool:
         """With more than one sub-pixel, and diffraction."""
@@ -123,82 +146,20 @@ class Interference(Probed):
 
     def reason(self, model: Model) -> str:
         """Fringes against pixels."""
-        distance, panel = model.actual_camera.distance, model.camera.panel
+        distance, panel = actual_camera(model).distance, model.camera.panel
         apart = panel.pitch_y * (len(set(panel.filter_cycle)) or 1)
         fringe = max(model.camera.wavelengths) * distance / apart
         pixel = model.camera.sensor.height / model.embedding.rows
         return f"fringes of {fringe * 1e6:.3g} um, averaged over pixels of {pixel * 1e6:.3g} um"
 
-    def absent(self) -> str:
-        """Nothing to interfere with."""
-        return "one sub-pixel, or no diffraction"
 
-
-class ColourFilters(Probed):
-    """Every sub-pixel row passes one colour."""
-
-    name = "colour filters"
-
-    def present(self, model: Model) -> bool:
-        """Where the panel has them."""
-        return bool(model.camera.panel.filter_cycle)
-
-    def without(self, model: Model) -> Model:
-        """All rows pass all light."""
-        panel = replace(model.camera.panel, filter_cycle=(), filter_amplitudes=())
-        return replace(model, camera=replace(model.camera, panel=panel))
-
-    def reason(self, model: Model) -> str:
-        """Colours apart."""
-        cycle = "".join("RGB"[channel] for channel in model.camera.panel.filter_cycle)
-        return f"rows pass {cycle} in turn"
-
-    def absent(self) -> str:
-        """None on the panel."""
-        return "panel without filters"
-
-
-class FilterLeakage(Probed):
-    """A filter passes some light of the other colours: leakage, or measured amplitudes."""
-
-    name = "filter leakage"
-    free = False
-
-    def present(self, model: Model) -> bool:
-        """Where the panel has filters that are not ideal."""
-        panel = model.camera.panel
-        return bool(panel.filter_cycle) and bool(panel.filter_leakage or panel.filter_amplitudes)
-
-    def without(self, model: Model) -> Model:
-        """Ideal filters."""
-        panel = replace(model.camera.panel, filter_leakage=0.0, filter_amplitudes=())
-        return replace(model, camera=replace(model.camera, panel=panel))
-
-    def reason(self, model: Model) -> str:
-        """Power that leaks."""
-        panel = model.camera.panel
-        if panel.filter_amplitudes:
-            return "measured amplitudes of every filter for every channel"
-        return f"foreign light passes with {100 * panel.filter_leakage**2:.2g} % of its power"
-
-    def absent(self) -> str:
-        """Ideal or none."""
-        return "no filters, or ideal ones"
-
-
-class Spectrum(Probed):
+class Spectrum(Effect):
     """The light of a channel has a width."""
 
     name = "spectrum per channel"
     free = False
-
-    def present(self, model: Model) -> bool:
-        """Where a bandwidth is given."""
-        return any(model.conditions.bandwidth)
-
-    def without(self, model: Model) -> Model:
-        """One wavelength per channel."""
-        return replace(model, conditions=replace(model.conditions, bandwidth=(0.0, 0.0, 0.0)))
+    absent = "one wavelength per channel"
+    neutral = MappingProxyType({"bandwidth": (0.0, 0.0, 0.0)})
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -214,24 +175,33 @@ class Spectrum(Probed):
         )
         return f"bandwidth up to {100 * widest:.2g} % of the wavelength"
 
-    def absent(self) -> str:
-        """None given."""
-        return "one wavelength per channel"
+    def beams(self, beams: list[Beam], model: Model) -> list[Beam]:
+        """Gauss-Hermite quadrature of a Gaussian line for each channel that has a width."""
+        if model.sampling.wavelengths == 1:
+            return beams
+        nodes, shares = np.polynomial.hermite_e.hermegauss(model.sampling.wavelengths)
+        samples = list(zip(nodes.tolist(), (shares / shares.sum()).tolist(), strict=True))
+        found = []
+        for beam in beams:
+            width = model.conditions.bandwidth[beam.channel]
+            found += [
+                replace(
+                    beam,
+                    wavelength=beam.wavelength + width / _DEVIATIONS * node,
+                    share=beam.share * share,
+                )
+                for node, share in (samples if width else [(0.0, 1.0)])
+            ]
+        return found
 
 
-class Depth(Probed):
+class Depth(Effect):
     """The scene is not flat."""
 
     name = "depth layers"
     free = False
-
-    def present(self, model: Model) -> bool:
-        """Where a range is given."""
-        return model.conditions.depth_range > 0
-
-    def without(self, model: Model) -> Model:
-        """A flat scene."""
-        return replace(model, conditions=replace(model.conditions, depth_range=0.0))
+    absent = "flat scene"
+    neutral = MappingProxyType({"depth_range": 0.0})
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -242,24 +212,30 @@ class Depth(Probed):
         share = model.conditions.depth_range / model.scene.distance
         return f"depth is {100 * share:.2g} % of the distance"
 
-    def absent(self) -> str:
-        """None given."""
-        return "flat scene"
+    def beams(self, beams: list[Beam], model: Model) -> list[Beam]:
+        """Gauss-Legendre: the layers lie where a smooth function's mean is best sampled."""
+        if model.sampling.layers == 1:
+            return beams
+        nodes, shares = np.polynomial.legendre.leggauss(model.sampling.layers)
+        half = model.conditions.depth_range / 2
+        layers = [
+            (model.scene.distance + half * node, share / 2)
+            for node, share in zip(nodes.tolist(), shares.tolist(), strict=True)
+        ]
+        return [
+            replace(beam, scene_distance=distance, share=beam.share * share)
+            for beam in beams
+            for distance, share in layers
+        ]
 
 
-class OffAxis(Probed):
+class OffAxis(Effect):
     """Oblique light is fainter, and spreads differently: the field has no single PSF."""
 
     name = "off-axis field"
     free = False
-
-    def present(self, model: Model) -> bool:
-        """Where an angle is given."""
-        return model.conditions.off_axis > 0
-
-    def without(self, model: Model) -> Model:
-        """One point spread function, nothing fades."""
-        return replace(model, conditions=replace(model.conditions, off_axis=0.0))
+    absent = "paraxial scene"
+    neutral = MappingProxyType({"off_axis": 0.0})
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -271,34 +247,33 @@ class OffAxis(Probed):
         fade = 100 * (1 - math.cos(angle) ** 4)
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
 
-    def absent(self) -> str:
-        """None given."""
-        return "paraxial scene"
+    def fade(self, model: Model) -> Tensor:
+        """Cos^4 of the angle: Lambert's law, the tilted mask, and twice the distance.
+
+        Goodman, Introduction to Fourier Optics, section 4.2.1.
+        """
+        y, x = tangents(model)
+        return (1 + y.square()[:, None] + x.square()).pow(-2)
 
 
-class StrayLight(Probed):
+class StrayLight(Effect):
     """Some light is scattered evenly over the sensor."""
 
     name = "stray light"
-
-    def present(self, model: Model) -> bool:
-        """Where a share is given."""
-        return model.conditions.stray_light > 0
-
-    def without(self, model: Model) -> Model:
-        """Nothing is scattered."""
-        return replace(model, conditions=replace(model.conditions, stray_light=0.0))
+    absent = "no scattered light"
+    neutral = MappingProxyType({"stray_light": 0.0})
 
     def reason(self, model: Model) -> str:
         """Its share."""
         return f"{100 * model.conditions.stray_light:.2g} % of the light is spread evenly"
 
-    def absent(self) -> str:
-        """None given."""
-        return "no scattered light"
+    def collected(self, values: Tensor, axes: tuple[int, ...], model: Model) -> Tensor:
+        """Its share is the mean over the sensor."""
+        share = model.conditions.stray_light
+        return (1 - share) * values + share * values.mean(axes, keepdim=True)
 
 
-class Binning(Probed):
+class Binning(Effect):
     """An embedding value is an average over its pixel."""
 
     name = "pixel binning"
@@ -315,11 +290,7 @@ class Binning(Probed):
         """Pixels against structure."""
         sensor, embedding = model.camera.sensor, model.embedding
         pixel = max(sensor.height / embedding.rows, sensor.width / embedding.columns)
-        image = model.scene.pixel_at_sensor(model.actual_camera)
+        image = model.scene.pixel_at_sensor(actual_camera(model))
         return (
             f"embedding pixels of {pixel * 1e6:.3g} um, scene pixels of {image * 1e6:.3g} um on it"
         )
-
-    def absent(self) -> str:
-        """Never used: it is always there."""
-        return "points for pixels"

@@ -1,118 +1,160 @@
-"""Effects of the panel: what it shows for a mask, and where it sits."""
+"""Effects of the panel: its structure, what it shows for a mask, and where it sits."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import MappingProxyType
 
-from veilcam_optics.effects.base import Comparison
-from veilcam_optics.effects.light import Probed
+import torch
+from torch import Tensor
+
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.masks import quantise, respond
+from veilcam_optics.effects.base import Comparison, Effect
 from veilcam_optics.effects.model import Model
+from veilcam_optics.transfer.operator import Variables
 
 
-class Gamma(Probed):
+class DeadSpace(Effect):
+    """Wiring between the sub-pixels lets no light through."""
+
+    name = "dead space"
+    absent = "apertures as wide as their pitch"
+
+    def present(self, model: Model) -> bool:
+        """Where apertures are smaller than their pitch."""
+        panel = model.camera.panel
+        return panel.aperture_y < panel.pitch_y or panel.aperture_x < panel.pitch_x
+
+    def without(self, model: Model) -> Model:
+        """Apertures as wide as their pitch."""
+        panel = model.camera.panel
+        panel = replace(panel, aperture_y=panel.pitch_y, aperture_x=panel.pitch_x)
+        return replace(model, camera=replace(model.camera, panel=panel))
+
+    def reason(self, model: Model) -> str:
+        """Open share of the area."""
+        panel = model.camera.panel
+        fill = panel.aperture_y * panel.aperture_x / (panel.pitch_y * panel.pitch_x)
+        return f"only {100 * fill:.3g} % of the panel's area is open"
+
+
+class ColourFilters(Effect):
+    """Every sub-pixel row passes one colour."""
+
+    name = "colour filters"
+    absent = "panel without filters"
+
+    def present(self, model: Model) -> bool:
+        """Where the panel has them."""
+        return bool(model.camera.panel.filter_cycle)
+
+    def without(self, model: Model) -> Model:
+        """All rows pass all light."""
+        panel = replace(model.camera.panel, filter_cycle=(), filter_amplitudes=())
+        return replace(model, camera=replace(model.camera, panel=panel))
+
+    def reason(self, model: Model) -> str:
+        """Colours apart."""
+        cycle = "".join("RGB"[channel] for channel in model.camera.panel.filter_cycle)
+        return f"rows pass {cycle} in turn"
+
+
+class FilterLeakage(Effect):
+    """A filter passes some light of the other colours: leakage, or measured amplitudes."""
+
+    name = "filter leakage"
+    free = False
+    absent = "no filters, or ideal ones"
+
+    def present(self, model: Model) -> bool:
+        """Where the panel has filters that are not ideal."""
+        panel = model.camera.panel
+        return bool(panel.filter_cycle) and bool(panel.filter_leakage or panel.filter_amplitudes)
+
+    def without(self, model: Model) -> Model:
+        """Ideal filters."""
+        panel = replace(model.camera.panel, filter_leakage=0.0, filter_amplitudes=())
+        return replace(model, camera=replace(model.camera, panel=panel))
+
+    def reason(self, model: Model) -> str:
+        """Power that leaks."""
+        panel = model.camera.panel
+        if panel.filter_amplitudes:
+            return "measured amplitudes of every filter for every channel"
+        return f"foreign light passes with {100 * panel.filter_leakage**2:.2g} % of its power"
+
+
+class Quantisation(Effect):
+    """The panel shows a limited number of amplitudes."""
+
+    name = "mask quantisation"
+    absent = "masks are given as shown"
+    neutral = MappingProxyType({"levels": 0})
+
+    def reason(self, model: Model) -> str:
+        """Their number."""
+        return f"{model.conditions.levels} amplitudes"
+
+    def shown(self, weights: Tensor, model: Model) -> Tensor:
+        """Rounded, with the gradient of the identity."""
+        return quantise(weights, replace(model.camera.panel, levels=model.conditions.levels))
+
+
+class Gamma(Effect):
     """The panel's response is a power of what it is told."""
 
     name = "mask gamma"
-
-    def present(self, model: Model) -> bool:
-        """Where it is not 1."""
-        return model.conditions.gamma != 1
-
-    def without(self, model: Model) -> Model:
-        """A linear panel."""
-        return replace(model, conditions=replace(model.conditions, gamma=1.0))
+    absent = "linear panel"
+    neutral = MappingProxyType({"gamma": 1.0})
 
     def reason(self, model: Model) -> str:
         """What half becomes."""
         half = 0.5**model.conditions.gamma
         return f"an amplitude of 0.5 shows as {half:.3g}"
 
-    def absent(self) -> str:
-        """Linear."""
-        return "linear panel"
+    def shown(self, weights: Tensor, model: Model) -> Tensor:
+        """The power of what is asked for."""
+        return respond(weights, gamma=model.conditions.gamma)
 
 
-class ContrastFloor(Probed):
+class ContrastFloor(Effect):
     """A dark sub-pixel is not quite dark."""
 
     name = "contrast floor"
-
-    def present(self, model: Model) -> bool:
-        """Where a floor is given."""
-        return model.conditions.contrast_floor > 0
-
-    def without(self, model: Model) -> Model:
-        """Dark is dark."""
-        return replace(model, conditions=replace(model.conditions, contrast_floor=0.0))
+    absent = "dark sub-pixels are dark"
+    neutral = MappingProxyType({"contrast_floor": 0.0})
 
     def reason(self, model: Model) -> str:
         """Contrast ratio."""
         return f"contrast 1 : {1 / model.conditions.contrast_floor**2:.3g}"
 
-    def absent(self) -> str:
-        """None given."""
-        return "dark sub-pixels are dark"
+    def shown(self, weights: Tensor, model: Model) -> Tensor:
+        """Lifted to the floor."""
+        return respond(weights, contrast_floor=model.conditions.contrast_floor)
 
 
-class Quantisation(Probed):
-    """The panel shows a limited number of amplitudes."""
-
-    name = "mask quantisation"
-
-    def present(self, model: Model) -> bool:
-        """Where their number is given."""
-        return model.conditions.levels > 0
-
-    def without(self, model: Model) -> Model:
-        """Any amplitude can be shown."""
-        return replace(model, conditions=replace(model.conditions, levels=0))
-
-    def reason(self, model: Model) -> str:
-        """Their number."""
-        return f"{model.conditions.levels} amplitudes"
-
-    def absent(self) -> str:
-        """Not asked for."""
-        return "masks are given as shown"
-
-
-class MaskShift(Probed):
+class MaskShift(Effect):
     """The mask is not centred."""
 
     name = "mask shift"
-
-    def present(self, model: Model) -> bool:
-        """Where a shift is given."""
-        return bool(model.conditions.shift_y or model.conditions.shift_x)
-
-    def without(self, model: Model) -> Model:
-        """Centred."""
-        return replace(model, conditions=replace(model.conditions, shift_y=0.0, shift_x=0.0))
+    absent = "mask centred"
+    neutral = MappingProxyType({"shift_y": 0.0, "shift_x": 0.0})
 
     def reason(self, model: Model) -> str:
         """How far."""
         moved = math.hypot(model.conditions.shift_y, model.conditions.shift_x)
         return f"mask {moved * 1e6:.3g} um off the axis"
 
-    def absent(self) -> str:
-        """Centred."""
-        return "mask centred"
 
-
-class MaskRotation(Probed):
+class MaskRotation(Effect):
     """The mask is turned, so its field no longer separates into rows and columns."""
 
     name = "mask rotation"
     free = False
-
-    def present(self, model: Model) -> bool:
-        """Where an angle is given."""
-        return model.conditions.rotation != 0
-
-    def without(self, model: Model) -> Model:
-        """Straight."""
-        return replace(model, conditions=replace(model.conditions, rotation=0.0))
+    absent = "mask straight"
+    neutral = MappingProxyType({"rotation": 0.0})
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -131,23 +173,13 @@ class MaskRotation(Probed):
         moved = abs(angle) * half
         return f"turned by {1e3 * angle:.3g} mrad: its edge moves {moved * 1e6:.3g} um"
 
-    def absent(self) -> str:
-        """Straight."""
-        return "mask straight"
 
-
-class DistanceError(Probed):
+class DistanceError(Effect):
     """The sensor is not where it should be."""
 
     name = "distance error"
-
-    def present(self, model: Model) -> bool:
-        """Where one is given."""
-        return model.conditions.distance_error != 0
-
-    def without(self, model: Model) -> Model:
-        """Where it should be."""
-        return replace(model, conditions=replace(model.conditions, distance_error=0.0))
+    absent = "sensor in place"
+    neutral = MappingProxyType({"distance_error": 0.0})
 
     def reason(self, model: Model) -> str:
         """How far off."""
@@ -156,6 +188,19 @@ class DistanceError(Probed):
             f"sensor {error * 1e6:.3g} um too far, {100 * error / distance:.2g} % of its distance"
         )
 
-    def absent(self) -> str:
-        """In place."""
-        return "sensor in place"
+
+def actual_camera(model: Model) -> Camera:
+    """The camera with the distance it really has."""
+    error = model.conditions.distance_error
+    if not error:
+        return model.camera
+    return replace(model.camera, distance=model.camera.distance + error)
+
+
+def shifted(model: Model) -> Variables:
+    """Where the mask really is, for the operator's kernels."""
+    conditions = model.conditions
+    return Variables(
+        shift_y=torch.tensor(conditions.shift_y, dtype=torch.float64),
+        shift_x=torch.tensor(conditions.shift_x, dtype=torch.float64),
+    )

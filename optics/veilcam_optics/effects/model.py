@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Literal
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
-from veilcam_optics.camera.masks import quantise, respond
 from veilcam_optics.errors import invalid, require_count, require_positive
 from veilcam_optics.transfer.kernels import Approximation
-from veilcam_optics.transfer.operator import Beam, Reach
+from veilcam_optics.transfer.operator import Reach
 
 Method = Literal["transfer", "factors", "grid"]
-
-_DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
-"""Standard deviations in the full width at half maximum of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,35 +60,6 @@ class Sampling:
         require_positive("sampling.oversampling", self.oversampling, "")
         if self.dtype not in {torch.float32, torch.float64}:
             raise invalid("sampling.dtype", self.dtype, "", "torch.float32 or torch.float64")
-
-
-@dataclass(frozen=True, slots=True)
-class Zone:
-    """A block of scene pixels that share one point spread function.
-
-    Attributes:
-        rows: scene rows.
-        columns: scene columns.
-        tangent_y: tangent of the angle to the axis, along y, at the block's centre.
-        tangent_x: along x.
-    """
-
-    rows: slice
-    columns: slice
-    tangent_y: float
-    tangent_x: float
-
-    @property
-    def stretch(self) -> tuple[float, float]:
-        """Factors on the wavelength along y and x.
-
-        Around a ray at angle theta, the second derivative of the distance ``R`` to a point is
-        ``(1 - u^2) / R``, ``u`` the direction cosine along that axis, and ``R = d / cos theta``:
-        the paraxial field of a longer wavelength.
-        """
-        squares = 1 + self.tangent_y**2 + self.tangent_x**2
-        y, x = (t * t / squares for t in (self.tangent_y, self.tangent_x))
-        return math.sqrt(squares) / (1 - y), math.sqrt(squares) / (1 - x)
 
 
 @dataclass(frozen=True)
@@ -153,14 +115,6 @@ class Model:
         )
 
     @property
-    def actual_camera(self) -> Camera:
-        """The camera with the distance it really has."""
-        error = self.conditions.distance_error
-        if not error:
-            return self.camera
-        return replace(self.camera, distance=self.camera.distance + error)
-
-    @property
     def approximation(self) -> Approximation:
         """What the kernels leave out."""
         sampling = self.sampling
@@ -169,71 +123,3 @@ class Model:
             plane_wave=not sampling.spherical,
             point_reading=not sampling.binning,
         )
-
-    def shown(self, weights: Tensor) -> Tensor:
-        """Amplitudes that the panel shows when it is told ``weights``, same shape."""
-        conditions = self.conditions
-        if conditions.levels:
-            weights = quantise(weights, replace(self.camera.panel, levels=conditions.levels))
-        return respond(weights, gamma=conditions.gamma, contrast_floor=conditions.contrast_floor)
-
-    def beams(self, zone: Zone | None = None) -> list[Beam]:
-        """What each channel adds up: samples of its spectrum times samples of the depth."""
-        stretch = (1.0, 1.0) if zone is None else zone.stretch
-        distances: list[tuple[float | None, float]] = [(None, 1.0)]
-        if self.conditions.depth_range and self.sampling.layers > 1:
-            # Gauss-Legendre: the layers lie where a smooth function's mean is best sampled.
-            nodes, shares = np.polynomial.legendre.leggauss(self.sampling.layers)
-            half = self.conditions.depth_range / 2
-            distances = [
-                (self.scene.distance + half * float(node), float(share) / 2)
-                for node, share in zip(nodes, shares, strict=True)
-            ]
-        return [
-            Beam(channel, wavelength, share * part, distance, stretch)
-            for channel in range(len(CHANNELS))
-            for wavelength, share in self._spectrum(channel)
-            for distance, part in distances
-        ]
-
-    def _spectrum(self, channel: int) -> Iterator[tuple[float, float]]:
-        """Wavelengths and shares: Gauss-Hermite quadrature of a Gaussian line."""
-        centre, width = self.camera.wavelengths[channel], self.conditions.bandwidth[channel]
-        if not width or self.sampling.wavelengths == 1:
-            yield centre, 1.0
-            return
-        nodes, shares = np.polynomial.hermite_e.hermegauss(self.sampling.wavelengths)
-        for node, share in zip(nodes, shares / shares.sum(), strict=True):
-            yield centre + width / _DEVIATIONS * float(node), float(share)
-
-    def tangents(self) -> tuple[Tensor, Tensor]:
-        """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-        scale = math.tan(self.conditions.off_axis) * 2 / self.scene.rows
-        return tuple(  # type: ignore[return-value]
-            (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * scale
-            for count in self.scene.shape
-        )
-
-    def fade(self) -> Tensor:
-        """Share of the light that each scene pixel keeps, cos^4 of its angle, float64 (rows, cols).
-
-        Lambert's law, the tilted mask, and twice the distance (Goodman, section 4.2.1).
-        """
-        y, x = self.tangents()
-        return (1 + y.square()[:, None] + x.square()).pow(-2)
-
-    def zones(self) -> list[list[Zone]]:
-        """The parts of the scene, by rows and columns."""
-        y, x = self.tangents()
-        parts = []
-        for positions in (y, x):
-            count = min(self.sampling.zones if self.conditions.off_axis else 1, len(positions))
-            edges = [round(k * len(positions) / count) for k in range(count + 1)]
-            parts.append([slice(a, b) for a, b in pairwise(edges)])
-        return [
-            [
-                Zone(rows, columns, float(y[rows].mean()), float(x[columns].mean()))
-                for columns in parts[1]
-            ]
-            for rows in parts[0]
-        ]

@@ -4,43 +4,59 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
 
-from veilcam_optics.effects.base import Comparison
+from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.effects.base import Comparison, Effect
 from veilcam_optics.effects.model import Model
-from veilcam_optics.sensor.readout import bayer_shares, converter_range
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.sensor.readout import bayer_shares, counted, digitised
+
+
+def channel_shares(model: Model) -> Tensor:
+    """Share of R, G and B in each embedding pixel, float64 (3, rows, columns)."""
+    if model.conditions.bayer:
+        return bayer_shares(model.camera.sensor, model.embedding)
+    shares = torch.tensor(model.camera.sensor.channel_weights, dtype=torch.float64)
+    return shares[:, None, None].expand(-1, *model.embedding.shape)
+
+
+def converter_range(conditions: Conditions) -> float:
+    """Embedding value at which the converter ends."""
+    if conditions.adc_range:
+        return conditions.adc_range
+    if conditions.full_well:
+        return conditions.full_well / conditions.electrons
+    return 1.0
 
 
 def _gray(comparison: Comparison) -> Tensor:
+    """Noiseless gray embeddings of a white scene, (masks, rows, columns)."""
     shares = torch.tensor(comparison.model.camera.sensor.channel_weights, dtype=torch.float64)
     return torch.einsum("c,cmyx->myx", shares, comparison.values())
 
 
 def _rms(values: Tensor) -> float:
+    """Root mean square, kept from zero so that it may divide."""
     return max(float(values.square().mean().sqrt()), 1e-300)
 
 
-class Bayer:
+class Bayer(Effect):
     """Every sensor pixel reads one colour, and embedding pixels cut through the pattern."""
 
     name = "Bayer pattern"
     free = False
-
-    def present(self, model: Model) -> bool:
-        """Where it is asked for."""
-        return model.conditions.bayer
-
-    def without(self, model: Model) -> Model:
-        """Every embedding pixel holds the same share of each colour."""
-        return replace(model, conditions=replace(model.conditions, bayer=False))
+    absent = "colours in equal shares everywhere"
+    neutral = MappingProxyType({"bayer": False})
 
     def error(self, comparison: Comparison) -> float:
         """Unequal shares times the channels' embeddings."""
         sensor = comparison.model.camera.sensor
         rows, columns = comparison.kept()
-        shares = bayer_shares(sensor, comparison.model.embedding)[:, rows][:, :, columns]
+        shares = channel_shares(comparison.model)[:, rows][:, :, columns]
         values = comparison.values()
         plain = torch.tensor(sensor.channel_weights, dtype=torch.float64)[:, None, None]
         difference = torch.einsum("cyx,cmyx->myx", shares - plain, values)
@@ -54,21 +70,17 @@ class Bayer:
             f"{sensor.columns / embedding.columns:.4g} sensor pixels"
         )
 
-    def absent(self) -> str:
-        """Not asked for."""
-        return "colours in equal shares everywhere"
 
-
-class ShotNoise:
+class ShotNoise(Effect):
     """Photons arrive at random."""
 
     name = "shot noise"
-    free = True
+    absent = "photons not counted"
 
     def present(self, model: Model) -> bool:
         """Where photons or a signal-to-noise ratio are given."""
-        counted = model.conditions.electrons > 0 or model.conditions.snr_db != math.inf
-        return counted and model.sampling.shot
+        conditions = model.conditions
+        return model.sampling.shot and (conditions.electrons > 0 or conditions.snr_db != math.inf)
 
     def without(self, model: Model) -> Model:
         """Exactly as many as expected."""
@@ -90,24 +102,26 @@ class ShotNoise:
             return f"signal to noise {conditions.snr_db:.3g} dB"
         return f"{conditions.electrons:.3g} electrons at white without a mask"
 
-    def absent(self) -> str:
-        """Not asked for."""
-        return "photons not counted"
+    def electrons(
+        self,
+        electrons: Tensor,
+        model: Model,  # noqa: ARG002 - part of the interface
+        generator: torch.Generator | None,
+    ) -> Tensor:
+        """Counted, where their number is given."""
+        return counted(electrons, generator)
+
+    def reading(self, values: Tensor, model: Model, generator: torch.Generator | None) -> Tensor:
+        """As much noise as the signal-to-noise ratio says, where that is given."""
+        return shot_noise(values, model.conditions.snr_db, generator)
 
 
-class ReadNoise:
+class ReadNoise(Effect):
     """Reading a value adds noise."""
 
     name = "read noise"
-    free = True
-
-    def present(self, model: Model) -> bool:
-        """Where it is given."""
-        return model.conditions.read_noise > 0
-
-    def without(self, model: Model) -> Model:
-        """None."""
-        return replace(model, conditions=replace(model.conditions, read_noise=0.0))
+    absent = "noiseless reading"
+    neutral = MappingProxyType({"read_noise": 0.0})
 
     def error(self, comparison: Comparison) -> float:
         """Noise over signal."""
@@ -119,20 +133,22 @@ class ReadNoise:
         conditions = model.conditions
         return f"{conditions.read_noise:.3g} of {conditions.electrons:.3g} electrons"
 
-    def absent(self) -> str:
-        """Not asked for."""
-        return "noiseless reading"
+    def electrons(
+        self, electrons: Tensor, model: Model, generator: torch.Generator | None
+    ) -> Tensor:
+        """Normal, alike for every pixel."""
+        noise = torch.randn(
+            electrons.shape, generator=generator, dtype=electrons.dtype, device=electrons.device
+        )
+        return electrons + model.conditions.read_noise * noise
 
 
-class FullWell:
+class FullWell(Effect):
     """A pixel holds a limited number of electrons."""
 
     name = "full well"
-    free = True
-
-    def present(self, model: Model) -> bool:
-        """Where it is given."""
-        return model.conditions.full_well > 0
+    absent = "never saturates"
+    neutral = MappingProxyType({"full_well": 0.0})
 
     def without(self, model: Model) -> Model:
         """No limit; the converter, if any, keeps its range."""
@@ -155,24 +171,47 @@ class FullWell:
         limit = model.conditions.full_well / model.conditions.electrons
         return f"saturates at an embedding value of {limit:.3g}"
 
-    def absent(self) -> str:
-        """Not asked for."""
-        return "never saturates"
+    def electrons(
+        self,
+        electrons: Tensor,
+        model: Model,
+        generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
+    ) -> Tensor:
+        """Clipped: what overflows is lost."""
+        return electrons.clamp_max(model.conditions.full_well)
 
 
-class Converter:
+class BlackLevel(Effect):
+    """The camera adds an offset."""
+
+    name = "black level"
+    absent = "dark reads zero"
+    neutral = MappingProxyType({"black_level": 0.0})
+
+    def error(self, comparison: Comparison) -> float:
+        """Offset over signal."""
+        return comparison.model.conditions.black_level / _rms(_gray(comparison))
+
+    def reason(self, model: Model) -> str:
+        """How much."""
+        return f"dark reads {model.conditions.black_level:.3g}"
+
+    def reading(
+        self,
+        values: Tensor,
+        model: Model,
+        generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
+    ) -> Tensor:
+        """Added to every reading."""
+        return values + model.conditions.black_level
+
+
+class Converter(Effect):
     """Readings are whole numbers of a limited range."""
 
     name = "ADC"
-    free = True
-
-    def present(self, model: Model) -> bool:
-        """Where its bits are given."""
-        return model.conditions.adc_bits > 0
-
-    def without(self, model: Model) -> Model:
-        """Any number can be read."""
-        return replace(model, conditions=replace(model.conditions, adc_bits=0, adc_range=0.0))
+    absent = "readings are not rounded"
+    neutral = MappingProxyType({"adc_bits": 0})
 
     def error(self, comparison: Comparison) -> float:
         """Rounding (a twelfth of a step squared) and what lies beyond the range."""
@@ -188,33 +227,7 @@ class Converter:
         ends = converter_range(conditions)
         return f"{conditions.adc_bits} bits up to an embedding value of {ends:.3g}"
 
-    def absent(self) -> str:
-        """Not asked for."""
-        return "readings are not rounded"
-
-
-class BlackLevel:
-    """The camera adds an offset."""
-
-    name = "black level"
-    free = True
-
-    def present(self, model: Model) -> bool:
-        """Where it is given."""
-        return model.conditions.black_level > 0
-
-    def without(self, model: Model) -> Model:
-        """Dark reads zero."""
-        return replace(model, conditions=replace(model.conditions, black_level=0.0))
-
-    def error(self, comparison: Comparison) -> float:
-        """Offset over signal."""
-        return comparison.model.conditions.black_level / _rms(_gray(comparison))
-
-    def reason(self, model: Model) -> str:
-        """How much."""
-        return f"dark reads {model.conditions.black_level:.3g}"
-
-    def absent(self) -> str:
-        """Not asked for."""
-        return "dark reads zero"
+    def reading(self, values: Tensor, model: Model, generator: torch.Generator | None) -> Tensor:
+        """Rounded, with the gradient of the identity."""
+        del generator
+        return digitised(values, model.conditions.adc_bits, converter_range(model.conditions))

@@ -12,7 +12,11 @@ from dataclasses import dataclass
 import torch
 
 from veilcam_optics.camera.geometry import CHANNELS
+from veilcam_optics.effects.composition import beams
+from veilcam_optics.effects.light import zones
+from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
+from veilcam_optics.transfer.grid import sample_pitch
 
 _PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
 _NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}
@@ -52,7 +56,7 @@ def pairs(model: Model) -> tuple[int, int, int]:
     row_pairs = products = groups = 0
     rotated = model.conditions.rotation != 0
     shares = model.camera.sensor.channel_weights
-    beams = [beam.channel for beam in model.beams()]
+    channels = [beam.channel for beam in beams(model)]
     for channel in range(len(CHANNELS)):
         if not shares[channel] and not model.conditions.bayer:
             continue
@@ -65,7 +69,7 @@ def pairs(model: Model) -> tuple[int, int, int]:
             count = sum(by_offset[1 if dc < 0 else 0 :])
             if not count:
                 continue
-            parts = (2 if dc else 1) * beams.count(channel) * (3 if rotated else 1)
+            parts = (2 if dc else 1) * channels.count(channel) * (3 if rotated else 1)
             row_pairs += parts * count
             products += parts * count * (columns - abs(dc))
             groups += parts
@@ -74,7 +78,7 @@ def pairs(model: Model) -> tuple[int, int, int]:
 
 def nodes(model: Model) -> tuple[int, int]:
     """Integration nodes along y and x."""
-    image = model.scene.pixel_at_sensor(model.actual_camera)
+    image = model.scene.pixel_at_sensor(actual_camera(model))
     sensor, scene = model.camera.sensor, model.scene
     step = model.sampling.step
     # Python's integers do not overflow where a scene a mile wide meets a step of a picometre.
@@ -90,8 +94,8 @@ def cost(model: Model, batch: int) -> Cost:
         return _grid_cost(model, batch)
     scene, embedding, dtype = model.scene, model.embedding, model.sampling.dtype
     row_pairs, products, groups = pairs(model)
-    zones = model.zones()
-    down, across = len(zones), len(zones[0])
+    parts = zones(model)
+    down, across = len(parts), len(parts[0])
     offsets_y, offsets_x = scene.rows * embedding.rows, scene.columns * embedding.columns
     colours = len(CHANNELS) if model.conditions.bayer else 1
     matrix = colours * offsets_y * offsets_x
@@ -118,10 +122,9 @@ def cost(model: Model, batch: int) -> Cost:
         + moved / _NUMBERS_PER_MS[dtype]
         + calls / 3 * _CALL_MS
     )
-    beams = len(model.beams())
     nodes_y, nodes_x = nodes(model)
     rows, columns = model.camera.mask_shape
-    fields = beams * down * across * (nodes_y * rows + nodes_x * columns)
+    fields = len(beams(model)) * down * across * (nodes_y * rows + nodes_x * columns)
     build = 1.0 if not model.sampling.diffraction else fields / _FIELD_VALUES_PER_MS
     build += kernels / 2e4
     return Cost(step, build, numbers)
@@ -130,8 +133,8 @@ def cost(model: Model, batch: int) -> Cost:
 def _grid_cost(model: Model, batch: int) -> Cost:
     """One propagation per sample of light and channel, one convolution per scene and channel."""
     sensor, scene, dtype = model.camera.sensor, model.scene, model.sampling.dtype
-    pitch = 8 * sensor.pixel / model.sampling.oversampling
-    image = scene.pixel_at_sensor(model.actual_camera)
+    pitch = sample_pitch(model.camera, model.sampling.oversampling)
+    image = scene.pixel_at_sensor(actual_camera(model))
     rows, columns = model.camera.mask_shape
     panel = model.camera.panel
     angle, conditions = model.conditions.rotation, model.conditions
@@ -144,8 +147,8 @@ def _grid_cost(model: Model, batch: int) -> Cost:
     target = (sensor.height + scene.rows * image, sensor.width + scene.columns * image)
     padded = [math.ceil((a + b) / pitch) for a, b in zip(mask, target, strict=True)]
     cells = float(padded[0]) * padded[1]
-    lights = len(CHANNELS) * max(1, len(model.beams()) // len(CHANNELS))
-    lights *= sum(len(row) for row in model.zones())
+    lights = len(CHANNELS) * max(1, len(beams(model)) // len(CHANNELS))
+    lights *= sum(len(row) for row in zones(model))
     transform = 5 * cells * math.log2(max(cells, 2))
     multiplied = lights * 2 * transform
     series = [math.ceil(length / pitch) for length in target]

@@ -10,11 +10,15 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.effects.composition import beams, collected
+from veilcam_optics.effects.light import OffAxis, stretch, tangents, zones
+from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.plan.cost import nodes
-from veilcam_optics.plan.probe import MAX_VALUES, Probe, relative, scatter
+from veilcam_optics.plan.probe import MAX_VALUES, Probe, relative
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.sampling import Grid
+from veilcam_optics.transfer.grid import sample_pitch
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
@@ -27,7 +31,6 @@ _LEAST_TOLERANCE = 1e-5
 _MOST_SHELLS = 100
 """Farther reaches are not looked at: they would take longer to plan than to do without."""
 
-_SENSOR_PIXELS_PER_CELL = 8
 _GRID_ERROR, _GRID_ORDER = 0.035, 0.7
 """The grid's error is about 0.035 / oversampling^0.7, measured from 1 to 8: cells cut apertures."""
 
@@ -109,7 +112,7 @@ class ErrorModel:
             [[math.hypot(relative(part, total), down, across) for part in row] for row in sums],
             dtype=torch.float64,
         )
-        return Interferences(errors, scatter(total, used), used)
+        return Interferences(errors, collected(used, total, (1, 2)), used)
 
     @cached_property
     def full(self) -> Interferences:
@@ -165,6 +168,7 @@ class ErrorModel:
         return relative(self._samples(name, count), finest)
 
     def _samples(self, name: str, count: int) -> Tensor:
+        """Transfer at the kept offsets with so many samples of spectrum or depth."""
         changed = (
             self._near.with_sampling(wavelengths=count)
             if name == "wavelengths"
@@ -173,24 +177,24 @@ class ErrorModel:
         # Of all channels: their errors partly average out in a gray reading.
         return self._probe.transfer(changed)
 
-    def off_axis(self, zones: int | None) -> float:
+    def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
         model = self.model
-        y, x = model.tangents()
-        stretch_y, stretch_x = _stretch(y[:, None].expand(model.scene.shape), x)
-        used = replace(model, sampling=replace(model.sampling, zones=zones or 1))
+        y, x = tangents(model)
+        stretch_y, stretch_x = stretch(y[:, None].expand(model.scene.shape), x)
+        used = replace(model, sampling=replace(model.sampling, zones=count or 1))
         errors = torch.zeros(model.scene.shape, dtype=torch.float64)
-        for row in used.zones():
+        for row in zones(used):
             for zone in row:
                 here = (zone.rows, zone.columns)
                 for actual, taken, slope in (
                     (stretch_y, zone.stretch[0], self._slopes[0]),
                     (stretch_x, zone.stretch[1], self._slopes[1]),
                 ):
-                    reference = 1.0 if zones is None else taken
+                    reference = 1.0 if count is None else taken
                     errors[here] += (slope * (actual[here] / reference).log()).square()
-        fade = model.fade()
-        if zones is None:
+        fade = OffAxis().fade(model)
+        if count is None:
             errors = errors + (1 / fade - 1).square()
         return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
 
@@ -259,9 +263,9 @@ class ErrorModel:
 
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
-        camera, scene = self.model.actual_camera, self.model.scene
+        camera, scene = actual_camera(self.model), self.model.scene
         sensor, panel = camera.sensor, camera.panel
-        cell = _SENSOR_PIXELS_PER_CELL * sensor.pixel / oversampling
+        cell = sample_pitch(camera, oversampling)
         image = scene.pixel_at_sensor(camera)
         mask = Grid(
             math.ceil(camera.window.rows * panel.pitch_y / cell),
@@ -294,7 +298,7 @@ def shadow_error(model: Model, aperture: float) -> float:
     An edge blurs over ``sqrt(lambda d)``: that share of an aperture's light moves, and the pixels
     average it away in the same proportion. Measured within a factor of 2 from 20 um to 1 mm.
     """
-    camera = model.actual_camera
+    camera = actual_camera(model)
     sensor, embedding = camera.sensor, model.embedding
     box = max(
         min(sensor.height / embedding.rows, sensor.width / embedding.columns),
@@ -309,9 +313,9 @@ def fringe_step(model: Model, reach: Reach) -> float:
     The fringes of two points ``Delta`` apart have the period ``lambda d / Delta``; the aperture's
     own width adds to it. A pixel needs several nodes, too.
     """
-    camera = model.actual_camera
+    camera = actual_camera(model)
     panel, sensor, embedding = camera.panel, camera.sensor, model.embedding
-    shortest = min(beam.wavelength for beam in model.beams()) * camera.distance
+    shortest = min(beam.wavelength for beam in beams(model)) * camera.distance
     apart = max(
         panel.aperture_y + min(reach.rows, camera.window.rows - 1) * panel.pitch_y,
         panel.aperture_x + min(reach.columns, camera.window.columns - 1) * panel.pitch_x,
@@ -346,10 +350,3 @@ def _row_unit(camera: Camera) -> int:
             if any(a * b for a, b in zip(amplitudes, amplitudes[apart:], strict=False)):
                 return apart
     return 1
-
-
-def _stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-    """As :attr:`~veilcam_optics.effects.model.Zone.stretch`, for every scene pixel."""
-    squares = 1 + y.square() + x.square()
-    root = squares.sqrt()
-    return root / (1 - y.square() / squares), root / (1 - x.square() / squares)

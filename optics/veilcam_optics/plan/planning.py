@@ -13,9 +13,11 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
+from veilcam_optics import effects
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
-from veilcam_optics.effects import EFFECTS, Assessment, Model
+from veilcam_optics.effects import Assessment, Model
+from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import invalid, require_count
 from veilcam_optics.plan.cost import Cost, cost
@@ -119,9 +121,7 @@ def plan(
     require_count("batch", batch)
     error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
     complete = error_model.model
-    errors = {
-        effect.name: effect.error(error_model) for effect in EFFECTS if effect.present(complete)
-    }
+    errors = {effect.name: effect.error(error_model) for effect in present(complete)}
     model, made = settle_free(complete, errors, tolerance)
     choice, reached = search(error_model, model, errors, made=made, batch=batch, method=method)
     step, quadrature = error_model.quadrature(choice.model)
@@ -141,10 +141,11 @@ def plan(
 def _assess(
     complete: Model, chosen: Model, errors: dict[str, float], batch: int
 ) -> tuple[Assessment, ...]:
+    """Every effect: used or not in the chosen model, and what it costs there."""
     found = []
-    for effect in EFFECTS:
+    for effect in effects.EFFECTS:
         if effect.name not in errors:
-            found.append(Assessment(effect.name, False, 0.0, 0.0, effect.absent()))
+            found.append(Assessment(effect.name, False, 0.0, 0.0, effect.absent))
             continue
         used = effect.present(chosen) and effect.without(chosen) != chosen
         extra = cost(chosen, batch).step_ms - cost(effect.without(chosen), batch).step_ms

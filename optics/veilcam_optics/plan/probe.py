@@ -14,9 +14,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from veilcam_optics.effects.composition import beams, collected, shown
+from veilcam_optics.effects.mask import actual_camera, shifted
 from veilcam_optics.effects.model import Model
 from veilcam_optics.transfer.kernels import Axis
-from veilcam_optics.transfer.operator import Beam, Variables, make_axes
+from veilcam_optics.transfer.operator import Beam, make_axes
 
 _OFFSETS = 80
 """Offsets kept of each axis."""
@@ -48,19 +50,15 @@ class Probe:
 
     def axes(self, model: Model, beam: Beam) -> tuple[Axis, Axis]:
         """The axes of ``model``, reduced to the kept offsets."""
-        conditions = model.conditions
         scene = model.scene
         if beam.scene_distance is not None:
             scene = replace(scene, distance=beam.scene_distance)
         y, x = make_axes(
-            model.actual_camera,
+            actual_camera(model),
             scene,
             model.embedding,
             step=model.sampling.step,
-            variables=Variables(
-                shift_y=torch.tensor(conditions.shift_y, dtype=torch.float64),
-                shift_x=torch.tensor(conditions.shift_x, dtype=torch.float64),
-            ),
+            variables=shifted(model),
             approximation=model.approximation,
         )
         y.offsets, x.offsets = y.offsets[self.kept_y], x.offsets[self.kept_x]
@@ -86,7 +84,8 @@ class Probe:
 
         Fading over the field, rotation and the sensor are left out.
         """
-        return scatter(self.shells(model, channels, stretch).sum((0, 1)), model)
+        # The mean over what is kept stands for that over all.
+        return collected(model, self.shells(model, channels, stretch).sum((0, 1)), (1, 2))
 
     def rotated(self, model: Model) -> tuple[float, float]:
         """Relative L2 of ignoring the mask's rotation, and of counting it to first order.
@@ -95,9 +94,9 @@ class Probe:
         by ``angle x_c``; the light of each sub-pixel moves with it. The second order of that stands
         for what the first leaves out. Interference is left out.
         """
-        angle, camera = model.conditions.rotation, model.actual_camera
+        angle, camera = model.conditions.rotation, actual_camera(model)
         channel = self.channels(model)[0]
-        beam = next(b for b in model.beams() if b.channel == channel)
+        beam = next(b for b in beams(model) if b.channel == channel)
         middles: list[Tensor] = []
         orders: list[list[Tensor]] = []
         axes = self.axes(model, beam)
@@ -120,7 +119,7 @@ class Probe:
         (kernel_y, slope_y, curve_y), (kernel_x, slope_x, curve_x) = orders
         y, x = middles[0][:, None], middles[1]
         amplitudes = torch.tensor(camera.row_amplitudes(beam.channel), dtype=torch.float64)
-        squares = (model.shown(self.masks) * amplitudes[:, None]).square()
+        squares = (shown(model, self.masks) * amplitudes[:, None]).square()
         straight = kernel_y @ squares @ kernel_x.T
         first = kernel_y @ (squares * y) @ slope_x.T - slope_y @ (squares * x) @ kernel_x.T
         second = (
@@ -156,8 +155,8 @@ class Probe:
             len(self.kept_x),
             dtype=torch.float64,
         )
-        weights = model.shown(self.masks)
-        for beam in model.beams():
+        weights = shown(model, self.masks)
+        for beam in beams(model):
             if beam.channel not in used:
                 continue
             self._add(shells, model, beam, weights, stretch)
@@ -171,6 +170,7 @@ class Probe:
         weights: Tensor,
         stretch: tuple[float, float],
     ) -> None:
+        """Add one beam's light to every shell."""
         rows, columns = model.camera.mask_shape
         amplitudes = torch.tensor(model.camera.row_amplitudes(beam.channel), dtype=torch.float64)
         share = beam.share * model.camera.sensor.channel_weights[beam.channel]
@@ -195,7 +195,7 @@ class Probe:
     ) -> tuple[list[Tensor], list[Tensor]]:
         """Kernels of rows 0, 1, ... apart and of columns apart, kept: masks do not change them."""
         key = (
-            model.actual_camera,
+            actual_camera(model),
             model.conditions.shift_y,
             model.conditions.shift_x,
             model.approximation,
@@ -230,14 +230,6 @@ def relative(value: Tensor, reference: Tensor) -> float:
     if difference == 0:
         return 0.0
     return difference / size if size else 1.0
-
-
-def scatter(transfer: Tensor, model: Model) -> Tensor:
-    """The transfer with its stray light; the mean over what is kept stands for that over all."""
-    share = model.conditions.stray_light
-    if not share:
-        return transfer
-    return (1 - share) * transfer + share * transfer.mean((1, 2), keepdim=True)
 
 
 def _real_product(down: Tensor, pairs: Tensor, across: Tensor) -> Tensor:

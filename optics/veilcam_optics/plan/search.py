@@ -10,9 +10,10 @@ from itertools import product
 
 import torch
 
-from veilcam_optics.effects import EFFECTS, Effect, Model
-from veilcam_optics.effects.light import Depth, Diffraction, FilterLeakage, OffAxis, Spectrum
-from veilcam_optics.effects.mask import MaskRotation
+from veilcam_optics import effects
+from veilcam_optics.effects import Effect, Model
+from veilcam_optics.effects.light import Depth, Diffraction, OffAxis, Spectrum
+from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
@@ -58,7 +59,7 @@ def together(errors: Iterable[float]) -> float:
 def settle_free(model: Model, errors: Mapping[str, float], tolerance: float) -> tuple[Model, float]:
     """Switch off every free effect that hardly shows; return what is left, and the error made."""
     ignored = []
-    for effect in EFFECTS:
+    for effect in effects.EFFECTS:
         if effect.free and effect.name in errors and errors[effect.name] <= SPARE * tolerance:
             model = effect.without(model)
             ignored.append(errors[effect.name])
@@ -156,6 +157,7 @@ def _grids(
 
 
 def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, float]:
+    """A model with options chosen, and the error they leave together."""
     errors = [error]
     for option in chosen:
         base = option.change(base)
@@ -237,6 +239,7 @@ def _field(
 
 
 def _formats(error_model: ErrorModel, model: Model) -> list[Option]:
+    """Number formats, by what rounding costs in accuracy."""
     options = []
     for dtype in (torch.float32, torch.float64):
         error = error_model.rounding(_with_dtype(model, dtype))

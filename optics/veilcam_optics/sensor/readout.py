@@ -1,4 +1,4 @@
-"""From irradiance to what the camera reads: photons, electrons, numbers."""
+"""The sensor's way from irradiance to numbers: Bayer filter, counted photons, converter."""
 
 from __future__ import annotations
 
@@ -6,64 +6,32 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Sensor
-from veilcam_optics.camera.imperfections import Conditions
-from veilcam_optics.sensor.noise import shot_noise
 
 _MOST_COUNTED = 1e15
 """Electrons whose noise stands for that of any more: a count beyond 2^63 wraps around."""
 
 
-def read(
-    values: Tensor,
-    conditions: Conditions,
-    *,
-    shot: bool = True,
-    generator: torch.Generator | None = None,
-) -> Tensor:
-    """What the camera reads of noiseless embeddings.
-
-    Counting and rounding pass the gradient of the identity on (straight-through).
+def counted(electrons: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Whole photo-electrons as they arrive at random (Poisson), with the gradient of their mean.
 
     Args:
-        values: noiseless embeddings, (batch, ...), not negative.
-        conditions: noise, saturation, converter and offset.
-        shot: False leaves the photon noise out.
+        electrons: expected number, any shape; what is negative counts as none.
         generator: source of the random numbers.
-
-    Returns:
-        Readings in the unit of ``values``, same shape.
     """
-    if shot:
-        values = shot_noise(values, conditions.snr_db, generator)
-    if conditions.electrons:
-        electrons = values * conditions.electrons
-        if shot:
-            expected = electrons.detach().clamp(0, _MOST_COUNTED)
-            counted = torch.poisson(expected, generator=generator)
-            electrons = electrons + (counted - expected)
-        if conditions.read_noise:
-            noise = torch.randn(
-                electrons.shape, generator=generator, dtype=values.dtype, device=values.device
-            )
-            electrons = electrons + conditions.read_noise * noise
-        if conditions.full_well:
-            electrons = electrons.clamp_max(conditions.full_well)
-        values = electrons / conditions.electrons
-    values = values + conditions.black_level
-    if conditions.adc_bits:
-        step = converter_range(conditions) / (2**conditions.adc_bits - 1)
-        counts = (values.detach() / step).round().clamp(0, 2**conditions.adc_bits - 1)
-        values = values + (counts * step - values.detach())
-    return values
+    expected = electrons.detach().clamp(0, _MOST_COUNTED)
+    whole: Tensor = torch.poisson(expected, generator=generator)
+    return electrons + (whole - expected)
 
 
-def converter_range(conditions: Conditions) -> float:
-    """Embedding value at which the converter ends."""
-    if conditions.adc_range:
-        return conditions.adc_range
-    if conditions.full_well:
-        return conditions.full_well / conditions.electrons
-    return 1.0
+def digitised(values: Tensor, bits: int, ends: float) -> Tensor:
+    """Values rounded to the steps of a converter of ``bits`` bits from 0 to ``ends``, clipped.
+
+    The gradient is that of the identity.
+    """
+    most = (1 << bits) - 1
+    step = ends / most
+    counts = (values.detach() / step).round().clamp(0, most)
+    return values + (counts * step - values.detach())
 
 
 def bayer_shares(sensor: Sensor, embedding: Embedding) -> Tensor:

@@ -20,10 +20,9 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import TURN, unit_phasor
-from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid, area_average, coverage, fast_length
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.transfer.grid import SENSOR_PIXELS_PER_SAMPLE, GridLight
+from veilcam_optics.transfer.grid import SENSOR_PIXELS_PER_SAMPLE, GridLight, sample_pitch
 
 Resampling = Literal["bilinear", "area"]
 
@@ -66,7 +65,7 @@ class Algorithm1:
         return Grid.square(
             sensor.rows // SENSOR_PIXELS_PER_SAMPLE,
             sensor.columns // SENSOR_PIXELS_PER_SAMPLE,
-            sensor.pixel * SENSOR_PIXELS_PER_SAMPLE,
+            sample_pitch(self.camera),
         )
 
     def psf(self, weights: Tensor) -> Tensor:
@@ -75,21 +74,14 @@ class Algorithm1:
         Raises:
             OpticsError: If the weights have the wrong shape, are NaN, or leave [0, 1].
         """
-        light = GridLight(self.camera, self.scene, oversampling=1, dtype=weights.dtype)
-        return torch.stack(
-            [
-                PointSpread(
-                    light.mask_grid,
-                    self.grid,
-                    wavelength=wavelength,
-                    distance=self.camera.distance,
-                    scene_distance=self.scene.distance,
-                    propagator=AngularSpectrum(),
-                    dtype=light.spreads[channel].dtype,
-                )(light.mask(weights, channel))
-                for channel, wavelength in enumerate(self.camera.wavelengths)
-            ]
+        light = GridLight(
+            self.camera,
+            self.scene,
+            dtype=weights.dtype,
+            grid=self.grid,
+            propagator=AngularSpectrum(),
         )
+        return light.psf(weights)
 
     def object_plane(self, pictures: Tensor) -> Tensor:
         """Return pictures (..., rows, columns) as the grid sees them: resized, centred, inverted.
@@ -159,10 +151,12 @@ class Algorithm1:
         return shot_noise(small.clamp(min=0), self.snr_db, generator)
 
     def _object_samples(self) -> tuple[int, int]:
+        """Samples (rows, columns) that the scene's image covers."""
         side = self.scene.pixel_at_sensor(self.camera) / float(self.grid.pitch_y)
         return max(1, round(self.scene.rows * side)), max(1, round(self.scene.columns * side))
 
     def _shares(self, pixels: int, samples: int) -> Tensor:
+        """Share of each sample that each scene pixel's image covers, (samples, pixels)."""
         side = self.scene.pixel_at_sensor(self.camera)
         low = (torch.arange(pixels, dtype=torch.float64) - pixels / 2) * side
         return coverage(low, low + side, samples, float(self.grid.pitch_y)).mT

@@ -9,11 +9,15 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.effects.model import Model, Zone
+from veilcam_optics.effects import composition
+from veilcam_optics.effects.light import Zone, zones
+from veilcam_optics.effects.mask import actual_camera, shifted
+from veilcam_optics.effects.model import Model
+from veilcam_optics.effects.sensor import channel_shares
 from veilcam_optics.errors import OpticsError, invalid
-from veilcam_optics.sensor.readout import bayer_shares, read
-from veilcam_optics.simulation.rotated_mask import RotatedLight
-from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+from veilcam_optics.simulation.rotated_mask import RotatedMask
+from veilcam_optics.transfer.grid import GridLight, sample_pitch
+from veilcam_optics.transfer.operator import Reach, TransferOperator
 
 Response = tuple[Tensor, ...]
 """What a mask makes of the light; see :meth:`LightOperator.response`."""
@@ -26,23 +30,19 @@ class LightOperator(nn.Module):
     differentiable in scenes and weights.
     """
 
-    fade: Tensor
+    fade: Tensor | None
     shares: Tensor
 
     def __init__(self, model: Model) -> None:
         super().__init__()
         self.model = model
-        dtype, conditions = model.sampling.dtype, model.conditions
-        self._fades = conditions.off_axis > 0
-        self.register_buffer("fade", model.fade().to(dtype))
-        shares = torch.tensor(model.camera.sensor.channel_weights, dtype=torch.float64)
-        shares = shares[:, None, None].expand(-1, *model.embedding.shape)
-        if conditions.bayer:
-            shares = bayer_shares(model.camera.sensor, model.embedding)
-        self.register_buffer("shares", shares.to(dtype).contiguous())
-        self._parts = model.zones()
+        dtype = model.sampling.dtype
+        fade = composition.fade(model)
+        self.register_buffer("fade", None if fade is None else fade.to(dtype))
+        self.register_buffer("shares", channel_shares(model).to(dtype).contiguous())
+        self._parts = zones(model)
         self._zones: list[list[TransferOperator]] = []
-        self._grids: list[tuple[float, Zone, RotatedLight]] = []
+        self._grids: list[tuple[float, Zone, GridLight]] = []
         if model.sampling.method == "grid":
             self._grids = list(_grids(model))
         else:
@@ -72,9 +72,9 @@ class LightOperator(nn.Module):
             OpticsError: the method forms no matrix, or the mask has another shape or holds NaN.
         """
         transfer = self._transfer(weights)
-        if self._fades:
+        if self.fade is not None:
             transfer = self.fade.reshape(-1, 1) * transfer
-        return self._scatter(transfer, (1,))
+        return composition.collected(self.model, transfer, (1,))
 
     def embed(
         self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
@@ -92,9 +92,8 @@ class LightOperator(nn.Module):
         Raises:
             OpticsError: scenes or mask have another shape, or the mask holds NaN.
         """
-        model = self.model
         values = self.collect(scenes, self.response(weights))
-        return read(values, model.conditions, shot=model.sampling.shot, generator=generator)
+        return composition.read(self.model, values, generator)
 
     def response(self, weights: Tensor) -> Response:
         """What a mask makes of the light, for :meth:`collect` to use with many scenes.
@@ -113,8 +112,8 @@ class LightOperator(nn.Module):
         if self.has_transfer:
             return (self._transfer(weights),)
         check_weights(weights, self.model.camera)
-        shown = self.model.shown(weights.to(self.dtype))
-        return tuple(light.psf(shown) for _, _, light in self._grids) or (shown,)
+        shown = composition.shown(self.model, weights.to(self.dtype))
+        return tuple(light.psf_of_amplitudes(shown) for _, _, light in self._grids) or (shown,)
 
     def collect(self, scenes: Tensor, response: Response) -> Tensor:
         """The light on the sensor, without what the sensor makes of it.
@@ -133,17 +132,18 @@ class LightOperator(nn.Module):
             valid = f"(batch, *{self.model.scene.shape})"
             raise invalid("scenes.shape", tuple(scenes.shape), "", valid)
         scenes = scenes.to(self.dtype)
-        if self._fades:
+        if self.fade is not None:
             scenes = scenes * self.fade
-        return self._scatter(self._light(scenes, response), (1, 2))
+        return composition.collected(self.model, self._light(scenes, response), (1, 2))
 
     def _light(self, scenes: Tensor, response: Response) -> Tensor:
+        """Embeddings of scenes without stray light, by whichever method the model has."""
         shape = (len(scenes), *self.model.embedding.shape)
         if self.has_transfer:
             return (scenes.flatten(1) @ response[0]).reshape(shape)
         total = scenes.new_zeros(shape)
-        for row, zones in zip(self._parts, self._zones, strict=False):
-            for part, zone in zip(row, zones, strict=True):
+        for row, operators in zip(self._parts, self._zones, strict=False):
+            for part, zone in zip(row, operators, strict=True):
                 values = zone.embed_by_factors(
                     _cut(scenes, part, coloured=self.model.conditions.bayer), response[0]
                 )
@@ -155,9 +155,11 @@ class LightOperator(nn.Module):
             total = total + share * self._blurred(light, lit, psf)
         return total
 
-    def _blurred(self, light: RotatedLight, scenes: Tensor, psf: Tensor) -> Tensor:
+    def _blurred(self, light: GridLight, scenes: Tensor, psf: Tensor) -> Tensor:
+        """Gray embeddings of scenes by one sample of light on a grid."""
         if self.model.conditions.bayer:
-            values = light.embed_colour(scenes, psf, self.model.embedding)
+            coloured = scenes[:, None].expand(-1, len(CHANNELS), -1, -1)
+            values = light.embed_colour(coloured, psf, self.model.embedding)
             return (values * self.shares).sum(1)
         # Every pixel has the same share of each colour: one convolution does for all of them.
         return light.embed(scenes, psf, self.model.embedding)
@@ -166,18 +168,19 @@ class LightOperator(nn.Module):
         return (values * self.shares).sum(1) if self.model.conditions.bayer else values
 
     def _transfer(self, weights: Tensor) -> Tensor:
+        """The matrix of all zones, without fading and stray light."""
         if not self.has_transfer:
             method = self.model.sampling.method
             raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')
         check_weights(weights, self.model.camera)
-        shown = self.model.shown(weights.to(self.model.sampling.dtype))
+        shown = composition.shown(self.model, weights.to(self.model.sampling.dtype))
         rows = []
-        for row, zones in zip(self._parts, self._zones, strict=True):
+        for row, operators in zip(self._parts, self._zones, strict=True):
             parts = [
                 self._gray_transfer(zone(shown)).reshape(
                     part.rows.stop - part.rows.start, part.columns.stop - part.columns.start, -1
                 )
-                for part, zone in zip(row, zones, strict=True)
+                for part, zone in zip(row, operators, strict=True)
             ]
             rows.append(parts[0] if len(parts) == 1 else torch.cat(parts, dim=1))
         transfer = rows[0] if len(rows) == 1 else torch.cat(rows)
@@ -188,12 +191,6 @@ class LightOperator(nn.Module):
             return transfer
         return torch.einsum("cpe,ce->pe", transfer, self.shares.flatten(1))
 
-    def _scatter(self, values: Tensor, axes: tuple[int, ...]) -> Tensor:
-        share = self.model.conditions.stray_light
-        if not share:
-            return values
-        return (1 - share) * values + share * values.mean(axes, keepdim=True)
-
 
 def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
     scenes = scenes[:, part.rows, part.columns]
@@ -202,7 +199,7 @@ def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
 
 def _zone(model: Model, zone: Zone) -> TransferOperator:
     """The operator of one zone: that of a smaller scene, off the axis."""
-    camera, scene = model.actual_camera, model.scene
+    camera, scene = actual_camera(model), model.scene
     part = replace(
         scene,
         rows=zone.rows.stop - zone.rows.start,
@@ -223,24 +220,29 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
         step=model.sampling.step,
         colour=model.conditions.bayer,
         dtype=model.sampling.dtype,
-        variables=Variables(
-            shift_y=torch.tensor(model.conditions.shift_y, dtype=torch.float64),
-            shift_x=torch.tensor(model.conditions.shift_x, dtype=torch.float64),
-        ),
+        variables=shifted(model),
         centre=(centre_y, centre_x),
-        beams=[replace(beam, share=beam.share * area) for beam in model.beams(zone)],
+        beams=[replace(beam, share=beam.share * area) for beam in composition.beams(model, zone)],
         approximation=model.approximation,
         rotation=model.conditions.rotation,
     )
 
 
-def _grids(model: Model) -> list[tuple[float, Zone, RotatedLight]]:
+def _grids(model: Model) -> list[tuple[float, Zone, GridLight]]:
     """(share, zone, light) for every sample of spectrum, depth and field."""
     lights = []
-    for row in model.zones():
+    mask = RotatedMask(
+        model.camera,
+        sample_pitch(model.camera, model.sampling.oversampling),
+        rotation=model.conditions.rotation,
+        shift_y=model.conditions.shift_y,
+        shift_x=model.conditions.shift_x,
+        dtype=model.sampling.dtype,
+    )
+    for row in zones(model):
         for zone in row:
             by_channel = [
-                [beam for beam in model.beams(zone) if beam.channel == channel]
+                [beam for beam in composition.beams(model, zone) if beam.channel == channel]
                 for channel in range(len(CHANNELS))
             ]
             most = max(by_channel, key=len)
@@ -253,20 +255,18 @@ def _grids(model: Model) -> list[tuple[float, Zone, RotatedLight]]:
                 distance = sample.scene_distance
                 scene = model.scene
                 camera = replace(
-                    model.actual_camera,
+                    actual_camera(model),
                     wavelengths=tuple(
                         float(beam.wavelength) * (beam.stretch[0] * beam.stretch[1]) ** 0.5
                         for beam in beams
                     ),
                 )
-                light = RotatedLight(
+                light = GridLight(
                     camera,
                     scene if distance is None else replace(scene, distance=distance),
-                    rotation=model.conditions.rotation,
-                    shift_y=model.conditions.shift_y,
-                    shift_x=model.conditions.shift_x,
                     oversampling=model.sampling.oversampling,
                     dtype=model.sampling.dtype,
+                    mask=mask,
                 )
                 lights.append((sample.share, zone, light))
     return lights

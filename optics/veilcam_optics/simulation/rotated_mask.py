@@ -1,4 +1,4 @@
-"""The grid path for a mask that is shifted and turned by any angle."""
+"""A mask that is shifted and turned by any angle, on a grid."""
 
 from __future__ import annotations
 
@@ -7,13 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
-from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.propagation import AngularSpectrum
-from veilcam_optics.propagation.base import complex_type
-from veilcam_optics.propagation.psf import PointSpread
-from veilcam_optics.propagation.sampling import Grid, as_float, axis, covering_grid
-from veilcam_optics.transfer.grid import GridLight
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.propagation.sampling import axis, covering_grid
 
 _SAMPLES_PER_CELL = 5
 
@@ -81,68 +76,6 @@ class RotatedMask:
         """Amplitudes on ``grid`` of ``weights``, the mask's; differentiable."""
         amplitudes: Tensor = self._matrix @ weights.reshape(-1, 1)
         return amplitudes.reshape(self.grid.shape)
-
-
-class RotatedLight:
-    """Light through a turned and shifted mask, from mask to embedding, on a grid."""
-
-    def __init__(
-        self,
-        camera: Camera,
-        scene: Scene,
-        *,
-        rotation: float,
-        shift_y: float,
-        shift_x: float,
-        oversampling: float,
-        dtype: torch.dtype,
-    ) -> None:
-        self.camera, self.dtype = camera, dtype
-        self._light = GridLight(camera, scene, oversampling=oversampling, dtype=dtype)
-        target: Grid = self._light.grid
-        self._mask = RotatedMask(
-            camera,
-            as_float(target.pitch_y),
-            rotation=rotation,
-            shift_y=shift_y,
-            shift_x=shift_x,
-            dtype=dtype,
-        )
-        self._spreads = [
-            PointSpread(
-                self._mask.grid,
-                target,
-                wavelength=wavelength,
-                distance=camera.distance,
-                scene_distance=scene.distance,
-                propagator=AngularSpectrum(padding="reach"),
-                dtype=complex_type(dtype),
-            )
-            for wavelength in camera.wavelengths
-        ]
-
-    def psf(self, weights: Tensor) -> Tensor:
-        """Point spread function of each channel, (3, rows, columns); differentiable."""
-        check_weights(weights, self.camera)
-        weights = weights.to(self.dtype)
-        return torch.stack(
-            [
-                spread(self._mask(weights * self._passed(channel)))
-                for channel, spread in enumerate(self._spreads)
-            ]
-        )
-
-    def embed(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
-        """Gray embeddings of gray scenes, (batch, rows, columns)."""
-        return self._light.embed(scenes, psf, embedding)
-
-    def embed_colour(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
-        """Embeddings of gray scenes through each channel, (batch, 3, rows, columns)."""
-        repeated = scenes[:, None].expand(-1, len(CHANNELS), -1, -1)
-        return self._light.embed_colour(repeated, psf, embedding)
-
-    def _passed(self, channel: int) -> Tensor:
-        return torch.tensor(self.camera.row_amplitudes(channel), dtype=self.dtype)[:, None]
 
 
 def _aperture(position: Tensor, count: int, pitch: float, width: float) -> tuple[Tensor, Tensor]:

@@ -7,21 +7,85 @@ PSF and averaged over embedding pixels (the paper's Algorithm 1 with exact areas
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.errors import invalid, require_positive
-from veilcam_optics.propagation import AngularSpectrum
+from veilcam_optics.propagation import AngularSpectrum, GeometricShadow, Propagator
 from veilcam_optics.propagation.base import TURN, complex_type, unit_phasor
-from veilcam_optics.propagation.psf import PointSpread
-from veilcam_optics.propagation.sampling import as_float, coverage, covering_grid, fast_length
+from veilcam_optics.propagation.psf import AT_INFINITY, PointSpread
+from veilcam_optics.propagation.sampling import (
+    Grid,
+    as_float,
+    coverage,
+    covering_grid,
+    fast_length,
+)
 
 SENSOR_PIXELS_PER_SAMPLE = 8
 """Sensor pixels per grid sample at oversampling 1: the paper's simulation grid."""
 
 _SCENES_AT_ONCE = 8
+_PADDED_BY_REACH = AngularSpectrum(padding="reach")
+
+
+def sample_pitch(camera: Camera, oversampling: float = 1) -> float:
+    """Side of a sample, ``oversampling`` of which are as long as 8 sensor pixels [m]."""
+    return SENSOR_PIXELS_PER_SAMPLE * camera.sensor.pixel / oversampling
+
+
+class MaskOnGrid(Protocol):
+    """From the amplitudes of sub-pixels to those of the cells of a grid."""
+
+    grid: Grid
+
+    def __call__(self, weights: Tensor) -> Tensor:
+        """Amplitudes on ``grid`` of amplitudes of ``camera.mask_shape``; linear."""
+
+
+class SampledMask:
+    """A mask in its place as amplitudes on a grid, dead space included.
+
+    A cell covered in part gets the root of its share as amplitude, so that the power through it is
+    exact. The share itself would lose power at every edge: 4 % of the ST7735R's at oversampling 2,
+    ten times what is left of the error this way.
+
+    Args:
+        camera: panel and window.
+        grid: its cells; see :func:`mask_grid` for the smallest.
+        dtype: of the amplitudes.
+        device: where tensors live.
+    """
+
+    def __init__(
+        self, camera: Camera, grid: Grid, dtype: torch.dtype, device: torch.device | None = None
+    ) -> None:
+        self.grid = grid
+        self._rows, self._columns = (
+            _apertures(centres, width, cells, as_float(pitch)).to(device=device, dtype=dtype)
+            for centres, width, cells, pitch in (
+                (camera.row_centres, camera.panel.aperture_y, grid.rows, grid.pitch_y),
+                (camera.column_centres, camera.panel.aperture_x, grid.columns, grid.pitch_x),
+            )
+        )
+
+    def __call__(self, weights: Tensor) -> Tensor:
+        """Amplitudes on ``grid``; differentiable."""
+        return self._rows @ weights @ self._columns.mT
+
+
+def mask_grid(camera: Camera, pitch: float) -> Grid:
+    """The smallest grid of cells of side ``pitch`` [m] that holds the mask."""
+    window, panel = camera.window, camera.panel
+    return covering_grid(
+        (window.rows - 1) * panel.pitch_y + panel.aperture_y,
+        (window.columns - 1) * panel.pitch_x + panel.aperture_x,
+        pitch,
+    )
 
 
 class GridLight:
@@ -29,7 +93,6 @@ class GridLight:
 
     Attributes:
         grid: Where the PSF is sampled; it covers the sensor plus the scene's geometric image.
-        mask_grid: Where the field right behind the mask is sampled.
         spreads: From a transmittance on ``mask_grid`` to its PSF, one per channel.
     """
 
@@ -40,6 +103,10 @@ class GridLight:
         oversampling: float = 2,
         dtype: torch.dtype = torch.float64,
         device: torch.device | None = None,
+        *,
+        grid: Grid | None = None,
+        mask: MaskOnGrid | None = None,
+        propagator: Propagator = _PADDED_BY_REACH,
     ) -> None:
         """Prepare everything that does not depend on the mask.
 
@@ -49,6 +116,9 @@ class GridLight:
             oversampling: Grid samples per 8 sensor pixels; 2 is within 0.5 % at the embedding.
             dtype: torch.float32 or torch.float64, of weights, PSF and embeddings.
             device: Where tensors live.
+            grid: Where the PSF is sampled, in square cells; None for what ``oversampling`` gives.
+            mask: How the mask lies on its grid; None for the panel in its place.
+            propagator: From the mask to the sensor.
 
         Raises:
             OpticsError: If ``oversampling`` is not positive or ``dtype`` is no real float type.
@@ -56,41 +126,30 @@ class GridLight:
         require_positive("oversampling", oversampling, "")
         self.camera, self.scene, self.dtype = camera, scene, dtype
         self.device = device or torch.device("cpu")
-        pitch = SENSOR_PIXELS_PER_SAMPLE * camera.sensor.pixel / oversampling
-        side = scene.pixel_at_sensor(camera)
-        # The margin holds the ripple at the edges of the Fourier series away from the sensor.
-        margin = 8 * pitch
-        self.grid = covering_grid(
-            camera.sensor.height + scene.rows * side + margin,
-            camera.sensor.width + scene.columns * side + margin,
-            pitch,
+        self.grid = grid or _sensor_grid(camera, scene, sample_pitch(camera, oversampling))
+        self._mask = mask or SampledMask(
+            camera, mask_grid(camera, as_float(self.grid.pitch_y)), dtype, self.device
         )
-        panel = camera.panel
-        self.mask_grid = covering_grid(
-            (camera.window.rows - 1) * panel.pitch_y + panel.aperture_y,
-            (camera.window.columns - 1) * panel.pitch_x + panel.aperture_x,
-            pitch,
-        )
-        # A cell covered in part gets the root of its share as amplitude, so that the power through
-        # it is exact. The share itself would lose power at every edge: 4 % of the ST7735R's at
-        # oversampling 2, ten times what is left of the error this way.
-        rows = _apertures(camera.row_centres, panel.aperture_y, self.mask_grid.rows, pitch)
-        columns = _apertures(camera.column_centres, panel.aperture_x, self.mask_grid.columns, pitch)
-        self._rows = rows.to(device=self.device, dtype=dtype)
-        self._columns = columns.to(device=self.device, dtype=dtype)
+        # A shadow takes the mask alone: it knows where the light comes from.
+        shadow = isinstance(propagator, GeometricShadow)
         self.spreads = tuple(
             PointSpread(
                 self.mask_grid,
                 self.grid,
                 wavelength=wavelength,
                 distance=camera.distance,
-                scene_distance=scene.distance,
-                propagator=AngularSpectrum(padding="reach"),
+                scene_distance=AT_INFINITY if shadow else scene.distance,
+                propagator=propagator,
                 dtype=complex_type(dtype),
                 device=self.device,
             )
             for wavelength in camera.wavelengths
         )
+
+    @property
+    def mask_grid(self) -> Grid:
+        """Where the field right behind the mask is sampled."""
+        return self._mask.grid
 
     def mask(self, weights: Tensor, channel: int) -> Tensor:
         """Return the transmittance that ``channel`` sees on ``mask_grid``, dead space included.
@@ -103,9 +162,7 @@ class GridLight:
         Raises:
             OpticsError: If the weights have the wrong shape, are NaN, or leave [0, 1].
         """
-        passed = torch.tensor(self.camera.row_amplitudes(channel), dtype=self.dtype)
-        filtered = self._checked(weights) * passed.to(self.device)[:, None]
-        return self._rows @ filtered @ self._columns.mT
+        return self._filtered(self._checked(weights), channel)
 
     def psf(self, weights: Tensor) -> Tensor:
         """Return the irradiance at the sensor from an on-axis scene point, one per channel.
@@ -120,7 +177,13 @@ class GridLight:
         Raises:
             OpticsError: If the weights have the wrong shape, are NaN, or leave [0, 1].
         """
-        return torch.stack([spread(self.mask(weights, c)) for c, spread in enumerate(self.spreads)])
+        return self.psf_of_amplitudes(self._checked(weights))
+
+    def psf_of_amplitudes(self, amplitudes: Tensor) -> Tensor:
+        """As :meth:`psf`, of what a panel shows: finite, but not held to [0, 1]."""
+        return torch.stack(
+            [spread(self._filtered(amplitudes, c)) for c, spread in enumerate(self.spreads)]
+        )
 
     def embed(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
         """Return the gray embeddings of gray scenes.
@@ -210,6 +273,10 @@ class GridLight:
         pixel_box = torch.sinc(frequency * extent / count).to(self.dtype)
         return ramp_in * scene_box[:, None], ramp_out * pixel_box
 
+    def _filtered(self, amplitudes: Tensor, channel: int) -> Tensor:
+        passed = torch.tensor(self.camera.row_amplitudes(channel), dtype=self.dtype)
+        return self._mask(amplitudes * passed.to(self.device)[:, None])
+
     def _checked(self, weights: Tensor) -> Tensor:
         """Return the weights in this object's type; only counts are told, they are a secret."""
         check_weights(weights, self.camera)
@@ -222,6 +289,18 @@ class GridLight:
         wanted = (len(CHANNELS), *self.grid.shape)
         if tuple(psf.shape) != wanted:
             raise invalid("psf.shape", tuple(psf.shape), "", f"{wanted}, as psf(weights) gives it")
+
+
+def _sensor_grid(camera: Camera, scene: Scene, pitch: float) -> Grid:
+    """What covers the sensor plus the scene's geometric image."""
+    side = scene.pixel_at_sensor(camera)
+    # The margin holds the ripple at the edges of the Fourier series away from the sensor.
+    margin = 8 * pitch
+    return covering_grid(
+        camera.sensor.height + scene.rows * side + margin,
+        camera.sensor.width + scene.columns * side + margin,
+        pitch,
+    )
 
 
 def _centres(count: int, pitch: float, device: torch.device) -> Tensor:

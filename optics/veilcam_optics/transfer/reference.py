@@ -9,7 +9,7 @@ and meant to be: it says how wrong the fast ways are.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import torch
 from torch import Tensor
@@ -17,11 +17,10 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.errors import require_count
+from veilcam_optics.propagation.base import complex_type
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.transfer.factored import aperture_fields
-
-SENSOR_PIXELS_PER_SAMPLE = 8
-"""Sensor pixels per cell at oversampling 1: the paper's simulation grid, 12.4 um."""
+from veilcam_optics.transfer.grid import sample_pitch
 
 _ROWS_AT_ONCE = 128
 
@@ -123,7 +122,7 @@ def reference_transfer(
     """
     check_weights(weights, camera)
     require_count("oversampling", oversampling)
-    pitch = SENSOR_PIXELS_PER_SAMPLE * camera.sensor.pixel / oversampling
+    pitch = sample_pitch(camera, oversampling)
     image = scene.pixel_at_sensor(camera)
     shape = (
         math.ceil((camera.sensor.height + scene.rows * image) / pitch),
@@ -187,6 +186,61 @@ def reference_psf(
     return psf
 
 
+def sampled_psf(
+    camera: Camera, scene: Scene, grid: Grid, dtype: torch.dtype
+) -> Callable[[Tensor], Tensor]:
+    """The point spread function of an on-axis scene point at a grid's points, made for many masks.
+
+    Args:
+        camera: geometry, filters and wavelengths.
+        scene: gives the distance of the point.
+        grid: where the irradiance is wanted.
+        dtype: torch.float32 or torch.float64.
+
+    Returns:
+        From weights (``camera.mask_shape``) to the irradiance (3, rows, columns), relative to that
+        at the mask.
+    """
+    field_type = complex_type(dtype)
+    fields = []
+    for channel in range(len(CHANNELS)):
+        open_rows, amplitudes, along_y, along_x = _fields(camera, scene, grid, channel)
+        along_y = (along_y * amplitudes).to(field_type)
+        fields.append((open_rows, along_y, along_x.to(field_type).T))
+
+    def psf(weights: Tensor) -> Tensor:
+        channels = []
+        for open_rows, along_y, along_x in fields:
+            field = along_y @ (weights[open_rows].to(field_type) @ along_x)
+            channels.append(field.real.square() + field.imag.square())
+        return torch.stack(channels)
+
+    return psf
+
+
+def _fields(
+    camera: Camera, scene: Scene, grid: Grid, channel: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Rows that pass a channel, their amplitudes, and F and G of these rows and all columns."""
+    amplitudes = torch.tensor(camera.row_amplitudes(channel), dtype=torch.float64)
+    open_rows = amplitudes.nonzero().flatten()
+    field_y, field_x = (
+        aperture_fields(
+            nodes,
+            torch.tensor(centres, dtype=torch.float64),
+            width,
+            wavelength=camera.wavelengths[channel],
+            source_distance=scene.distance,
+            distance=camera.distance,
+        )
+        for nodes, centres, width in (
+            (grid.y(), camera.row_centres, camera.panel.aperture_y),
+            (grid.x(), camera.column_centres, camera.panel.aperture_x),
+        )
+    )
+    return open_rows, amplitudes[open_rows], field_y[:, open_rows], field_x
+
+
 def _irradiance(
     camera: Camera,
     scene: Scene,
@@ -199,25 +253,10 @@ def _irradiance(
     """Yield |U|^2 of some rows of the grid at a time, summed over channels with their shares."""
     spreads = []
     for channel in channels:
-        amplitudes = torch.tensor(camera.row_amplitudes(channel), dtype=torch.float64)
-        open_rows = amplitudes.nonzero().flatten()
-        field_y, field_x = (
-            aperture_fields(
-                nodes,
-                torch.tensor(centres, dtype=torch.float64),
-                width,
-                wavelength=camera.wavelengths[channel],
-                source_distance=scene.distance,
-                distance=camera.distance,
-            )
-            for nodes, centres, width in (
-                (grid.y(), camera.row_centres, camera.panel.aperture_y),
-                (grid.x(), camera.column_centres, camera.panel.aperture_x),
-            )
-        )
-        scale = amplitudes[open_rows, None] * math.sqrt(shares[channel])
+        open_rows, amplitudes, rows_field, field_x = _fields(camera, scene, grid, channel)
+        scale = amplitudes[:, None] * math.sqrt(shares[channel])
         passed = scale * weights.detach().double()[open_rows]
-        rows_field, spread = field_y[:, open_rows], passed.to(field_x.dtype) @ field_x.T
+        spread = passed.to(field_x.dtype) @ field_x.T
         # Real products of (re, im) run three times faster than one complex product.
         left_re = torch.cat([rows_field.real, -rows_field.imag], dim=1)
         left_im = torch.cat([rows_field.imag, rows_field.real], dim=1)

@@ -11,8 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +21,9 @@ from veilcam_server.devices.base import Display, Levels, Shown
 from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.spi import Lines, Spi, open_bus
+from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, TABS, Tab
 from veilcam_server.settings import Wiring
 
-PIXEL_COLUMNS, PIXEL_ROWS, COLOURS = 128, 160, 3
 FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS
 """Bytes of all visible pixels in 6-6-6."""
 MOST_PER_SECOND = 15_151_515
@@ -33,40 +32,6 @@ MOST_PER_SECOND = 15_151_515
 _BITS = 2
 """Of every byte, the two lowest carry nothing in 6-6-6."""
 _OPAQUE = bytes(4096)
-
-
-@dataclass(frozen=True, slots=True)
-class Tab:
-    """How a maker joined glass and controller; the colour of the protective film's tab tells.
-
-    Attributes:
-        name: of the tab.
-        column: address of the first visible pixel column.
-        row: address of the first visible pixel row.
-        memory: columns and rows of the controller that its GM pins choose to use.
-        filters: colours of the sub-pixels of one pixel, in the order of the source lines. A panel
-            with the order BGR is mounted turned by 180 degrees, so that R, G and B follow each
-            other down the mask on both.
-    """
-
-    name: str
-    column: int
-    row: int
-    memory: tuple[int, int]
-    filters: Literal["RGB", "BGR"]
-
-
-TABS: Final = MappingProxyType(
-    {
-        tab.name: tab
-        for tab in (
-            Tab("red", 0, 0, (128, 160), "BGR"),
-            Tab("black", 0, 0, (128, 160), "RGB"),
-            Tab("green", 2, 1, (132, 162), "BGR"),
-        )
-    }
-)
-"""Tabs by name. A wrong one shifts or swaps the mask, which is then another key."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
 from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
-from veilcam_optics.effects.model import Zone
+from veilcam_optics.effects.light import OffAxis, Zone
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.cost import pairs
@@ -57,9 +57,9 @@ CALLED = {
     ),
     "depth layers": Called(Conditions(depth_range=0.1)),
     "off-axis field": Called(Conditions(off_axis=0.3)),
+    "mask quantisation": Called(Conditions(levels=16)),
     "mask gamma": Called(Conditions(gamma=1.1)),
     "contrast floor": Called(Conditions(contrast_floor=0.05)),
-    "mask quantisation": Called(Conditions(levels=16)),
     "mask shift": Called(Conditions(shift_y=1e-5, shift_x=-2e-5)),
     "mask rotation": Called(Conditions(rotation=10e-3)),
     "distance error": Called(Conditions(distance_error=5e-5)),
@@ -69,8 +69,8 @@ CALLED = {
     "shot noise": Called(COUNTED),
     "read noise": Called(replace(COUNTED, read_noise=100.0)),
     "full well": Called(replace(COUNTED, full_well=1e4)),
-    "ADC": Called(Conditions(adc_bits=4)),
     "black level": Called(Conditions(black_level=0.01)),
+    "ADC": Called(Conditions(adc_bits=4)),
 }
 
 
@@ -172,7 +172,7 @@ def test_it_is_off_in_an_ordinary_scene(effect: Effect) -> None:
         assert not found.matters
         assert found.error == 0
         assert found.cost_ms == 0
-        assert found.reason == effect.absent()
+        assert found.reason == effect.absent
 
 
 @pytest.mark.parametrize(
@@ -328,7 +328,7 @@ def test_oblique_light_spreads_as_the_distance_bends() -> None:
 def test_field_fades_with_the_fourth_power_of_the_cosine() -> None:
     angle = 0.3
     called = Called(Conditions(off_axis=angle))
-    fade = model_of(called).fade()
+    fade = OffAxis().fade(model_of(called))
     # The outermost row's centre lies at 4/5 of the way to the upper edge.
     tangent = 0.8 * math.tan(angle)
     beside = math.tan(angle) * 0.2
@@ -463,7 +463,7 @@ def test_conditions_that_do_not_fit_the_camera_are_named(
         ({"dtype": torch.float16}, "sampling.dtype"),
     ],
 )
-def test_impossible_dials_are_named(sampling: dict[str, object], message: str) -> None:
+def test_impossible_samplings_are_named(sampling: dict[str, object], message: str) -> None:
     with pytest.raises(OpticsError, match=message):
         Sampling(**sampling)  # type: ignore[arg-type]
 

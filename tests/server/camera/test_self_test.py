@@ -29,7 +29,8 @@ from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
 from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 from veilcam_server.devices.simulated.scenes import Scenes
-from veilcam_server.devices.st7735r import ST7735R, TABS
+from veilcam_server.devices.st7735r import ST7735R
+from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
 from veilcam_server.masks.source import Mask
 

@@ -26,7 +26,7 @@ from veilcam_server.devices.raw import Raw
 from veilcam_server.devices.registry import open_device
 from veilcam_server.devices.simulated.panel import Faults, PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
-from veilcam_server.devices.st7735r import TABS
+from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 

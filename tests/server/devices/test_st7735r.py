@@ -11,7 +11,8 @@ import pytest
 from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
 from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
-from veilcam_server.devices.st7735r import FULL_FRAME, MOST_PER_SECOND, ST7735R, TABS, Tab
+from veilcam_server.devices.st7735r import FULL_FRAME, MOST_PER_SECOND, ST7735R
+from veilcam_server.devices.st7735r_glass import TABS, Tab
 
 from .clock import Clock
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.st7735r import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, Tab
+from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, Tab
 
 _Bytes = npt.NDArray[np.uint8]
 Shown = npt.NDArray[np.float32]

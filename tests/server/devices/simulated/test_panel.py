@@ -8,7 +8,7 @@ import pytest
 from tests.server.devices.clock import Clock
 
 from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
-from veilcam_server.devices.st7735r import TABS
+from veilcam_server.devices.st7735r_glass import TABS
 
 AT_ONCE, SOUND = Crystal(scan=0.0), Faults()
 

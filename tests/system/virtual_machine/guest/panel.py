@@ -17,7 +17,8 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices import st7735r
 from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.spi import LinuxLines, LinuxSpi
-from veilcam_server.devices.st7735r import ST7735R, TABS
+from veilcam_server.devices.st7735r import ST7735R
+from veilcam_server.devices.st7735r_glass import TABS
 
 from .prepare import DATA, LABEL, RESET, SHARED, SPI
 

@@ -1,0 +1,77 @@
+"""What all effects of a model do together, stage by stage, each where it is present alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from veilcam_optics import effects
+from veilcam_optics.effects.base import Effect
+from veilcam_optics.effects.light import Zone
+from veilcam_optics.effects.model import Model
+from veilcam_optics.transfer.operator import Beam
+
+
+def present(model: Model) -> Iterator[Effect]:
+    """The effects that a model has."""
+    return (effect for effect in effects.EFFECTS if effect.present(model))
+
+
+def beams(model: Model, zone: Zone | None = None) -> list[Beam]:
+    """What each channel adds up: samples of its spectrum times samples of the depth."""
+    stretch = (1.0, 1.0) if zone is None else zone.stretch
+    wavelengths = enumerate(model.camera.wavelengths)
+    found = [Beam(channel, wavelength, stretch=stretch) for channel, wavelength in wavelengths]
+    for effect in present(model):
+        found = effect.beams(found, model)
+    return found
+
+
+def shown(model: Model, weights: Tensor) -> Tensor:
+    """Amplitudes that the panel shows when it is told ``weights``, same shape."""
+    for effect in present(model):
+        weights = effect.shown(weights, model)
+    return weights
+
+
+def fade(model: Model) -> Tensor | None:
+    """Share of the light that each scene pixel keeps, float64 (rows, columns); None: all."""
+    total = None
+    for effect in present(model):
+        own = effect.fade(model)
+        if own is not None:
+            total = own if total is None else total * own
+    return total
+
+
+def collected(model: Model, values: Tensor, axes: tuple[int, ...]) -> Tensor:
+    """The light on the sensor; embedding pixels run along ``axes`` of ``values``."""
+    for effect in present(model):
+        values = effect.collected(values, axes, model)
+    return values
+
+
+def read(model: Model, values: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """What the camera reads of noiseless embeddings.
+
+    Counting and rounding pass the gradient of the identity on (straight-through).
+
+    Args:
+        model: gives noise, saturation, converter and offset.
+        values: noiseless embeddings, (batch, ...), not negative.
+        generator: source of the random numbers.
+
+    Returns:
+        Readings in the unit of ``values``, same shape.
+    """
+    scale = model.conditions.electrons
+    if scale:
+        electrons = values * scale
+        for effect in present(model):
+            electrons = effect.electrons(electrons, model, generator)
+        values = electrons / scale
+    for effect in present(model):
+        values = effect.reading(values, model, generator)
+    return values
