@@ -27,7 +27,6 @@ from veilcam_training.bundle import build_classifier, classifier_inputs, read_bu
 from veilcam_training.cli.main import app
 from veilcam_training.config.fresh import (
     TASKS,
-    Augmentation,
     FreshSettings,
     Misalignment,
     find_settings,
@@ -41,8 +40,6 @@ from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
 from veilcam_training.models.fresh import make_fresh_layers, multiplications
 from veilcam_training.trainer.fresh_evaluation import evaluate_fresh
 from veilcam_training.trainer.fresh_loop import FreshFit, fit_fresh
-from veilcam_training.transforms.augment import augment
-from veilcam_training.transforms.placement import Placement
 
 CAMERA = Camera(window=Window(rows=18, columns=9))
 FEW = Misalignment(panels=2)
@@ -343,28 +340,6 @@ def test_learned_range_and_its_published_distribution_agree() -> None:
     assert bool(masks.centre.grad.isfinite().all())
 
 
-def test_placement_anywhere_covers_the_field_of_view() -> None:
-    placement = Placement.anywhere(Scene(), CAMERA, multiple=2)
-    assert placement.scene.shape == (110, 146)
-    pixel = placement.scene.pixel_at_sensor(CAMERA)
-    assert pixel == pytest.approx(Scene().pixel_at_sensor(CAMERA))
-    assert abs(110 * pixel - CAMERA.sensor.height) < pixel
-    generator = torch.Generator().manual_seed(0)
-    images = torch.rand(500, 28, 28, generator=generator) + 0.1
-    scenes = placement.place(images, generator)
-    assert scenes.shape == (500, 110, 146)
-    assert torch.allclose(scenes.sum((1, 2)), images.sum((1, 2)), rtol=1e-4)
-    lit = scenes > 0
-    tops = lit.any(2).float().argmax(1)
-    lefts = lit.any(1).float().argmax(1)
-    assert (int(tops.min()), int(tops.max())) == (0, 82)
-    assert (int(lefts.min()), int(lefts.max())) == (0, 118)
-    for scene, image, top, left in zip(scenes, images, tops, lefts, strict=True):
-        assert torch.equal(scene[top : top + 28, left : left + 28], image)
-    centred = Placement.centred(Scene())
-    assert torch.equal(centred.place(images, generator), images)
-
-
 def test_pooling_keeps_the_scene_and_its_size() -> None:
     scene = pooled(Scene(28, 30, 0.12), 2)
     assert scene == Scene(14, 15, 0.12)
@@ -382,45 +357,13 @@ def test_anywhere_is_read_and_decoded_on_the_whole_field(source: Source) -> None
     mask = next(camera.masks("x"))
     assert mask.transfer.shape == (60 * 56, 48)
     generator = torch.Generator().manual_seed(0)
-    scenes = camera.placement.place(source.test().scenes(slice(0, 3)), generator)
+    scenes = camera.placement(source.test().scenes(slice(0, 3)), generator)
     inputs = mask.decode(mask.read(scenes, generator))
     assert inputs.shape == (3, CHANNELS * 15 * 14)
     # The light is found where it is: estimate and scene agree on their brightest region.
     estimates = inputs[:, : 15 * 14].reshape(3, 1, 15, 14)
     seen, true = (avg_pool2d(x, 5).flatten(1) for x in (estimates, avg_pool2d(scenes[:, None], 4)))
     assert torch.equal(seen.argmax(1), true.argmax(1))
-
-
-@pytest.mark.parametrize("name", ["rotation", "scale", "shear", "shift"])
-def test_augmentation_moves_by_the_amount_asked_for(name: str) -> None:
-    none: dict[str, Any] = {"rotation": 0.0, "scale": 0.0, "shear": 0.0, "shift": 0.0}
-    images = torch.zeros(50, 21, 21)
-    images[:, 8:13, 5:16] = 1
-    same = augment(images, Augmentation(**none), torch.Generator().manual_seed(0))
-    assert torch.allclose(same, images, atol=1e-5)
-    amounts = {"rotation": 20.0, "scale": 0.2, "shear": 0.3, "shift": 2.0}
-    little, much = (
-        augment(
-            images,
-            Augmentation(**{**none, name: share * amounts[name]}),
-            torch.Generator().manual_seed(0),
-        )
-        for share in (0.3, 1.0)
-    )
-    changes = [float((moved - images).abs().mean()) for moved in (little, much)]
-    assert 0 < changes[0] < changes[1]
-    assert float(much.min()) >= 0
-    assert float(much.max()) <= 1 + 1e-6
-
-
-def test_augmentation_mirrors_half_of_the_images() -> None:
-    images = torch.zeros(200, 9, 9)
-    images[:, :, :3] = 1
-    still = Augmentation(rotation=0, scale=0, shear=0, shift=0, mirror=True)
-    moved = augment(images, still, torch.Generator().manual_seed(0))
-    mirrored = (moved[:, 4, 8] > 0.5).float().mean()
-    assert 0.35 < float(mirrored) < 0.65
-    assert torch.allclose(moved.sum((1, 2)), images.sum((1, 2)), rtol=1e-4)
 
 
 def test_layers_say_how_much_they_multiply() -> None:

@@ -31,7 +31,7 @@ from veilcam_training.files import check_file, check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.trainer.distributed import choose_device, join_ranks
 from veilcam_training.trainer.loop import Observer
-from veilcam_training.transforms.scene import CHANGES
+from veilcam_training.transforms.scene import TRANSFORMS
 
 app = typer.Typer(
     help="Train lensless cameras: mask and classifier together.",
@@ -60,7 +60,7 @@ Reading = Annotated[
     typer.Option("--reading", help="area: mean of a pixel; point: its centre (the paper's)."),
 ]
 ChangeName = Annotated[
-    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(CHANGES)}.")
+    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
 RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
 Epochs = Annotated[int | None, typer.Option("--epochs", help="Instead of the recipe's.")]

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from veilcam_training.config.settings import refusal
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
+from veilcam_training.transforms.augmentation import ShearedAugmentation
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -33,21 +34,6 @@ class Misalignment(BaseModel):
     """Between mask and sensor [m]."""
     panels: Annotated[int, Field(ge=1, le=1024)] = 16
     """How many displaced panels are made; each mask takes one at random."""
-
-
-class Augmentation(BaseModel):
-    """Random changes of a training image; uniform over plus and minus these amounts."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-    rotation: NotNegative = 12.0
-    """[degree]."""
-    scale: Annotated[float, Field(ge=0, lt=1)] = 0.12
-    shear: NotNegative = 0.15
-    shift: NotNegative = 1.5
-    """[pixel]."""
-    mirror: bool = False
-    """Left and right are swapped in every second image."""
 
 
 class FreshSettings(BaseModel):
@@ -74,7 +60,7 @@ class FreshSettings(BaseModel):
     model_error: NotNegative = 0.0
     """Relative error of the response that the decoder expects."""
     classifier: str = "CNN32"
-    augmentation: Augmentation | None = Augmentation()
+    augmentation: ShearedAugmentation | None = ShearedAugmentation()
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 20
     batch: Count = 128
     """Images in one step, spread evenly over the masks in use."""
@@ -154,11 +140,15 @@ TASKS: Mapping[str, Mapping[str, Any]] = {
         "data": "fashion",
         "exponent": 4.0,
         "epochs": 16,
-        "augmentation": Augmentation(rotation=3, scale=0.05, shear=0.03, shift=1.0, mirror=True),
+        "augmentation": ShearedAugmentation(
+            rotation=3, scale=0.05, shear=0.03, shift=1.0, mirror=True
+        ),
     },
     "faces_gender_24x32": {
         "data": "faces-gender",
         "pooling": 2,
-        "augmentation": Augmentation(rotation=5, scale=0.08, shear=0.05, shift=2.0, mirror=True),
+        "augmentation": ShearedAugmentation(
+            rotation=5, scale=0.08, shear=0.05, shift=2.0, mirror=True
+        ),
     },
 }

@@ -31,7 +31,7 @@ from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import parse_embedding
 from veilcam_training.seeding import derive, stream
-from veilcam_training.transforms.placement import Placement
+from veilcam_training.transforms.scene import Anywhere, Identity, Transform
 
 STATISTICS_BATCH = 2000
 STATISTICS_SCENES = 30_000
@@ -175,11 +175,11 @@ def pooled(scene: Scene, side: int) -> Scene:
     return replace(scene, rows=scene.rows // side, columns=scene.columns // side)
 
 
-def make_placement(settings: FreshSettings, camera: Camera, image: Scene) -> Placement:
+def make_placement(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
     """Where images are shown."""
     if settings.placement == "centred":
-        return Placement.centred(image)
-    return Placement.anywhere(image, camera, settings.pooling)
+        return Identity(image)
+    return Anywhere(image, camera, settings.pooling)
 
 
 def scene_statistics(
@@ -192,7 +192,7 @@ def scene_statistics(
 
     def batches() -> Iterator[Tensor]:
         for chosen in torch.split(order, STATISTICS_BATCH):
-            scenes = placement.place(training.scenes(chosen), places)
+            scenes = placement(training.scenes(chosen), places)
             yield avg_pool2d(scenes[:, None], settings.pooling)[:, 0]
 
     return fit_statistics(batches(), settings.rank)

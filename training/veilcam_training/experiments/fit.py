@@ -26,7 +26,7 @@ from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.distributed import ALONE, Ranks
 from veilcam_training.trainer.evaluation import confusion, evaluate
 from veilcam_training.trainer.loop import Fit, Observer, fit
-from veilcam_training.transforms.scene import make_change
+from veilcam_training.transforms.scene import make_transform
 
 
 def parse_embedding(text: str) -> Embedding:
@@ -88,7 +88,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         TrainingError: an unknown encoder or classifier, or an embedding that is none.
     """
     embedding = parse_embedding(settings.embedding)
-    change = make_change(settings.change, source.scene, camera)
+    change = make_transform(settings.change, source.scene, camera)
     setup = Setup(
         camera,
         change.scene,

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from veilcam_training.bundle import LayerRecord, build_untrained
 from veilcam_training.encoders import Encoder
 from veilcam_training.models.whitening import decorrelate
-from veilcam_training.transforms.scene import Change, Unchanged
+from veilcam_training.transforms.scene import Identity, Transform
 
 
 class LenslessClassifier(nn.Module):
@@ -33,13 +33,13 @@ class LenslessClassifier(nn.Module):
         layers: Sequence[LayerRecord],
         snr_db: float | None,
         *,
-        change: Change | None = None,
+        change: Transform | None = None,
         mixed_precision: bool = False,
         decorrelated: bool = False,
     ) -> None:
         super().__init__()
         self.encoder, self.layers, self.snr_db = encoder, tuple(layers), snr_db
-        self.change = Unchanged(encoder.setup.scene) if change is None else change
+        self.change = Identity(encoder.setup.scene) if change is None else change
         self.mixed_precision = mixed_precision
         self.classifier = build_untrained(self.layers)
         if decorrelated:

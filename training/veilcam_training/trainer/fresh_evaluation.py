@@ -57,7 +57,7 @@ def evaluate_fresh(
     loss, predictions = 0.0, []
     for part in torch.arange(len(images)).tensor_split(masks):
         mask = next(source)
-        readings = mask.read(camera.placement.place(images.scenes(part), random), random)
+        readings = mask.read(camera.placement(images.scenes(part), random), random)
         logits = classifier((next(source) if wrong_key else mask).decode(readings))
         loss += float(cross_entropy(logits, images.labels[part], reduction="sum"))
         predictions.append(logits.argmax(1))

@@ -26,7 +26,6 @@ from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.fresh_evaluation import evaluate_fresh
 from veilcam_training.trainer.loop import Epoch, Observer
-from veilcam_training.transforms.augment import augment
 
 CENTRE = "centre"
 """Where the learned centres of the masks' ranges are among the best weights."""
@@ -253,7 +252,7 @@ def _inputs(
 ) -> Tensor:
     """What the classifier sees of a batch whose images are spread over the masks in use."""
     if camera.settings.augmentation is not None:
-        images = augment(images, camera.settings.augmentation, random)
-    scenes = camera.placement.place(images, random)
+        images = camera.settings.augmentation(images, random)
+    scenes = camera.placement(images, random)
     pairs = zip(ring, scenes.chunk(len(ring)), strict=True)
     return torch.cat([mask.decode(mask.read(part, random)) for mask, part in pairs])

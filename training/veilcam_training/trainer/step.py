@@ -13,10 +13,10 @@ from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.evaluation import BATCH
-from veilcam_training.transforms.augmentation import Jitter, jitter
-from veilcam_training.transforms.scene import Unchanged
+from veilcam_training.transforms.augmentation import Augmentation
+from veilcam_training.transforms.scene import Identity
 
-NO_JITTER = Jitter()
+NO_JITTER = Augmentation()
 
 
 class Inputs(nn.Module):
@@ -27,13 +27,13 @@ class Inputs(nn.Module):
     """
 
     def __init__(
-        self, model: LenslessClassifier, images: Images, changes: Jitter = NO_JITTER
+        self, model: LenslessClassifier, images: Images, changes: Augmentation = NO_JITTER
     ) -> None:
         super().__init__()
         self._model, self._images, self._jitter = model, images, changes
         self.draws = torch.Generator()
         """Of how the images are shown, on the CPU; a fit gives each epoch its own."""
-        constant = isinstance(model.change, Unchanged) and not changes.any
+        constant = isinstance(model.change, Identity) and not changes.any
         self._readings = _encode(model, images) if model.encoder.constant and constant else None
 
     def forward(self, chosen: Tensor, noise: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -43,7 +43,7 @@ class Inputs(nn.Module):
             return self._model.read(self._readings[chosen], noise), labels
         images = self._images.scenes(chosen)
         if self._jitter.any:
-            images = jitter(images, self._jitter, self.draws)
+            images = self._jitter(images, self.draws)
         logits: Tensor = self._model(images, noise, self.draws)
         return logits, labels
 
