@@ -23,7 +23,7 @@ from veilcam_training.data import SOURCES, open_source
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.executors import make_workers
+from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.fit import Outcome, Settings, run_job
 from veilcam_training.experiments.keyring import as_bundle, check_pairs, fit_keyring
 from veilcam_training.experiments.seed import settle_seed
@@ -184,7 +184,7 @@ def keyring_command(
     )
     place = _prepare(device, threads)
     _check_places(out, work)
-    workers = make_workers(processes, address, threads=threads, gpus=int(place.type == "cuda"))
+    workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
         done = progress.add_task("pairs", total=pairs, note="")

@@ -15,7 +15,7 @@ from veilcam_training.bundle import Accuracy, Bundle, Fresh
 from veilcam_training.config.fresh import FreshSettings
 from veilcam_training.data import Source, split
 from veilcam_training.encoders.fresh import CHANNELS, FreshCamera, scene_statistics
-from veilcam_training.experiments.provenance import provenance
+from veilcam_training.experiments.records import provenance
 from veilcam_training.models.fresh import make_fresh_layers
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.fresh_evaluation import FreshEvaluation, evaluate_fresh

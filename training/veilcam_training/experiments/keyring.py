@@ -15,9 +15,9 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import Accuracy, Bundle
 from veilcam_training.data import Images, Source
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.executors import HERE, Workers
+from veilcam_training.experiments.executors import HERE, Executor
 from veilcam_training.experiments.fit import Outcome, Settings, as_pair, make_model, run_job
-from veilcam_training.experiments.provenance import provenance
+from veilcam_training.experiments.records import provenance
 from veilcam_training.seeding import derive
 from veilcam_training.trainer.loop import Observer
 
@@ -30,7 +30,7 @@ def fit_keyring(
     *,
     device: torch.device | str = "cpu",
     work: Path | None = None,
-    workers: Workers = HERE,
+    workers: Executor = HERE,
     observe: Callable[[int], Sequence[Observer]] = lambda _: (),
     fitted: Callable[[int, Outcome], None] = lambda *_: None,
 ) -> Bundle:

@@ -15,13 +15,12 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.encoders import Mask
-from veilcam_training.experiments.executors import Workers
+from veilcam_training.experiments.executors import Executor
 from veilcam_training.experiments.fit import run_job
 from veilcam_training.experiments.grid import Cell
 from veilcam_training.experiments.keyring import as_bundle
 from veilcam_training.experiments.pictures import make_pictures
-from veilcam_training.experiments.provenance import provenance
-from veilcam_training.experiments.records import Origin
+from veilcam_training.experiments.records import Origin, provenance
 from veilcam_training.experiments.results import (
     CHECKPOINT,
     CellResult,
@@ -144,7 +143,7 @@ class CellRunner:
 
 
 def run_cells(
-    cells: Sequence[Cell], runner: CellRunner, workers: Workers
+    cells: Sequence[Cell], runner: CellRunner, workers: Executor
 ) -> Iterator[tuple[CellResult, bool]]:
     """Results of ``cells``, those that were finished before first; True if it was run now.
 
