@@ -35,8 +35,7 @@ from veilcam_training.experiments.grid import (
     load_paper,
 )
 from veilcam_training.experiments.results import load_results
-from veilcam_training.experiments.runner import time_label
-from veilcam_training.experiments.stopwatch import Stopwatch
+from veilcam_training.experiments.stopwatch import Stopwatch, time_label
 from veilcam_training.files import read_private
 from veilcam_training.trainer.evaluation import confusion
 from veilcam_training.trainer.loop import Epoch
