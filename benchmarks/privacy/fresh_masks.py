@@ -10,9 +10,10 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +22,7 @@ import typer
 from rich.console import Console
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import quantise, random_mask, to_weights
 from veilcam_optics.decoding import Precision, SceneDecoding
 from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
@@ -30,21 +31,25 @@ from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
 from veilcam_training.attacks.keyless import KeylessCamera
 from veilcam_training.bundle import (
+    LayerRecord,
     build_classifier,
-    build_untrained,
     classifier_inputs,
     read_bundle,
     write_bundle,
 )
-from veilcam_training.config.fresh import TASKS, find_settings
+from veilcam_training.bundle.layers import Conv2d, Linear, Residual
+from veilcam_training.config.recipes import TASKS
+from veilcam_training.config.settings import FreshSettings, load_fresh_settings
 from veilcam_training.data import Images, Split, open_source, split
-from veilcam_training.encoders.fresh import CHANNELS, FreshCamera, scene_statistics
-from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
+from veilcam_training.experiments.fit import run_fresh
+from veilcam_training.experiments.keyring import as_fresh_bundle
+from veilcam_training.experiments.model import fresh_statistics, make_fresh_camera, make_fresh_model
 from veilcam_training.experiments.records import record_figures
-from veilcam_training.models.fresh import make_fresh_layers, multiplications
-from veilcam_training.trainer.callbacks import FitProgress, make_progress
-from veilcam_training.trainer.fresh_loop import fit_fresh
-from veilcam_training.trainer.loop import Epoch
+from veilcam_training.models.classifiers import SceneTask, make_layers
+from veilcam_training.models.lensless import FreshClassifier
+from veilcam_training.seeding import seeded
+from veilcam_training.trainer.callbacks import Epoch, FitProgress, MovingAverage, make_progress
+from veilcam_training.trainer.loop import fit
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -81,35 +86,35 @@ def accuracy(
     figures: Figures = None,
 ) -> None:
     """Fit one classifier for all masks and test it once, on masks that it has never seen."""
-    settings, camera = find_settings(task), Camera()
+    settings, camera = load_fresh_settings(None, {"task": task}), Camera()
     source = open_source(settings.data, data)
     with make_progress(Console()) as progress:
-        outcome = run_fresh(
+        result = run_fresh(
             settings,
             source,
             camera,
             masks=masks,
             work=work,
-            observers=[FitProgress(progress, task, settings.epochs), Log()],
+            callbacks=[FitProgress(progress, task, settings.epochs), Log()],
         )
-    percent = 100 * outcome.test.accuracy
+    percent = 100 * result.accuracy.value
     print(
-        f"{task}: test {percent:.2f} % on {outcome.test.masks} unseen masks, "
-        f"{100 * outcome.wrong_key.accuracy:.2f} % with the wrong key, "
-        f"validation {100 * outcome.fit.best.validation_accuracy:.2f} %, "
-        f"{outcome.fit.distribution.bits:.0f} bits a mask"
+        f"{task}: test {percent:.2f} % on {result.masks} unseen masks, "
+        f"{100 * result.wrong_key_accuracy:.2f} % with the wrong key, "
+        f"validation {100 * result.fit.best.validation_accuracy:.2f} %, "
+        f"{result.camera.distribution.bits:.0f} bits a mask"
     )
     if work is not None:
         write_bundle(
-            work / f"{task}.veilcam", as_fresh_bundle(outcome, source, camera, device="camera")
+            work / f"{task}.veilcam", as_fresh_bundle(result, source, camera, device="camera")
         )
     if figures is not None:
         record_figures(
             figures,
             {
                 f"fresh_{task}": round(percent, 2),
-                f"fresh_{task}_wrong_key": round(100 * outcome.wrong_key.accuracy, 2),
-                f"fresh_{task}_mask_bits": round(outcome.fit.distribution.bits),
+                f"fresh_{task}_wrong_key": round(100 * result.wrong_key_accuracy, 2),
+                f"fresh_{task}_mask_bits": round(result.camera.distribution.bits),
             },
         )
 
@@ -117,11 +122,9 @@ def accuracy(
 @app.command()
 def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
     """Time one epoch's preparation, and decoding with classification of one capture, 24x32."""
-    fresh, images = _camera(data)
+    model, images = _model(data)
+    fresh, classifier = model.encoder, model.eval().classifier
     weights = _masks(rounds)
-    layers = make_fresh_layers("CNN32", CHANNELS, fresh.scene, 10, centred=True)
-    inputs = CHANNELS * fresh.scene.rows * fresh.scene.columns
-    classifier = build_untrained(layers).eval()
     with torch.no_grad():
         prepare = _milliseconds(fresh.decoding.prepare, weights)
         decoder = fresh.decoding.prepare(weights[0])
@@ -129,7 +132,7 @@ def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
         classify = _milliseconds(
             lambda reading: classifier(classifier_inputs(decoder, reading[None])), readings
         )
-    macs = multiplications(layers, inputs)
+    macs = _multiplications(model.layers, 2 * fresh.frame.statistics.pixels)
     print(
         f"prepare {prepare:.1f} ms, decode and classify {classify:.2f} ms, {macs / 1e6:.1f} M MACs"
     )
@@ -147,7 +150,8 @@ def timing(*, data: Data, rounds: int = 30, figures: Figures = None) -> None:
 @app.command()
 def clusters(*, data: Data, masks: int = 10, captures: int = 200, figures: Figures = None) -> None:
     """Cluster released embeddings without a key; chance has an adjusted Rand index of 0."""
-    fresh, images = _camera(data)
+    model, images = _model(data)
+    fresh = model.encoder
     generator = torch.Generator().manual_seed(7)
     released: dict[ReleaseForm, list[Tensor]] = {
         ReleaseForm.RAW: [],
@@ -156,10 +160,10 @@ def clusters(*, data: Data, masks: int = 10, captures: int = 200, figures: Figur
     }
     for index in range(masks):
         levels = fresh.draw_levels("clusters", index)
-        weights = to_weights(levels, fresh.camera.panel)
+        weights = to_weights(levels, fresh.setup.camera.panel)
         mask = fresh.prepare(weights, fresh.panels("clusters"), generator)
         part = slice(index * captures, (index + 1) * captures)
-        readings = mask.read(images.scenes(part), generator)
+        readings = shot_noise(mask.embed(images.scenes(part)), 40.0, generator)
         whitening = Whitening(mask.decoder, levels)
         for form, parts in released.items():
             out = release(readings, form, mask.decoder, whitening)
@@ -195,15 +199,28 @@ def keyless(
     figures: Figures = None,
 ) -> None:
     """Classify released embeddings without a key: what a form does not hide. Chance is 10 %."""
-    settings = find_settings("mnist_24x32", exponent=exponent, epochs=epochs, augmentation=None)
+    settings = load_fresh_settings(
+        None, {"exponent": exponent, "epochs": epochs, "augmentation": None}
+    )
     source, camera = open_source(settings.data, data), Camera()
     parts = split(source.training())
     parts = Split(parts.training.take(torch.arange(images)), parts.validation)
-    known = scene_statistics(settings, camera, source.scene, parts.training)
-    attacked = KeylessCamera(settings, camera, source.scene, known, ReleaseForm(form))
-    seen = Scene(attacked.embedding.rows, attacked.embedding.columns)
-    layers = make_fresh_layers("CNN32", 1, seen, 10, centred=True)
-    result = fit_fresh(attacked, layers, parts, observers=[Log()])
+    known = fresh_statistics(settings, camera, source.scene, parts.training)
+    keyed = make_fresh_camera(settings, camera, source.scene, known)
+    attacked = KeylessCamera(keyed, ReleaseForm(form))
+    task = SceneTask(1, *attacked.setup.embedding.shape, 10, centred=True)
+    layers = make_layers("CNN32", task, dropout=0.2)
+    with seeded(settings.seed, "classifier"):
+        model = FreshClassifier(attacked, layers, mixed_precision=settings.bfloat16)
+    result = fit(
+        model,
+        parts,
+        settings,
+        settings.seed,
+        average=MovingAverage(model, settings.averaging),
+        masks=settings.validation_masks,
+        callbacks=[Log()],
+    )
     percent = 100 * result.best.validation_accuracy
     print(f"{form}, exponent {exponent:g}: {percent:.2f} % of validation images, unseen masks")
     if figures is not None:
@@ -302,13 +319,28 @@ def dials(
         record_figures(figures, values)
 
 
-def _camera(data: Path) -> tuple[FreshCamera, Images]:
-    """The camera of task mnist_24x32, and validation images to show it."""
-    settings, camera = find_settings("mnist_24x32"), Camera()
+def _model(data: Path) -> tuple[FreshClassifier, Images]:
+    """The model of task mnist_24x32, not fitted, and validation images to show it."""
+    settings, camera = FreshSettings(), Camera()
     source = open_source(settings.data, data)
     images = split(source.training())
-    known = scene_statistics(settings, camera, source.scene, images.training)
-    return FreshCamera(settings, camera, source.scene, known), images.validation
+    known = fresh_statistics(settings, camera, source.scene, images.training)
+    return make_fresh_model(settings, source, camera, known), images.validation
+
+
+def _multiplications(layers: Sequence[LayerRecord], inputs: int) -> int:
+    """Multiply-accumulate operations for one sample, in convolutions and linear layers."""
+    total = 0
+    shape: tuple[int, ...] = (inputs,)
+    for layer in layers:
+        after = layer.output_shape(shape)
+        for each in layer.layers if isinstance(layer, Residual) else (layer,):
+            if isinstance(each, Conv2d):
+                total += math.prod(after) * each.inputs // each.groups * each.kernel**2
+            elif isinstance(each, Linear):
+                total += each.inputs * each.outputs
+        shape = after
+    return total
 
 
 def _masks(count: int) -> list[Tensor]:

@@ -19,8 +19,9 @@ from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Situation, find_recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import open_source, split
-from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.records import record_figures
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.trainer.loop import fit
@@ -53,7 +54,7 @@ def main(
             split(source.training()),
             chosen,
             seed,
-            observers=[bar],
+            callbacks=[bar],
         )
     minutes = sum(epoch.seconds for epoch in result.history) / 60
     percent = 100 * result.best.validation_accuracy

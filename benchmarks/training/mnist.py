@@ -20,8 +20,9 @@ from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Situation, find_recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import open_source
-from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.records import record_figures
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 
@@ -39,7 +40,7 @@ def main(
     settings = Settings(classifier="LR", seed=seed, recipe=recipe)
     with make_progress(Console()) as progress:
         bar = FitProgress(progress, "LR learned 24x32", recipe.epochs)
-        outcome = run_job(settings, open_source("mnist", data), Camera(), observers=[bar])
+        outcome = run_fit(settings, open_source("mnist", data), Camera(), callbacks=[bar])
     seconds = sum(epoch.seconds for epoch in outcome.fit.history)
     percent = 100 * outcome.accuracy.value
     print(

@@ -26,10 +26,11 @@ from rich.table import Table
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
 from veilcam_training.config.recipes import Situation, find_recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Split, open_source, split
 from veilcam_training.encoders import FixedEncoder, Mask, PanelErrors
 from veilcam_training.encoders.imperfections import make_operators
-from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.records import record_figures
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.whitening import plain
@@ -87,7 +88,7 @@ def fitted(parts: Split, settings: Settings, data: Path, name: str) -> LenslessC
     with make_progress(Console()) as progress:
         bar = FitProgress(progress, name, recipe.epochs)
         model = make_model(settings, open_source(settings.data, data), Camera())
-        return fit(model, parts, recipe, settings.seed, observers=[bar]).model
+        return fit(model, parts, recipe, settings.seed, callbacks=[bar]).model
 
 
 def main(

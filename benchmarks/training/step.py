@@ -49,12 +49,11 @@ class Case:
         if encoder == "encoded":
             camera.constant = False  # so that nothing is computed ahead
         self.inputs = Inputs(self.model, images)
-        self.noise = stream(0, "noise")
 
     def seconds(self, chosen: torch.Tensor) -> float:
         """Duration of one step [s]."""
         start = time.perf_counter()
-        train_step(self.model, self.inputs, chosen, self.optimiser, self.noise)
+        train_step(self.model, self.inputs, chosen, self.optimiser)
         return time.perf_counter() - start
 
 

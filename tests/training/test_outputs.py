@@ -108,7 +108,7 @@ def test_commands_try_their_places_first(
         raise AssertionError
 
     for module, name in (
-        (cli, "run_job"),
+        (cli, "run_fit"),
         (cli, "fit_keyring"),
         (fresh_command, "run_fresh"),
         (download, "_fetch"),

@@ -158,7 +158,7 @@ class SceneDecoding:
     def prepare_transfer(self, transfer: Tensor, *, gain: float | Tensor = 1.0) -> Decoder:
         """Decoder for a transfer matrix (scene pixels, embedding pixels), e.g. a measured one."""
         operator, statistics, factors = self.operator, self.statistics, self.precision.factors
-        response = transfer.T * self._gain(gain)
+        response = transfer.T * self._gain(gain, transfer.device)
         mean_reading = response @ statistics.mean
         reduced = response @ statistics.basis
         lost = response.square() @ statistics.residual
@@ -192,8 +192,8 @@ class SceneDecoding:
             remaining=float(variance.detach().sum()) / total if total > 0 else 0.0,
         )
 
-    def _gain(self, gain: float | Tensor) -> Tensor:
-        value = torch.as_tensor(gain, dtype=self.precision.products)
+    def _gain(self, gain: float | Tensor, device: torch.device) -> Tensor:
+        value = torch.as_tensor(gain, dtype=self.precision.products, device=device)
         size = self.operator.embedding.size
         if tuple(value.shape) not in ((), (size,)):
             raise invalid("gain.shape", tuple(value.shape), "", f"one number, or ({size},)")
@@ -204,7 +204,7 @@ class SceneDecoding:
 
 def _cholesky(gram: Tensor) -> Tensor:
     """Lower factor of I + gram, with the module's jitter on the diagonal."""
-    identity = torch.eye(len(gram), dtype=gram.dtype)
+    identity = torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
     jitter = torch.finfo(gram.dtype).eps * (1 + gram.detach().diagonal().max())
     while True:
         factor: Tensor

@@ -18,9 +18,10 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.bundle import build_classifier, read_bundle
 from veilcam_training.cli import main as cli
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.keyring import as_bundle
 from veilcam_training.seeding import stream
 from veilcam_training.trainer import loop as fitting
@@ -174,7 +175,7 @@ def test_a_keyring_for_a_reading_that_no_device_makes(
 def test_no_bundle_of_a_reading_that_no_device_makes(source: Source) -> None:
     recipe = Recipe(epochs=1, batch=300)
     settings = Settings(embedding="3x4", reading="point", recipe=recipe)
-    outcome = run_job(settings, source, Camera())
+    outcome = run_fit(settings, source, Camera())
     with pytest.raises(TrainingError, match="use reading 'area'"):
         as_bundle([outcome], source, Camera())
 

@@ -22,8 +22,8 @@ import torch
 from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
 from veilcam_training.cli import table as command
+from veilcam_training.config.settings import Settings
 from veilcam_training.experiments import runner as run_module
-from veilcam_training.experiments.fit import Settings
 from veilcam_training.experiments.grid import (
     TABLES,
     Cell,
@@ -37,8 +37,8 @@ from veilcam_training.experiments.grid import (
 from veilcam_training.experiments.results import load_results
 from veilcam_training.experiments.stopwatch import Stopwatch, time_label
 from veilcam_training.files import read_private
+from veilcam_training.trainer.callbacks import Epoch
 from veilcam_training.trainer.evaluation import confusion
-from veilcam_training.trainer.loop import Epoch
 
 Call = Callable[..., int]
 ONE = ("--encoders", "learned", "--embeddings", "6x8", "--readings", "area", "--classifiers", "LR")
@@ -351,7 +351,7 @@ def test_finished_cells_are_kept(
     def refuse(*arguments: Any, **more: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(run_module, "run_job", refuse)
+    monkeypatch.setattr(run_module, "run_fit", refuse)
     figures.unlink()
     assert call("mnist", *options, "--figures", figures, *chosen, "--seeds", 2) == 0
     assert json.loads(figures.read_text()) == record

@@ -9,11 +9,17 @@ from pathlib import Path
 import pytest
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.config.recipes import RECIPES, Recipe, Situation, find_recipe
-from veilcam_training.config.settings import load_settings
+from veilcam_training.config.recipes import RECIPES, TASKS, Recipe, Situation, find_recipe
+from veilcam_training.config.settings import (
+    FreshSettings,
+    Settings,
+    load_fresh_settings,
+    load_settings,
+)
 from veilcam_training.data import Source
+from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.model import make_model
 
 
 @pytest.mark.parametrize(
@@ -199,3 +205,40 @@ def test_files_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="missing: give a TOML file"):
         load_settings(tmp_path / "none.toml", {})
+
+
+def test_a_task_of_fresh_masks_is_the_ground_of_its_file(tmp_path: Path) -> None:
+    for name in TASKS:
+        load_fresh_settings(None, {"task": name})
+    assert load_fresh_settings(None, {}) == FreshSettings()
+    path = write(tmp_path, 'task = "mnist_shift"\nepochs = 3\n[misalignment]\nshift = 0.0\n')
+    settings = load_fresh_settings(path, {"seed": 3})
+    assert (settings.placement, settings.epochs, settings.seed) == ("anywhere", 3, 3)
+    assert settings.misalignment == Misalignment(shift=0.0, panels=4)
+    assert load_fresh_settings(path, {"task": "mnist_6x8"}).spread == 0.25
+    none = write(tmp_path, 'task = "mnist_6x8"\nspread = "none"\nmisalignment = "none"')
+    without = load_fresh_settings(none, {})
+    assert (without.spread, without.misalignment) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("task = 'mnist'", "task 'mnist' is unknown"),
+        ("sede = 3", r"settings\.toml: sede is not valid: Extra"),
+        ("epochs = 0", "epochs is not valid"),
+        ("misalignment = 3", "misalignment is not valid"),
+        ("masks = 4\nrenewed = 3", r"renewed = 3: use numbers that divide one another"),
+        ("batch = 130", "batch = 130, masks = 4"),
+        ("epochs = ", "not a TOML file"),
+    ],
+)
+def test_files_of_fresh_masks_that_are_refused(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(TrainingError, match=reason) as caught:
+        load_fresh_settings(write(tmp_path, text), {})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bad_option_names_its_task() -> None:
+    with pytest.raises(TrainingError, match="task mnist_6x8: sede is not valid"):
+        load_fresh_settings(None, {"task": "mnist_6x8", "sede": 3})

@@ -14,10 +14,11 @@ from PIL import Image
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import build_classifier, read_bundle, write_bundle
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import SOURCES, open_source, split
 from veilcam_training.data.celeba import CelebaSource, stratified
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.keyring import as_bundle
 
 Writer = Callable[..., Path]
@@ -225,7 +226,7 @@ def test_from_files_to_a_bundle(
     source = open_source(name, request.getfixturevalue(files)(tmp_path))
     recipe = Recipe(epochs=1, batch=8)
     settings = Settings(data=name, embedding="3x4", classifier="FC8", recipe=recipe)
-    outcome = run_job(settings, source, Camera())
+    outcome = run_fit(settings, source, Camera())
     assert 0 <= outcome.accuracy.value <= 1
     path = tmp_path / "a.veilcam"
     write_bundle(path, as_bundle([outcome], source, Camera()))

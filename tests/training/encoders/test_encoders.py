@@ -18,9 +18,9 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_training.encoders import (
     ENCODERS,
-    Encoder,
     FixedMask,
     LearnedMask,
+    LinearEncoder,
     Psf,
     PsfEncoder,
     Setup,
@@ -46,7 +46,7 @@ def psf_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def fresh(
     name: str, psf: Path | None, seed: int = 0, *, colour: bool = False, point: bool = False
-) -> Encoder:
+) -> LinearEncoder:
     setup = Setup(CAMERA, SCENE, EMBEDDING, colour=colour, point_reading=point)
     file = psf if name == "fixed_measured" else None
     return make_encoder(name, setup, stream(seed, "encoder"), psf=file)

@@ -14,11 +14,13 @@ import torch
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Outcome, Settings, make_model, run_job
-from veilcam_training.trainer.loop import Epoch
+from veilcam_training.experiments.fit import FitResult, run_fit
+from veilcam_training.experiments.model import make_model
+from veilcam_training.trainer.callbacks import Epoch
 
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 Writer = Callable[..., Path]
@@ -41,7 +43,7 @@ class Unfitted:
 def refused(chosen: Settings, source: Source) -> str:
     """What a job says that is refused before its fit begins."""
     with pytest.raises(TrainingError) as caught:
-        run_job(chosen, source, Camera(), observers=[Unfitted()])
+        run_fit(chosen, source, Camera(), callbacks=[Unfitted()])
     return str(caught.value)
 
 
@@ -79,17 +81,17 @@ def test_too_few_faces_for_all_parts(
 
 
 @pytest.fixture(scope="module")
-def outcome(source: Source) -> Outcome:
-    return run_job(settings(), source, Camera())
+def outcome(source: Source) -> FitResult:
+    return run_fit(settings(), source, Camera())
 
 
-def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: Outcome) -> None:
+def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResult) -> None:
     class Mistaken(IdxSource):
         def test(self) -> Images:
             images = super().test()
             return Images(images.pixels, (images.labels + 1) % len(DIGITS))
 
-    mistaken = run_job(settings(), Mistaken("mnist", DIGITS, digit_folder), Camera())
+    mistaken = run_fit(settings(), Mistaken("mnist", DIGITS, digit_folder), Camera())
     assert [epoch.validation_loss for epoch in mistaken.fit.history] == [
         epoch.validation_loss for epoch in outcome.fit.history
     ]

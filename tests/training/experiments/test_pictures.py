@@ -9,10 +9,11 @@ import pytest
 import torch
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source
 from veilcam_training.encoders import Encoder, Setup, make_encoder
 from veilcam_training.experiments import pictures
-from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.pictures import point_image
 
 

@@ -15,10 +15,11 @@ from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings, make_model
 from veilcam_training.experiments.grid import Cell, find_table
+from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.pictures import (
     PSF_SHAPE,
     Pictures,

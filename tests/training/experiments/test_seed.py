@@ -15,10 +15,10 @@ from torch import distributed
 
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.cli import main as cli
-from veilcam_training.config.settings import load_settings
+from veilcam_training.cli import options
+from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings
-from veilcam_training.experiments.seed import settle_seed
+from veilcam_training.experiments.fit import settle_seed
 from veilcam_training.trainer.callbacks import FitProgress
 from veilcam_training.trainer.distributed import Ranks
 
@@ -90,7 +90,8 @@ def test_a_run_without_a_seed_is_taken_up_with_its_own(
 ) -> None:
     work = tmp_path / "work"
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "FitProgress", Broken)
+        for module in (cli, options):
+            patch.setattr(module, "FitProgress", Broken)
         with pytest.raises(InterruptionError):
             make(*COMMANDS[name], "--work", work)
     (checkpoint,) = work.glob("*.checkpoint")
@@ -144,7 +145,7 @@ def test_all_ranks_have_the_seed_of_the_first(
 
     monkeypatch.setattr(cli, "join_ranks", join_ranks)
     monkeypatch.setattr(distributed, "broadcast_object_list", broadcast)
-    monkeypatch.setattr(cli, "run_job", lambda settings, *_, **__: seen.append(settings.seed))
+    monkeypatch.setattr(cli, "run_fit", lambda settings, *_, **__: seen.append(settings.seed))
     work = tmp_path / "work"
     arguments = ("fit", *SMALL, "--data", str(digit_folder), "--work", str(work))
     monkeypatch.setattr(sys, "argv", ["veilcam-train", *arguments])

@@ -13,7 +13,13 @@ from veilcam_training.bundle import LayerRecord, build_classifier, build_untrain
 from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
 from veilcam_training.errors import TrainingError
-from veilcam_training.models.classifiers import Exposure, Normalisation, Task, make_layers
+from veilcam_training.models.classifiers import (
+    Exposure,
+    Normalisation,
+    SceneTask,
+    Task,
+    make_layers,
+)
 
 NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
 
@@ -104,3 +110,27 @@ def test_what_is_refused() -> None:
             make_layers(name, task())
     with pytest.raises(TrainingError, match="use dropout 0"):
         make_layers("LR", task(), dropout=0.5)
+
+
+def test_of_decoded_scenes() -> None:
+    layers = make_layers("CNN32", SceneTask(2, 28, 28, 10, centred=True), dropout=0.2)
+    # Two stages, 14 and 7 pixels long; the classifier after them sees every place by itself.
+    widths = [(r.inputs, r.outputs, r.stride) for r in layers if isinstance(r, Conv2d)]
+    assert widths == [(2, 32, 2), (32, 64, 2)]
+    assert [(r.inputs, r.outputs) for r in layers if isinstance(r, Linear)] == [
+        (64 * 7 * 7, 128),
+        (128, 10),
+    ]
+    parameters = sum(p.numel() for p in build_untrained(layers).parameters())
+    first = 32 * (2 * 25 + 2 * 32 * 9)
+    second = 64 * (32 * 9 + 2 * 64 * 9)
+    # Normalisation after every convolution and before the last layer, and that one's bias.
+    assert parameters == first + second + 64 * 49 * 128 + 1290 + 2 * (3 * 32 + 3 * 64 + 128)
+    assert Dropout(probability=0.2) in layers
+    anywhere = make_layers("CNN32", SceneTask(2, 55, 73, 10, centred=False))
+    assert output_shape(anywhere, 2 * 55 * 73) == (10,)
+    # Three stages; wherever an object is, the last layers see the mean over all places.
+    assert [r.inputs for r in anywhere if isinstance(r, Linear)] == [128, 128]
+    for name in ("FC800", "CNN", "CNN<width>"):
+        with pytest.raises(TrainingError, match="use one of CNN<width>"):
+            make_layers(name, SceneTask(2, 28, 28, 10, centred=True))

@@ -10,11 +10,13 @@ from torch import Tensor, nn
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import build_classifier
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings, as_pair, make_model
+from veilcam_training.experiments.keyring import as_pair
+from veilcam_training.experiments.model import make_model
 from veilcam_training.models.classifiers import Task, make_layers
-from veilcam_training.models.whitening import Decorrelated, decorrelate, plain
+from veilcam_training.models.whitening import WhitenedWeights, plain, whiten
 from veilcam_training.trainer.loop import fit
 
 
@@ -27,7 +29,7 @@ def readings(count: int = 4000) -> Tensor:
 
 
 def test_its_inputs_are_decorrelated() -> None:
-    coordinates, values = Decorrelated(12), readings()
+    coordinates, values = WhitenedWeights(12), readings()
     for batch in values.reshape(-1, 200, 12):
         coordinates.observe(batch, torch.zeros(1, 12))
     white = torch.cov((values @ coordinates.matrix).T)
@@ -36,7 +38,7 @@ def test_its_inputs_are_decorrelated() -> None:
 
 
 def test_it_follows_inputs_that_change() -> None:
-    coordinates, before = Decorrelated(12), readings()
+    coordinates, before = WhitenedWeights(12), readings()
     after = before.flip(1)
     # What was 10,000 times the variance of what is there now takes its time to be forgotten.
     for values in (before, *(after for _ in range(15))):
@@ -48,7 +50,7 @@ def test_it_follows_inputs_that_change() -> None:
 
 def test_what_was_learned_stays_when_coordinates_are_renewed() -> None:
     torch.manual_seed(0)
-    coordinates, values, fitted = Decorrelated(12), readings(), torch.randn(5, 12)
+    coordinates, values, fitted = WhitenedWeights(12), readings(), torch.randn(5, 12)
     chosen, renewed = 0, 0
     for number, batch in enumerate(values.reshape(-1, 20, 12), 1):
         matrix, weights = coordinates.matrix.clone(), coordinates(fitted)
@@ -65,7 +67,7 @@ def test_what_was_learned_stays_when_coordinates_are_renewed() -> None:
 
 
 def test_inputs_that_do_not_vary_do_no_harm() -> None:
-    coordinates = Decorrelated(3)
+    coordinates = WhitenedWeights(3)
     coordinates.observe(torch.ones(10, 3), torch.zeros(1, 3))
     assert coordinates.matrix.isfinite().all()
 
@@ -75,7 +77,7 @@ def test_a_plain_copy_acts_the_same() -> None:
     classifier = nn.Sequential(nn.Linear(12, 5, bias=False), nn.BatchNorm1d(5), nn.Linear(5, 2))
     values = readings()
     names, untouched = set(classifier.state_dict()), classifier.eval()(values)
-    decorrelate(classifier)
+    whiten(classifier)
     torch.testing.assert_close(classifier(values), untouched)
     classifier.train()
     classifier(values)

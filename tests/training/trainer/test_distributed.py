@@ -17,13 +17,16 @@ from torch import distributed
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import read_bundle
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source, Split, open_source, split
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import LocalExecutor
-from veilcam_training.experiments.fit import Outcome, Settings, make_model, run_job
+from veilcam_training.experiments.fit import FitResult, run_fit
+from veilcam_training.experiments.model import make_model
 from veilcam_training.seeding import derive
+from veilcam_training.trainer.callbacks import Epoch
 from veilcam_training.trainer.distributed import ALONE, Ranks
-from veilcam_training.trainer.loop import Epoch, Fit, fit
+from veilcam_training.trainer.loop import Fit, fit
 
 ROOT = Path(__file__).resolve().parents[3]
 NOISELESS = Recipe(epochs=1, batch=90, rate=1e-2, mask_rate=1e-2, snr_db=None)
@@ -108,11 +111,11 @@ def fit_precisely(source: Source, chosen: Settings, ranks: Ranks) -> Quiet:
     return Quiet(result.best.loss, result.best.validation_loss, result.model.state_dict())
 
 
-def run(source: Source, chosen: Settings, ranks: Ranks, **options: Any) -> Outcome:
-    return run_job(chosen, source, Camera(), ranks=ranks, **options)
+def run(source: Source, chosen: Settings, ranks: Ranks, **options: Any) -> FitResult:
+    return run_fit(chosen, source, Camera(), ranks=ranks, **options)
 
 
-def weights_of(outcome: Outcome) -> torch.Tensor:
+def weights_of(outcome: FitResult) -> torch.Tensor:
     tensors = outcome.fit.model.state_dict().values()
     return torch.cat([tensor.flatten().double() for tensor in tensors])
 
@@ -127,9 +130,9 @@ def take_part(member: Member) -> Seen:
     checkpoint = member.work / str(member.rank) / "fit.checkpoint"
     with contextlib.suppress(InterruptionError):
         stop = StopAfter(1, 2)
-        run(source, settings(NOISY), ranks, checkpoint=checkpoint, observers=[stop])
+        run(source, settings(NOISY), ranks, checkpoint=checkpoint, callbacks=[stop])
     watch = StopAfter(-1, -1)
-    resumed = run(source, settings(NOISY), ranks, checkpoint=checkpoint, observers=[watch])
+    resumed = run(source, settings(NOISY), ranks, checkpoint=checkpoint, callbacks=[watch])
     return Seen(quiet, weights_of(unbroken), weights_of(resumed), watch.seen[:1])
 
 

@@ -8,23 +8,29 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_training.bundle.layers import Affine
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Source, split
 from veilcam_training.encoders import PanelErrors
+from veilcam_training.encoders.fresh import FreshCamera, Misalignment
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings, make_model, run_job
+from veilcam_training.experiments.fit import run_fit
+from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
 from veilcam_training.seeding import derive, seeded
 from veilcam_training.trainer import checkpoint as checkpoints
+from veilcam_training.trainer.callbacks import Epoch, MovingAverage
 from veilcam_training.trainer.evaluation import evaluate
-from veilcam_training.trainer.loop import Epoch, Fit, fit
+from veilcam_training.trainer.loop import Fit, fit
 from veilcam_training.trainer.step import make_optimiser
 from veilcam_training.transforms.augmentation import Augmentation
 
+WINDOW = Camera(window=Window(rows=18, columns=9))
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 
 
@@ -32,9 +38,33 @@ def settings(recipe: Recipe = SMALL, **changes: Any) -> Settings:
     return Settings(embedding="6x8", recipe=recipe).model_copy(update=changes)
 
 
-def run(source: Source, chosen: Settings, **options: Any) -> Fit:
-    model = make_model(chosen, source, Camera())
-    return fit(model, split(source.training()), chosen.recipe, chosen.seed, **options)
+def fresh(**changes: Any) -> FreshSettings:
+    small: dict[str, Any] = {
+        "embedding": "6x8",
+        "rank": 40,
+        "misalignment": Misalignment(panels=2),
+        "classifier": "CNN4",
+        "epochs": 3,
+        "batch": 64,
+        "masks": 4,
+        "renewed": 2,
+        "rate": 1e-2,
+        "averaging": 0.9,
+        "validation_masks": 10,
+    }
+    return FreshSettings(**{**small, **changes})
+
+
+def run(source: Source, chosen: Settings | FreshSettings, **options: Any) -> Fit:
+    parts = split(source.training())
+    if isinstance(chosen, Settings):
+        model = make_model(chosen, source, Camera())
+        return fit(model, parts, chosen.recipe, chosen.seed, **options)
+    statistics = fresh_statistics(chosen, WINDOW, source.scene, parts.training)
+    model = make_fresh_model(chosen, source, WINDOW, statistics)
+    average = MovingAverage(model, chosen.averaging)
+    masks = chosen.validation_masks
+    return fit(model, parts, chosen, chosen.seed, average=average, masks=masks, **options)
 
 
 def weights_of(result: Fit) -> torch.Tensor:
@@ -46,9 +76,14 @@ def reference(source: Source) -> Fit:
     return run(source, settings())
 
 
+@pytest.fixture(scope="module")
+def fresh_reference(source: Source) -> Fit:
+    return run(source, fresh())
+
+
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated", "digital"])
 def test_it_learns(source: Source, encoder: str) -> None:
-    outcome = run_job(
+    outcome = run_fit(
         settings(SMALL.model_copy(update={"epochs": 8, "batch": 30}), encoder=encoder),
         source,
         Camera(),
@@ -58,10 +93,18 @@ def test_it_learns(source: Source, encoder: str) -> None:
     assert outcome.fit.history[-1].loss < 0.5 * outcome.fit.history[0].loss
 
 
-def test_the_same_seed_gives_the_same_result(source: Source, reference: Fit) -> None:
+@pytest.mark.parametrize(
+    ("chosen", "other"), [(settings(), settings(seed=1)), (fresh(), fresh(seed=1))]
+)
+def test_the_same_seed_gives_the_same_result(
+    source: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
+) -> None:
+    first = run(source, chosen)
     torch.manual_seed(1)  # what ran before does not matter
-    assert torch.equal(weights_of(run(source, settings())), weights_of(reference))
-    assert not torch.equal(weights_of(run(source, settings(seed=1))), weights_of(reference))
+    again = run(source, chosen)
+    assert torch.equal(weights_of(again), weights_of(first))
+    assert again.history[0].loss == first.history[0].loss
+    assert not torch.equal(weights_of(run(source, other)), weights_of(first))
 
 
 def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
@@ -120,10 +163,57 @@ def test_every_setting_changes_the_result(
     )
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"exponent": 4.0},
+        {"rank": 20},
+        {"snr_db": 20.0},
+        {"misalignment": None},
+        {"misalignment": Misalignment(shift=5e-5, panels=2)},
+        {"misalignment": Misalignment(distance=2e-4, panels=2)},
+        {"misalignment": Misalignment(panels=3)},
+        {"model_error": 0.05},
+        {"augmentation": None},
+        {"epochs": 2},
+        {"batch": 128},
+        {"masks": 2},
+        {"renewed": 4},
+        {"optimiser": "sgd"},
+        {"rate": 2e-3},
+        {"weight_decay": 0.5},
+        {"label_smoothing": 0.3},
+        {"averaging": 0.0},
+        {"bfloat16": False},
+        {"spread": 0.4},
+        {"seed": 1},
+        {"validation_masks": 20},
+    ],
+    ids=lambda changes: "-".join(map(str, changes)),
+)
+def test_every_setting_for_fresh_masks_changes_the_result(
+    source: Source, fresh_reference: Fit, changes: dict[str, Any]
+) -> None:
+    other = run(source, fresh(**{"epochs": 1, **changes}))
+    first, after = fresh_reference.history[0], other.history[0]
+    assert len(other.history) == changes.get("epochs", 1)
+    assert (after.loss, after.validation_loss) != (first.loss, first.validation_loss)
+
+
+def test_the_rate_of_learned_ranges_changes_them(source: Source) -> None:
+    slow, fast = (
+        run(source, fresh(spread=0.4, epochs=1, mask_rate=rate)).model.encoder
+        for rate in (1e-3, 0.1)
+    )
+    assert isinstance(slow, FreshCamera)
+    assert isinstance(fast, FreshCamera)
+    assert not np.array_equal(slow.distribution.lowest, fast.distribution.lowest)
+
+
 @pytest.mark.parametrize("name", ["rescale", "rotate", "perspective"])
 def test_changes_of_the_scene(source: Source, reference: Fit, name: str) -> None:
     """Training and testing both see the change, and it makes the task harder."""
-    outcome = run_job(settings(change=name), source, Camera())
+    outcome = run_fit(settings(change=name), source, Camera())
     assert outcome.fit.best.validation_loss > reference.best.validation_loss
     model, test = outcome.fit.model, source.test()
     first, again = (evaluate(model, test, 0, "test") for _ in range(2))
@@ -141,12 +231,20 @@ def test_dropout_in_training_alone(source: Source) -> None:
     assert first.loss == again.loss
 
 
-def test_early_stop(source: Source) -> None:
-    # With learning rates like these nothing gets better.
-    recipe = SMALL.model_copy(
-        update={"rate": 1e-12, "mask_rate": 1e-12, "epochs": 30, "patience": 2}
-    )
-    result = run(source, settings(recipe))
+# With learning rates like these nothing gets better.
+STILL = {"rate": 1e-12, "epochs": 30, "patience": 2}
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        settings(SMALL.model_copy(update={**STILL, "mask_rate": 1e-12})),
+        fresh(**STILL, averaging=0.0, bfloat16=False),
+    ],
+    ids=["recipe", "fresh"],
+)
+def test_early_stop(source: Source, chosen: Settings | FreshSettings) -> None:
+    result = run(source, chosen)
     assert len(result.history) < 30
     assert len(result.history) - 1 - result.best.number == 2
 
@@ -226,15 +324,19 @@ class StopAfter:
             classifier="FC20",
             change="rotate",
         ),
+        fresh(),
+        fresh(spread=0.3),
     ],
-    ids=["plain", "fixed", "white", "everything"],
+    ids=["plain", "fixed", "white", "everything", "fresh", "fresh ranges"],
 )
-def test_resumed_is_the_same_as_unbroken(source: Source, tmp_path: Path, chosen: Settings) -> None:
+def test_resumed_is_the_same_as_unbroken(
+    source: Source, tmp_path: Path, chosen: Settings | FreshSettings
+) -> None:
     path = tmp_path / "work" / "fit.checkpoint"
     with pytest.raises(InterruptionError):
-        run(source, chosen, checkpoint=path, fingerprint="a", observers=[StopAfter(1, 2)])
+        run(source, chosen, checkpoint=path, fingerprint="a", callbacks=[StopAfter(1, 2)])
     observer = StopAfter(-1, -1)
-    resumed = run(source, chosen, checkpoint=path, fingerprint="a", observers=[observer])
+    resumed = run(source, chosen, checkpoint=path, fingerprint="a", callbacks=[observer])
     assert observer.seen[0] == (1, 1)
     unbroken = run(source, chosen)
     assert torch.equal(weights_of(resumed), weights_of(unbroken))
@@ -243,7 +345,7 @@ def test_resumed_is_the_same_as_unbroken(source: Source, tmp_path: Path, chosen:
     ]
     # One that is done is not done again.
     again = StopAfter(-1, -1)
-    done = run(source, chosen, checkpoint=path, fingerprint="a", observers=[again])
+    done = run(source, chosen, checkpoint=path, fingerprint="a", callbacks=[again])
     assert again.seen == []
     assert torch.equal(weights_of(done), weights_of(unbroken))
     assert [file.name for file in path.parent.iterdir()] == [path.name]
@@ -254,7 +356,8 @@ import os, signal, sys
 from pathlib import Path
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import open_source
-from veilcam_training.experiments.fit import Settings, run_job
+from veilcam_training.config.settings import Settings
+from veilcam_training.experiments.fit import run_fit
 
 class Kill:
     def step(self, epoch, done, steps):
@@ -265,7 +368,7 @@ class Kill:
 
 settings = Settings.model_validate_json(sys.argv[1])
 source = open_source("mnist", Path(sys.argv[2]))
-run_job(settings, source, Camera(), checkpoint=Path(sys.argv[3]), observers=[Kill()])
+run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kill()])
 """
 
 
@@ -277,17 +380,17 @@ def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: 
     saved = checkpoints.load_checkpoint(path, chosen.fingerprint(source))
     assert saved is not None
     assert len(saved["history"]) == 2
-    resumed = run_job(chosen, source, Camera(), checkpoint=path)
-    unbroken = run_job(chosen, source, Camera())
+    resumed = run_fit(chosen, source, Camera(), checkpoint=path)
+    unbroken = run_fit(chosen, source, Camera())
     assert torch.equal(weights_of(resumed.fit), weights_of(unbroken.fit))
     assert resumed.accuracy == unbroken.accuracy
 
 
 def test_a_checkpoint_of_another_fit_is_refused(source: Source, tmp_path: Path) -> None:
     path = tmp_path / "fit.checkpoint"
-    run_job(settings(SMALL.model_copy(update={"epochs": 1})), source, Camera(), checkpoint=path)
+    run_fit(settings(SMALL.model_copy(update={"epochs": 1})), source, Camera(), checkpoint=path)
     with pytest.raises(TrainingError, match="of another fit"):
-        run_job(settings(), source, Camera(), checkpoint=path)
+        run_fit(settings(), source, Camera(), checkpoint=path)
 
 
 @pytest.mark.parametrize("data", [b"", b"nothing", b"PK\x03\x04 broken"])
@@ -309,6 +412,27 @@ def test_the_epoch_that_validates_best_is_kept(source: Source) -> None:
     again = evaluate(result.model, validation, 0, "validation")
     assert again.accuracy == max(accuracies)
     assert not result.model.training
+
+
+def test_a_running_mean_of_weights(source: Source) -> None:
+    model = make_model(settings(), source, Camera())
+    weight = next(model.classifier.parameters())
+    with torch.no_grad():
+        weight.fill_(1.0)
+    average, resumed = MovingAverage(model, 0.5), MovingAverage(model, 0.5)
+    with torch.no_grad():
+        weight.fill_(11.0)
+    # The first steps count for more than half: 9/10, 9/11, ...
+    for done, expected in ((1, 1 + 0.9 * 10), (2, 10 + 9 / 11)):
+        average.step(0, done, 2)
+        with average.applied():
+            mean = next(model.classifier.parameters())
+            assert mean[0].item() == pytest.approx(expected, rel=1e-6)
+        assert next(model.classifier.parameters()) is weight
+    resumed.load_state_dict(average.state_dict())
+    for each in (average, resumed):
+        each.step(0, 3, 3)
+    assert str(resumed.state_dict()) == str(average.state_dict())
 
 
 def test_a_loss_that_is_no_number(source: Source) -> None:

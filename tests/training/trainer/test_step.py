@@ -9,10 +9,10 @@ import torch
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source, Split
-from veilcam_training.experiments.fit import Settings, make_model
+from veilcam_training.experiments.model import make_model
 from veilcam_training.models.lensless import LenslessClassifier
-from veilcam_training.seeding import stream
 from veilcam_training.trainer.loop import fit
 from veilcam_training.trainer.step import Inputs
 from veilcam_training.transforms.augmentation import Augmentation
@@ -40,11 +40,11 @@ def test_readings_of_a_fixed_camera_are_computed_once(
     model = model_of(source, **changes)
     encoded: list[None] = []
     model.encoder.register_forward_hook(lambda *_: encoded.append(None))
-    inputs = Inputs(model, source.test(), jitter)
-    before, noise = len(encoded), stream(0, "noise")
+    inputs = Inputs(model, source.test(), Recipe(jitter=jitter).transform)
+    before = len(encoded)
     assert before == int(not steps_encode)
     for step in range(3):
-        inputs(torch.arange(30 * step, 30 * step + 30), noise)
+        inputs(torch.arange(30 * step, 30 * step + 30))
     assert len(encoded) - before == (3 if steps_encode else 0)
 
 

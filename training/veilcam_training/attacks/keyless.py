@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.camera.masks import to_levels
-from veilcam_optics.decoding import SceneStatistics
 from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training.config.fresh import FreshSettings
 from veilcam_training.encoders.fresh import FreshCamera, PreparedMask
 from veilcam_training.errors import TrainingError
 
@@ -41,22 +38,12 @@ class KeylessCamera(FreshCamera):
     """A camera that changes its mask all the time, seen by someone who has no key.
 
     Args:
-        settings: of the attacker's fit.
-        camera: the device.
-        image: how large and how far away the images are shown.
-        statistics: of scenes.
+        camera: with which one would have it.
         form: in which embeddings are released.
     """
 
-    def __init__(
-        self,
-        settings: FreshSettings,
-        camera: Camera,
-        image: Scene,
-        statistics: SceneStatistics,
-        form: ReleaseForm,
-    ) -> None:
-        super().__init__(settings, camera, image, statistics)
+    def __init__(self, camera: FreshCamera, form: ReleaseForm) -> None:
+        super().__init__(camera.frame, camera.source, camera.setup.scene, camera.schedule)
         self.form = form
 
     def prepare(
@@ -65,8 +52,8 @@ class KeylessCamera(FreshCamera):
         """A mask behind one of ``panels``."""
         mask = super().prepare(weights, panels, choice)
         whitening = (
-            Whitening(mask.decoder, to_levels(weights, self.camera.panel))
+            Whitening(mask.decoder, to_levels(weights, self.setup.camera.panel))
             if self.form is ReleaseForm.WHITE
             else None
         )
-        return ReleasedMask(mask.transfer, mask.decoder, mask.snr_db, self.form, whitening)
+        return ReleasedMask(mask.transfer, mask.decoder, self.form, whitening)

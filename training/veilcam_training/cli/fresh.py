@@ -5,52 +5,84 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import typer
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.decoding import write_frame
 from veilcam_training.bundle import read_bundle, write_bundle
-from veilcam_training.config.fresh import TASKS, find_settings
+from veilcam_training.cli.options import (
+    Batch,
+    Config,
+    Device,
+    Epochs,
+    Folder,
+    Logs,
+    Seed,
+    Threads,
+    Work,
+    check_places,
+    given,
+    prepare,
+    watch,
+)
+from veilcam_training.config.recipes import TASKS
+from veilcam_training.config.settings import load_fresh_settings
 from veilcam_training.data import open_source
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fresh import as_fresh_bundle, run_fresh
-from veilcam_training.files import check_file, check_folder
-from veilcam_training.trainer.callbacks import FitProgress, make_progress
+from veilcam_training.experiments.fit import run_fresh, settle_seed
+from veilcam_training.experiments.keyring import as_fresh_bundle
+from veilcam_training.files import check_file
+from veilcam_training.trainer.distributed import join_ranks
+
+console = Console()
 
 
 def fit_fresh_command(
     *,
-    data: Annotated[Path, typer.Option(help="Folder that holds the data set's files.")],
+    data: Folder,
     out: Annotated[Path, typer.Option(help="Bundle to write, *.veilcam.")],
-    task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = "mnist_24x32",
-    device: Annotated[str, typer.Option(help="The camera's name in its key schedule.")] = "camera",
-    epochs: Annotated[int | None, typer.Option(help="Instead of the task's.")] = None,
-    seed: Annotated[int, typer.Option(help="Of every random number.")] = 0,
+    config: Config = None,
+    task: Annotated[str | None, typer.Option(help=f"One of {', '.join(TASKS)}.")] = None,
+    device_label: Annotated[
+        str, typer.Option(help="The camera's name in its key schedule.")
+    ] = "camera",
+    epochs: Epochs = None,
+    batch: Batch = None,
+    seed: Seed = None,
     masks: Annotated[
         int | None, typer.Option(min=1, help="Masks to test on; one a capture by default.")
     ] = None,
-    work: Annotated[
-        Path | None, typer.Option(help="Folder for checkpoints: resumes what is in it.")
-    ] = None,
-    threads: Annotated[int, typer.Option(min=1)] = 1,
+    work: Work = None,
+    tensorboard: Logs = None,
+    device: Device = "auto",
+    threads: Threads = 1,
 ) -> None:
     """Fit one classifier to a stream of fresh masks; test it on unseen ones; write a bundle."""
-    torch.set_num_threads(threads)
-    check_file("--out", out, ".veilcam")
-    if work is not None:
-        check_folder("--work", work)
-    changes = {"seed": seed} if epochs is None else {"seed": seed, "epochs": epochs}
-    settings, camera, console = find_settings(task, **changes), Camera(), Console()
-    source = open_source(settings.data, data)
-    with make_progress(console) as progress:
-        bar = FitProgress(progress, task, settings.epochs)
-        outcome = run_fresh(settings, source, camera, masks=masks, work=work, observers=[bar])
-    write_bundle(out, as_fresh_bundle(outcome, source, camera, device=device))
+    place = prepare(device, threads)
+    check_places(out, work, tensorboard)
+    settings = load_fresh_settings(config, given(task=task, epochs=epochs, batch=batch, seed=seed))
+    source, camera = open_source(settings.data, data), Camera()
+    with join_ranks(place) as (ranks, place):
+        settings = settle_seed(settings, work, ranks)
+        name = f"{settings.classifier} fresh {settings.embedding}"
+        with watch(console, name, settings.epochs, tensorboard, ranks) as callbacks:
+            result = run_fresh(
+                settings,
+                source,
+                camera,
+                masks=masks,
+                device=place,
+                work=work,
+                callbacks=callbacks,
+                ranks=ranks,
+            )
+        if not ranks.is_first:
+            return
+        write_bundle(out, as_fresh_bundle(result, source, camera, device=device_label))
     console.print(
-        f"test {100 * outcome.test.accuracy:.2f} % on {outcome.test.masks} unseen masks "
-        f"({100 * outcome.wrong_key.accuracy:.2f} % with the wrong key)\n"
+        f"test {100 * result.accuracy.value:.2f} % on {result.masks} unseen masks "
+        f"({100 * result.wrong_key_accuracy:.2f} % with the wrong key)\n"
         f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)"
     )
 
@@ -65,4 +97,4 @@ def frame_command(
         raise TrainingError(f"{bundle} holds pairs: use a bundle of mode fresh")
     check_file("OUT", out, ".safetensors")
     write_frame(out, contents.fresh.frame(contents.camera, contents.scene, contents.embedding))
-    Console().print(f"wrote {out}; the camera's label is {contents.fresh.device!r}")
+    console.print(f"wrote {out}; the camera's label is {contents.fresh.device!r}")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-import torch
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -16,21 +14,34 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError
 from veilcam_training.bundle import BundleError, write_bundle
 from veilcam_training.cli.fresh import fit_fresh_command, frame_command
+from veilcam_training.cli.options import (
+    Batch,
+    Config,
+    Device,
+    Epochs,
+    Folder,
+    Logs,
+    Seed,
+    Threads,
+    Work,
+    check_places,
+    given,
+    prepare,
+    watch,
+)
 from veilcam_training.cli.table import report_command, table_command
 from veilcam_training.config.recipes import RECIPES
-from veilcam_training.config.settings import load_settings
+from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.data import SOURCES, open_source
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
-from veilcam_training.experiments.fit import Outcome, Settings, run_job
+from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
 from veilcam_training.experiments.keyring import as_bundle, check_pairs, fit_keyring
-from veilcam_training.experiments.seed import settle_seed
-from veilcam_training.files import check_file, check_folder
+from veilcam_training.files import check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
-from veilcam_training.trainer.distributed import choose_device, join_ranks
-from veilcam_training.trainer.loop import Observer
+from veilcam_training.trainer.distributed import join_ranks
 from veilcam_training.transforms.scene import TRANSFORMS
 
 app = typer.Typer(
@@ -40,10 +51,7 @@ app = typer.Typer(
 )
 console = Console()
 
-Folder = Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")]
-Config = Annotated[
-    Path | None, typer.Option("--config", help="TOML file of settings; options go before it.")
-]
+
 Dataset = Annotated[str | None, typer.Option("--dataset", help=f"One of {', '.join(SOURCES)}.")]
 Classifier = Annotated[
     str | None, typer.Option("--classifier", help="LR, FC<width>, MLP<width>, CNN<width>, VGG11.")
@@ -63,22 +71,6 @@ ChangeName = Annotated[
     str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
 RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
-Epochs = Annotated[int | None, typer.Option("--epochs", help="Instead of the recipe's.")]
-Batch = Annotated[int | None, typer.Option("--batch", help="Instead of the recipe's.")]
-Seed = Annotated[
-    int | None,
-    typer.Option(
-        "--seed",
-        help="Of every random number, to get the same masks again, as whoever knows it can: "
-        "leave it out for masks that go on a camera, then a secret one is drawn.",
-    ),
-]
-Work = Annotated[
-    Path | None, typer.Option("--work", help="Folder for checkpoints: resumes what is in it.")
-]
-Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
-Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
 WorkerCount = Annotated[
     int | None,
     typer.Option("--workers", min=1, help="Processes, each of one thread; 1 by default."),
@@ -121,33 +113,31 @@ def fit_command(
         reading=reading,
         change=change,
         seed=seed,
-        recipe=_given(base=recipe, epochs=epochs, batch=batch),
+        recipe=given(base=recipe, epochs=epochs, batch=batch),
     )
-    place = _prepare(device, threads)
-    _check_places(out, work, tensorboard)
+    place = prepare(device, threads)
+    check_places(out, work, tensorboard)
     source, camera = open_source(settings.data, data), Camera()
     if out is not None:
         check_pairs(settings, source, camera)
     with join_ranks(place) as (ranks, place):
         settings = settle_seed(settings, work, ranks)
-        terminal = console if ranks.is_first else Console(quiet=True)
-        with make_progress(terminal) as progress:
-            name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-            bar = FitProgress(progress, name, settings.recipe.epochs)
-            outcome = run_job(
+        name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
+        with watch(console, name, settings.recipe.epochs, tensorboard, ranks) as callbacks:
+            result = run_fit(
                 settings,
                 source,
                 camera,
                 device=place,
                 checkpoint=None if work is None else work / "fit.checkpoint",
-                observers=[bar, *_logs(tensorboard)] if ranks.is_first else (),
+                callbacks=callbacks,
                 ranks=ranks,
             )
         if not ranks.is_first:
             return
-        _show(outcome)
+        _show(result)
         if out is not None:
-            write_bundle(out, as_bundle([outcome], source, camera))
+            write_bundle(out, as_bundle([result], source, camera))
             console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
@@ -180,10 +170,10 @@ def keyring_command(
         encoder=encoder,
         embedding=embedding,
         seed=seed,
-        recipe=_given(base=recipe, epochs=epochs, batch=batch),
+        recipe=given(base=recipe, epochs=epochs, batch=batch),
     )
-    place = _prepare(device, threads)
-    _check_places(out, work)
+    place = prepare(device, threads)
+    check_places(out, work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
@@ -242,41 +232,12 @@ def _fail(message: str) -> NoReturn:
     sys.exit(1)
 
 
-def _given(**options: object) -> dict[str, object]:
-    """Those options that were given."""
-    return {name: value for name, value in options.items() if value is not None}
-
-
 def _settings(config: Path | None, **options: object) -> Settings:
-    return load_settings(config, _given(**options))
+    return load_settings(config, given(**options))
 
 
-def _check_places(out: Path | None, work: Path | None, logs: Path | None = None) -> None:
-    if out is not None:
-        check_file("--out", out, ".veilcam")
-    if work is not None:
-        check_folder("--work", work)
-    if logs is not None:
-        check_folder("--tensorboard", logs)
-
-
-def _prepare(device: str, threads: int | None) -> torch.device:
-    """Set the number of threads and choose the device."""
-    if threads is not None:
-        torch.set_num_threads(threads)
-    return choose_device(device)
-
-
-def _logs(folder: Path | None) -> Sequence[Observer]:
-    if folder is None:
-        return ()
-    from veilcam_training.trainer.callbacks import TensorBoardLog  # noqa: PLC0415 - slow to import
-
-    return (TensorBoardLog(folder),)
-
-
-def _show(outcome: Outcome) -> None:
-    settings, best = outcome.settings, outcome.fit.best
+def _show(result: FitResult) -> None:
+    settings, best = result.settings, result.fit.best
     table = Table("encoder", "embedding", "classifier", "best epoch", "validation", "test")
     table.add_row(
         settings.encoder,
@@ -284,6 +245,6 @@ def _show(outcome: Outcome) -> None:
         settings.classifier,
         f"{best.number + 1} of {settings.recipe.epochs}",
         f"{100 * best.validation_accuracy:.2f} %",
-        f"{100 * outcome.accuracy.value:.2f} %",
+        f"{100 * result.accuracy.value:.2f} %",
     )
     console.print(table)

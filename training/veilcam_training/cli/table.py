@@ -13,18 +13,16 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from veilcam_training.config.settings import load_settings
+from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
-from veilcam_training.experiments.fit import Settings
 from veilcam_training.experiments.grid import TABLES, Cell, Part, Place, Table, find_table
 from veilcam_training.experiments.records import check_record
 from veilcam_training.experiments.results import CellResult, load_results, record_cells
 from veilcam_training.experiments.runner import CellRunner, run_cells
 from veilcam_training.files import check_folder
-from veilcam_training.trainer.callbacks import make_progress
+from veilcam_training.trainer.callbacks import Callback, Epoch, make_progress
 from veilcam_training.trainer.distributed import choose_device
-from veilcam_training.trainer.loop import Epoch, Observer
 
 console = Console()
 
@@ -171,7 +169,7 @@ class TableProgress:
                 soft_wrap=True,
             )
 
-    def observe(self, cell: Cell) -> Sequence[Observer]:
+    def observe(self, cell: Cell) -> Sequence[Callback]:
         """Watch ``cell`` being run."""
         return (_CellProgress(self, cell),)
 

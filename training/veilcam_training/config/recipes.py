@@ -1,11 +1,11 @@
-"""Recipes by name: the paper's, and ours."""
+"""Recipes by name: the paper's, and ours; and the tasks of fresh masks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -15,6 +15,20 @@ from veilcam_training.models.classifiers import Exposure, Normalisation
 from veilcam_training.transforms.augmentation import Augmentation
 
 Rate = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
+
+
+def one_cycle(progress: float, *, warm_up: float, lowest: float) -> float:
+    """Factor on a learning rate: it rises at first, and then falls as a cosine.
+
+    Args:
+        progress: share of the fit that is done, in [0, 1).
+        warm_up: share of the fit in which the rate rises.
+        lowest: factor that it does not fall below.
+    """
+    if progress < warm_up:
+        return 0.04 + 0.96 * progress / warm_up
+    falling = (progress - warm_up) / (1 - warm_up)
+    return max(lowest, 0.5 * (1 + math.cos(math.pi * falling)))
 
 
 class Recipe(BaseModel):
@@ -72,10 +86,12 @@ class Recipe(BaseModel):
             return 1.0
         if self.schedule == "steps":
             return float(0.1 ** (math.floor(progress * self.epochs + 1e-9) // self.steps_every))
-        if progress < self.warm_up:
-            return 0.04 + 0.96 * progress / self.warm_up
-        falling = (progress - self.warm_up) / (1 - self.warm_up)
-        return max(1e-4, 0.5 * (1 + math.cos(math.pi * falling)))
+        return one_cycle(progress, warm_up=self.warm_up, lowest=1e-4)
+
+    @property
+    def transform(self) -> Augmentation | None:
+        """What changes the training images; None if nothing does."""
+        return self.jitter if self.jitter.any else None
 
 
 @dataclass(frozen=True)
@@ -268,3 +284,51 @@ RECIPES: Mapping[str, Callable[[Situation], Recipe]] = {
     "best": _best,
     "paper": _paper,
 }
+
+TASKS: Mapping[str, Mapping[str, Any]] = {
+    "mnist_24x32": {},
+    "mnist_12x16": {
+        "embedding": "12x16",
+        "exponent": 4.0,
+        "epochs": 14,
+        "masks": 16,
+        "renewed": 4,
+    },
+    "mnist_6x8": {
+        "embedding": "6x8",
+        "masks": 8,
+        "renewed": 8,
+        "exponent": 4.0,
+        "spread": 0.25,
+        "epochs": 12,
+    },
+    "mnist_3x4": {
+        "embedding": "3x4",
+        "masks": 8,
+        "renewed": 8,
+        "exponent": 4.0,
+        "spread": 0.25,
+        "epochs": 8,
+    },
+    "mnist_shift": {
+        "placement": "anywhere",
+        "pooling": 2,
+        "rank": 512,
+        "classifier": "CNN16",
+        "batch": 256,
+        "epochs": 6,
+        "misalignment": {"panels": 4},
+    },
+    "fashion_24x32": {
+        "data": "fashion",
+        "exponent": 4.0,
+        "epochs": 16,
+        "augmentation": {"rotation": 3, "scale": 0.05, "shear": 0.03, "shift": 1, "mirror": True},
+    },
+    "faces_gender_24x32": {
+        "data": "faces-gender",
+        "pooling": 2,
+        "augmentation": {"rotation": 5, "scale": 0.08, "shear": 0.05, "shift": 2, "mirror": True},
+    },
+}
+"""Settings of fits for fresh masks, by task; see :mod:`veilcam_training.config.settings`."""

@@ -1,4 +1,4 @@
-"""Settings from a TOML file: typed, and every unknown key is refused.
+"""Settings of fits, from TOML files: typed, and every unknown key is refused.
 
 data = "mnist"
 classifier = "FC800"
@@ -10,20 +10,155 @@ snr_db = "none"         # TOML has no null
 
 [recipe.panel_errors]
 shift = 5e-5
+
+A fit for fresh masks has its settings, beside the name of a ``task``, in one table.
 """
 
 from __future__ import annotations
 
+import hashlib
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import ValidationError
+import torch
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from veilcam_training.config.recipes import Recipe, Situation, find_recipe
+from veilcam_optics.camera.geometry import Embedding
+from veilcam_training.config.recipes import (
+    TASKS,
+    Recipe,
+    Situation,
+    find_recipe,
+    one_cycle,
+)
+from veilcam_training.data import Source
+from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings
+from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1, le=2**20)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+def parse_embedding(text: str) -> Embedding:
+    """Embedding from rows and columns, e.g. ``24x32``.
+
+    Raises:
+        TrainingError: not of that form, or zero.
+    """
+    match = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
+    if match is None:
+        raise TrainingError(f"embedding {text!r} is not valid: use ROWSxCOLUMNS, e.g. 24x32")
+    return Embedding(int(match[1]), int(match[2]))
+
+
+class Settings(BaseModel):
+    """All that the result of a fit depends on, besides the files of the data set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    data: str = "mnist"
+    encoder: str = "learned"
+    psf: Path | None = None
+    """File of the point spread function of the encoder ``fixed_measured``."""
+    embedding: str = "24x32"
+    reading: Literal["area", "point"] = "area"
+    """Averaged over each embedding pixel, or at its centre as in the paper's code."""
+    change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
+    """How images are shown to the camera, in training and in testing."""
+    classifier: str = "LR"
+    seed: Seed = 0
+    recipe: Recipe = Recipe()
+
+    def fingerprint(self, source: Source) -> str:
+        """SHA-256 of the settings and of the data: two fits are the same if these are."""
+        files = sorted(source.digests().items())
+        if self.psf is not None:
+            files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
+        # What is in the file counts, not where it lies.
+        return _digest(self.model_copy(update={"psf": None}).model_dump_json(), files)
+
+
+class FreshSettings(BaseModel):
+    """How to fit one classifier to a stream of masks that are used for a moment and never again."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    data: str = "mnist"
+    embedding: str = "24x32"
+    placement: Literal["centred", "anywhere"] = "centred"
+    """``anywhere``: the object lies anywhere fully in the field of view."""
+    exponent: Positive = 1.0
+    """Masks are ``u ** exponent`` for uniform ``u``, rounded to the panel's levels."""
+    spread: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Learn a range of ``u`` for each sub-pixel, this much to both sides of a centre."""
+    mask_rate: Positive = 5e-2
+    """Highest learning rate of the centres; they have a range of 1."""
+    rank: Count = 384
+    """Principal components of the scene that the decoder uses."""
+    pooling: Annotated[int, Field(ge=1, le=16)] = 1
+    """Side, in scene pixels, of a pixel of the decoded scene."""
+    snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] = 40.0
+    misalignment: Misalignment | None = Misalignment()
+    model_error: NotNegative = 0.0
+    """Relative error of the response that the decoder expects."""
+    classifier: str = "CNN32"
+    augmentation: ShearedAugmentation | None = ShearedAugmentation()
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 20
+    patience: Annotated[int, Field(ge=1)] | None = None
+    """Epochs without a better validation accuracy after which fitting stops; None: never."""
+    batch: Count = 128
+    """Images in one step, spread evenly over the masks in use."""
+    masks: Count = 4
+    """Masks in use at a time, in each of the processes that fit together."""
+    renewed: Count = 1
+    """How many of them are replaced before every step."""
+    optimiser: Literal["adam", "sgd"] = "adam"
+    rate: Positive = 3e-3
+    """Highest learning rate."""
+    weight_decay: NotNegative = 1e-2
+    label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.998
+    """Decay per step of the running mean of the weights; the mean is what is used."""
+    bfloat16: bool = True
+    """Fit in mixed precision; the result is float32 all the same."""
+    validation_masks: Count = 200
+    seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if self.masks % self.renewed or self.batch % self.masks:
+            raise ValueError(
+                f"batch = {self.batch}, masks = {self.masks}, renewed = {self.renewed}: "
+                "use numbers that divide one another"
+            )
+        return self
+
+    def rate_factor(self, progress: float) -> float:
+        """Factor on both learning rates when ``progress``, in [0, 1), of the fit is done."""
+        return one_cycle(progress, warm_up=0.15, lowest=1e-3)
+
+    @property
+    def transform(self) -> Augmentation | None:
+        """What changes the training images; None if nothing does."""
+        return self.augmentation
+
+    def fingerprint(self, source: Source) -> str:
+        """SHA-256 of the settings and of the data: two fits are the same if these are."""
+        # Without defaults: a setting that is added later does not disown what was fitted before.
+        chosen = self.model_dump_json(exclude_defaults=True)
+        return _digest(chosen, sorted(source.digests().items()))
+
+
+def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
+    text = f"{chosen} {files} torch {torch.__version__}"
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
@@ -37,13 +172,16 @@ def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
     Raises:
         TrainingError: a file that is missing or no TOML, an unknown key, or a bad value.
     """
-    content = {} if path is None else _read(path)
-    recipe = {**_recipe_table(content.pop("recipe", {})), **overrides.get("recipe", {})}
-    content.update({key: value for key, value in overrides.items() if key != "recipe"})
+    content = _read(path)
+    table = content.pop("recipe", {})
+    if not isinstance(table, str | dict):
+        raise TrainingError("recipe is not valid: use a name or a table")
+    recipe = {"base": table} if isinstance(table, str) else _with_nulls(Recipe, table)
+    recipe |= overrides.get("recipe", {})
+    content |= {key: value for key, value in overrides.items() if key != "recipe"}
     if isinstance(content.get("psf"), str):
         content["psf"] = Path(content["psf"])
-    where = "settings" if path is None else str(path)
-    try:
+    with _refused("settings" if path is None else str(path)):
         # Names first: which recipe a name stands for depends on them.
         settings = Settings.model_validate(content)
         situation = Situation(
@@ -56,21 +194,43 @@ def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
         base = find_recipe(str(recipe.pop("base", "default")), situation)
         merged = _merge(base.model_dump(), recipe)
         return settings.model_copy(update={"recipe": Recipe.model_validate(merged)})
+
+
+def load_fresh_settings(path: Path | None, overrides: Mapping[str, Any]) -> FreshSettings:
+    """Settings of ``path``, with ``overrides`` in their place, on the ground of its task's.
+
+    Args:
+        path: TOML file; None for a task alone.
+        overrides: values by the names of :class:`FreshSettings`, and ``task``.
+
+    Raises:
+        TrainingError: a file that is missing or no TOML, an unknown task or key, or a bad value.
+    """
+    content = _merge(_with_nulls(FreshSettings, _read(path)), overrides)
+    task = str(content.pop("task", "mnist_24x32"))
+    if task not in TASKS:
+        raise TrainingError(f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
+    with _refused(f"task {task}" if path is None else str(path)):
+        return FreshSettings.model_validate(_merge(TASKS[task], content))
+
+
+@contextmanager
+def _refused(where: str) -> Iterator[None]:
+    """Say in one line which of the settings from ``where`` is not valid, and why."""
+    try:
+        yield
     except ValidationError as error:
-        raise refusal(where, error) from None
+        first = error.errors(include_url=False, include_context=False)[0]
+        reason = first["msg"].removeprefix("Value error, ")
+        # Several settings that do not fit together have no place, and the reason names them.
+        name = ".".join(str(step) for step in first["loc"])
+        said = f"{name} is not valid: {reason}" if name else reason
+        raise TrainingError(f"{where}: {said}") from None
 
 
-def refusal(where: str, error: ValidationError) -> TrainingError:
-    """What is said of settings from ``where`` that are not valid."""
-    first = error.errors(include_url=False, include_context=False)[0]
-    reason = first["msg"].removeprefix("Value error, ")
-    if not first["loc"]:  # several settings do not fit together, and the reason names them
-        return TrainingError(f"{where}: {reason}")
-    name = ".".join(str(step) for step in first["loc"])
-    return TrainingError(f"{where}: {name} is not valid: {reason}")
-
-
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path | None) -> dict[str, Any]:
+    if path is None:
+        return {}
     try:
         return tomllib.loads(path.read_text())
     except FileNotFoundError:
@@ -79,23 +239,20 @@ def _read(path: Path) -> dict[str, Any]:
         raise TrainingError(f"{path} is not a TOML file ({error}): mend it") from None
 
 
-def _recipe_table(recipe: object) -> dict[str, Any]:
-    if isinstance(recipe, str):
-        return {"base": recipe}
-    if not isinstance(recipe, dict):
-        raise TrainingError("recipe is not valid: use a name or a table")
+def _with_nulls(model: type[BaseModel], table: Mapping[str, Any]) -> dict[str, Any]:
+    """``table`` with None where it says "none" and ``model`` may have it."""
     optional = {
         name
-        for name, field in Recipe.model_fields.items()
+        for name, field in model.model_fields.items()
         if type(None) in get_args(field.annotation)
     }
     return {
         name: None if name in optional and value == "none" else value
-        for name, value in recipe.items()
+        for name, value in table.items()
     }
 
 
-def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """``base`` with ``changes`` in it, table by table."""
     merged = dict(base)
     for key, value in changes.items():

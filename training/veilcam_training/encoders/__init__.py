@@ -1,6 +1,6 @@
 """Encoders: the cameras that training compares, behind one interface."""
 
-from veilcam_training.encoders.base import Encoder, FixedEncoder, Setup
+from veilcam_training.encoders.base import Encoder, FixedEncoder, LinearEncoder, Setup
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import FixedMask, LearnedMask, Mask
@@ -14,6 +14,7 @@ __all__ = [
     "FixedEncoder",
     "FixedMask",
     "LearnedMask",
+    "LinearEncoder",
     "Mask",
     "PanelErrors",
     "Psf",

@@ -1,4 +1,4 @@
-"""What every camera does: a linear map from scene to embedding, then noise.
+"""What every camera does: from scene to embedding, then noise, then what is made of it.
 
 All of them are used in the same way, so that a comparison compares the cameras alone.
 """
@@ -64,9 +64,9 @@ class Setup:
 
 
 class Encoder(nn.Module, ABC):
-    """A camera as ``v = x T``; ``trainable`` says whether T has parameters.
+    """A camera; ``trainable`` says whether it has parameters.
 
-    ``constant`` says whether T is the same in every step, so that a noiseless reading need be
+    ``constant`` says whether it sees the same in every step, so that a noiseless reading need be
     computed only once.
     """
 
@@ -76,6 +76,34 @@ class Encoder(nn.Module, ABC):
     def __init__(self, setup: Setup) -> None:
         super().__init__()
         self.setup = setup
+
+    @abstractmethod
+    def forward(self, scenes: Tensor, part: Region | None = None, grid: int = 0) -> Tensor:
+        """Noiseless embeddings.
+
+        Args:
+            scenes: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
+            part: which part of the scene ``scenes`` are; the rest is black. None for all of it.
+            grid: which of ``setup.grids`` the scene is on.
+
+        Returns:
+            (batch, ``setup.outputs``).
+        """
+
+    def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
+        """Noise of the sensor at the delivered signal-to-noise ratio ``snr_db`` [dB]."""
+        return shot_noise(values, snr_db, generator)
+
+    def decode(self, readings: Tensor) -> Tensor:
+        """What the classifier is given of the noisy readings of the last scenes: the readings."""
+        return readings
+
+    def project(self) -> None:
+        """Bring the parameters back into what the device can show, after an optimiser's step."""
+
+
+class LinearEncoder(Encoder):
+    """A camera as ``v = x T``, with one T for all images of a step."""
 
     @abstractmethod
     def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
@@ -90,16 +118,7 @@ class Encoder(nn.Module, ABC):
         """
 
     def forward(self, scenes: Tensor, part: Region | None = None, grid: int = 0) -> Tensor:
-        """Noiseless embeddings.
-
-        Args:
-            scenes: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
-            part: which part of the scene ``scenes`` are; the rest is black. None for all of it.
-            grid: which of ``setup.grids`` the scene is on.
-
-        Returns:
-            (batch, ``setup.outputs``).
-        """
+        """Noiseless embeddings, see :meth:`Encoder.forward`."""
         if self.setup.colour:
             transfer = self.transfer(part, grid)
             seen = torch.einsum("bcp,cpe->bce", scenes.flatten(2), transfer).flatten(1)
@@ -119,15 +138,8 @@ class Encoder(nn.Module, ABC):
         pixels = pixels.narrow(-3, part.top, part.rows).narrow(-2, part.left, part.columns)
         return pixels.flatten(-3, -2)
 
-    def add_noise(self, values: Tensor, snr_db: float, generator: torch.Generator) -> Tensor:
-        """Noise of the sensor at the delivered signal-to-noise ratio ``snr_db`` [dB]."""
-        return shot_noise(values, snr_db, generator)
 
-    def project(self) -> None:
-        """Bring the parameters back into what the device can show, after an optimiser's step."""
-
-
-class FixedEncoder(Encoder):
+class FixedEncoder(LinearEncoder):
     """A camera that does not learn: its transfer is a constant.
 
     Args:

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.transfer.regions import Region
-from veilcam_training.encoders.base import Encoder, Setup
+from veilcam_training.encoders.base import LinearEncoder, Setup
 
 
-class Digital(Encoder):
+class Digital(LinearEncoder):
     """An unconstrained learned projection to as many numbers as the embedding has.
 
     Its values have either sign, so there are no photons to count: its noise is white, at the same

@@ -1,43 +1,101 @@
-"""The simulated camera of a fit: masks from a distribution, readings, and what is made of them."""
+"""The camera whose mask changes all the time: masks from a distribution, and readings decoded.
+
+Small embeddings tell little apart behind a mask drawn uniformly. So the distribution itself may be
+learned, together with the classifier: not a mask, but where the secret may draw. The ranges are
+public; each mask is drawn within them, is used and forgotten.
+"""
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated, Self
 
 import numpy as np
 import torch
-from torch import Tensor
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.decoding import (
-    Decoder,
-    ReadingNoise,
-    SceneFrame,
-    SceneStatistics,
-    fit_statistics,
-)
+from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.camera.masks import quantise, to_weights
+from veilcam_optics.decoding import Decoder, SceneFrame, SceneStatistics, fit_statistics
 from veilcam_optics.keys.masks import SECRET_BYTES, Levels, MaskDistribution, Secret, epoch_levels
-from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator, Variables
-from veilcam_training.bundle.fresh import FEATURES, classifier_inputs
-from veilcam_training.config.fresh import FreshSettings, Misalignment
+from veilcam_optics.transfer.regions import Region
+from veilcam_training.bundle import classifier_inputs
 from veilcam_training.data import Images
+from veilcam_training.encoders.base import Encoder, Setup
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import parse_embedding
 from veilcam_training.seeding import derive, stream
-from veilcam_training.transforms.scene import Anywhere, Identity, Transform
+from veilcam_training.transforms.scene import Transform
 
 STATISTICS_BATCH = 2000
 STATISTICS_SCENES = 30_000
 """How many scenes the statistics are made from, at most."""
-CHANNELS = len(FEATURES)
-"""Of the classifier's input, each as large as the decoded scene."""
+
+
+class Misalignment(BaseModel):
+    """What calibration leaves unknown: the decoder assumes the nominal geometry.
+
+    Each mask is shown by a panel that is displaced by normal random amounts with these standard
+    deviations.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    shift: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2e-6
+    """Along y and along x [m]."""
+    distance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 5e-6
+    """Between mask and sensor [m]."""
+    panels: Annotated[int, Field(ge=1, le=1024)] = 16
+    """How many displaced panels are made; each mask takes one at random."""
+
+
+class LearnedRange(nn.Module):
+    """Ranges of ``u`` in [0, 1], one for each sub-pixel; the panel shows ``u ** exponent``.
+
+    Args:
+        camera: window and panel.
+        exponent: of the curve.
+        spread: half the length of a range, in (0, 1]; ranges end at 0 and 1.
+        generator: draws the first centres, near 1/2.
+    """
+
+    def __init__(
+        self, camera: Camera, exponent: float, spread: float, generator: torch.Generator
+    ) -> None:
+        super().__init__()
+        self.camera, self.exponent, self.spread = camera, exponent, spread
+        noise = torch.randn(camera.mask_shape, generator=generator)
+        self.centre = nn.Parameter(0.5 + 0.02 * noise)
+
+    def forward(self, generator: torch.Generator) -> Tensor:
+        """One mask's weights, ``camera.mask_shape``, differentiable in the centres."""
+        low, high = self._ends()
+        drawn = low + (high - low) * torch.rand(low.shape, generator=generator).to(low.device)
+        # Not quite 0: a power's slope there is 0, or infinite below an exponent of 1.
+        return quantise(drawn.clamp_min(1e-4) ** self.exponent, self.camera.panel)
+
+    def project(self) -> None:
+        """Bring the centres back into [0, 1]."""
+        with torch.no_grad():
+            self.centre.clamp_(0, 1)
+
+    def distribution(self) -> MaskDistribution:
+        """The distribution to publish, in whole levels."""
+        top = self.camera.panel.levels - 1
+        low, high = (
+            (end.detach() * top).round().to(torch.uint8).cpu().numpy().astype(np.uint8)
+            for end in self._ends()
+        )
+        curve = MaskDistribution.power(self.camera, self.exponent).curve
+        return MaskDistribution(low, high, curve)
+
+    def _ends(self) -> tuple[Tensor, Tensor]:
+        return (self.centre - self.spread).clamp_min(0), (self.centre + self.spread).clamp_max(1)
 
 
 @dataclass(frozen=True)
@@ -48,121 +106,198 @@ class PreparedMask:
     """Of the camera as it is, (scene pixels, embedding pixels)."""
     decoder: Decoder = field(repr=False)
     """Of the camera as it is thought to be."""
-    snr_db: float
 
-    def read(self, scenes: Tensor, noise: torch.Generator) -> Tensor:
-        """Noisy readings (batch, embedding pixels) of scenes (batch, rows, columns)."""
-        return shot_noise(scenes.flatten(1) @ self.transfer, self.snr_db, noise)
+    def embed(self, scenes: Tensor) -> Tensor:
+        """Noiseless readings (batch, embedding pixels) of scenes (batch, rows, columns)."""
+        return scenes.flatten(1) @ self.transfer
 
     def decode(self, readings: Tensor) -> Tensor:
-        """Input of the classifier, (batch, CHANNELS x pixels of the decoded scene)."""
+        """Input of the classifier, (batch, features x pixels of the decoded scene)."""
         return classifier_inputs(self.decoder, readings)
 
 
-class FreshCamera:
+@dataclass(frozen=True)
+class MaskSchedule:
+    """How masks come and go."""
+
+    seed: int
+    """Of the keys that they come from, and of the panels that show them."""
+    masks: int = 1
+    """In use at a time, in a fit; a batch is spread evenly over them."""
+    renewed: int = 1
+    """How many of them are replaced before every step of a fit."""
+    misalignment: Misalignment | None = None
+
+
+class FreshCamera(Encoder):
     """A camera whose mask changes all the time.
 
     Args:
-        settings: of the fit.
-        camera: the device.
-        image: how large and how far away the images are shown.
-        statistics: of the decoded scenes, public; see :func:`scene_statistics`.
-
-    Raises:
-        TrainingError: settings that do not fit one another.
+        frame: the camera, and what is publicly known of scenes and noise.
+        source: what masks are drawn from; ranges are learned, and take the place of the frame's.
+        shown: the scene before it; what is decoded may have larger pixels.
+        schedule: how masks come and go.
     """
 
     def __init__(
-        self, settings: FreshSettings, camera: Camera, image: Scene, statistics: SceneStatistics
+        self,
+        frame: SceneFrame,
+        source: MaskDistribution | LearnedRange,
+        shown: Scene,
+        schedule: MaskSchedule,
     ) -> None:
-        if settings.masks % settings.renewed or settings.batch % settings.masks:
-            raise TrainingError(
-                f"batch = {settings.batch}, masks = {settings.masks}, "
-                f"renewed = {settings.renewed}: use numbers that divide one another"
-            )
-        self.settings, self.camera = settings, camera
-        self.embedding: Embedding = parse_embedding(settings.embedding)
-        self.placement = make_placement(settings, camera, image)
-        self.scene = pooled(self.placement.scene, settings.pooling)
-        self.statistics = statistics
-        self.distribution = MaskDistribution.power(camera, settings.exponent)
-        """What masks are drawn from; a fit that learns it replaces it."""
-        self.decoding = self.frame.decoding()
-        self._nominal = TransferOperator(camera, self.placement.scene, self.embedding)
+        super().__init__(Setup(frame.camera, shown, frame.embedding))
+        self._frame, self.source, self.schedule = frame, source, schedule
+        self.trainable = isinstance(source, LearnedRange)
+        self.decoding = frame.decoding()
+        # Held in a dictionary: kernels are constants of the camera and belong in no state_dict.
+        self._panels: dict[str, tuple[TransferOperator, ...]] = {
+            "": (TransferOperator(frame.camera, shown, frame.embedding),)
+        }
+        self.coming: Iterator[tuple[PreparedMask, ...]] = iter(())
+        """Masks of the steps to come, e.g. of :meth:`rings`."""
+        self._ring: tuple[PreparedMask, ...] = ()
+
+    @property
+    def distribution(self) -> MaskDistribution:
+        """What masks have to be drawn from."""
+        if isinstance(self.source, LearnedRange):
+            return self.source.distribution()
+        return self.source
 
     @property
     def frame(self) -> SceneFrame:
         """All that decoding needs besides a secret."""
-        return SceneFrame(
-            self.camera,
-            self.scene,
-            self.embedding,
-            self.statistics,
-            ReadingNoise(self.settings.snr_db, self.settings.model_error),
-            distribution=self.distribution,
-        )
+        return replace(self._frame, distribution=self.distribution)
 
-    @functools.cache  # noqa: B019 - a fit has one camera, and makes few sets of panels
+    def forward(self, scenes: Tensor, part: Region | None = None, grid: int = 0) -> Tensor:
+        """Noiseless embeddings of whole scenes, spread evenly over the masks of the next step.
+
+        Raises:
+            TrainingError: a part or another grid, or scenes that cannot be spread evenly.
+        """
+        if part is not None or grid:
+            raise TrainingError("fresh masks take whole scenes on one grid: show them as they are")
+        self._ring = next(self.coming)
+        if len(scenes) % len(self._ring):
+            raise TrainingError(
+                f"{len(scenes)} images cannot be spread evenly over {len(self._ring)} masks: use a "
+                "batch that masks, times processes, divide"
+            )
+        return self._each(PreparedMask.embed, scenes)
+
+    def decode(self, readings: Tensor) -> Tensor:
+        """Input of the classifier, from readings behind the masks of the last scenes."""
+        return self._each(lambda mask, part: mask.decode(part), readings)
+
+    def _each(self, act: Callable[[PreparedMask, Tensor], Tensor], values: Tensor) -> Tensor:
+        parts = values.chunk(len(self._ring))
+        return torch.cat([act(*pair) for pair in zip(self._ring, parts, strict=True)])
+
+    def project(self) -> None:
+        """Bring what is learned back into what the panel can show."""
+        if isinstance(self.source, LearnedRange):
+            self.source.project()
+
     def panels(self, purpose: str) -> tuple[TransferOperator, ...]:
         """The camera as it may be built: displaced panels, other ones for another purpose."""
-        misalignment = self.settings.misalignment
+        misalignment = self.schedule.misalignment
         if misalignment is None:
-            return (self._nominal,)
-        random = stream(self.settings.seed, "panels", purpose)
-        return tuple(self._displaced(misalignment, random) for _ in range(misalignment.panels))
+            return self._panels[""]
+        if purpose not in self._panels:
+            random = stream(self.schedule.seed, "panels", purpose)
+            self._panels[purpose] = tuple(
+                self._displaced(misalignment, random).to(self._device)
+                for _ in range(misalignment.panels)
+            )
+        return self._panels[purpose]
 
     def _displaced(self, misalignment: Misalignment, random: torch.Generator) -> TransferOperator:
         amounts = torch.randn(3, generator=random, dtype=torch.float64)
+        camera = self.setup.camera
         return TransferOperator(
-            replace(
-                self.camera,
-                distance=self.camera.distance + float(amounts[2]) * misalignment.distance,
-            ),
-            self.placement.scene,
-            self.embedding,
+            replace(camera, distance=camera.distance + float(amounts[2]) * misalignment.distance),
+            self.setup.scene,
+            self.setup.embedding,
             variables=Variables(
                 shift_y=amounts[0] * misalignment.shift, shift_x=amounts[1] * misalignment.shift
             ),
         )
 
+    @property
+    def _device(self) -> torch.device:
+        return next(self.decoding.operator.buffers()).device
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Take kernels and statistics along to another device."""
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        for operator in (self.decoding.operator, *itertools.chain(*self._panels.values())):
+            # What nn.Module does to its own children.
+            operator._apply(fn)  # type: ignore[no-untyped-call]  # noqa: SLF001
+        known = self.decoding.statistics
+        self.decoding.statistics = SceneStatistics(
+            fn(known.mean), fn(known.basis), fn(known.residual)
+        )
+        return self
+
     def draw_levels(self, *purpose: str | int) -> Levels:
         """A mask of the key for a purpose, ``purpose[:-1]``, at the epoch ``purpose[-1]``."""
         *name, epoch = purpose
+        seed = derive(self.schedule.seed, *name)
         return epoch_levels(
-            self._secret(*name),
+            Secret(np.random.default_rng(seed).bytes(SECRET_BYTES)),
             "simulated",
             int(epoch),
-            camera=self.camera,
+            camera=self.setup.camera,
             distribution=self.distribution,
         )
-
-    def _secret(self, *purpose: str | int) -> Secret:
-        seed = derive(self.settings.seed, *purpose)
-        return Secret(np.random.default_rng(seed).bytes(SECRET_BYTES))
 
     @torch.no_grad()
     def masks(self, *purpose: str | int) -> Iterator[PreparedMask]:
         """Prepared masks without end, one per epoch of a key, another key for every ``purpose``."""
         panels = self.panels(str(purpose[0]))
-        choice = stream(self.settings.seed, "panel", *purpose)
+        choice = stream(self.schedule.seed, "panel", *purpose)
         for epoch in itertools.count():
-            weights = to_weights(self.draw_levels(*purpose, epoch), self.camera.panel)
-            yield self.prepare(weights, panels, choice)
+            weights = to_weights(self.draw_levels(*purpose, epoch), self.setup.camera.panel)
+            yield self.prepare(weights.to(self._device), panels, choice)
 
     def prepare(
         self, weights: Tensor, panels: Sequence[TransferOperator], choice: torch.Generator
     ) -> PreparedMask:
         """A mask behind one of ``panels``; differentiable in the weights."""
         panel = panels[int(torch.randint(len(panels), (), generator=choice))]
-        return PreparedMask(panel(weights), self.decoding.prepare(weights), self.settings.snr_db)
+        return PreparedMask(panel(weights), self.decoding.prepare(weights))
 
     def rings(self, *purpose: str | int) -> Iterator[tuple[PreparedMask, ...]]:
         """The masks in use at each step; the oldest are replaced, so each serves a few steps."""
-        source = self.masks(*purpose)
-        ring = deque((next(source) for _ in range(self.settings.masks)), self.settings.masks)
+        count, renewed = self.schedule.masks, self.schedule.renewed
+        if isinstance(self.source, LearnedRange):
+            # All of them: a gradient cannot pass through a step that is over.
+            source, renewed = self._learned_masks(self.source, *purpose), count
+        else:
+            source = self.masks(*purpose)
+        ring = deque(itertools.islice(source, count), count)
         while True:
             yield tuple(ring)
-            ring.extend(next(source) for _ in range(self.settings.renewed))
+            ring.extend(itertools.islice(source, renewed))
+
+    def _learned_masks(self, ranges: LearnedRange, *purpose: str | int) -> Iterator[PreparedMask]:
+        panels, random = self.panels(str(purpose[0])), stream(self.schedule.seed, *purpose)
+        while True:
+            yield self.prepare(ranges(random), panels, random)
+
+    def one_by_one(
+        self, *purpose: str | int, wrong_key: bool = False
+    ) -> Iterator[tuple[PreparedMask, ...]]:
+        """One mask at each step, none of them twice.
+
+        Args:
+            purpose: masks for one are never those for another.
+            wrong_key: True has each mask's readings decoded with the decoder of another one.
+        """
+        source = self.masks(*purpose)
+        for mask in source:
+            yield (replace(mask, decoder=next(source).decoder) if wrong_key else mask,)
 
 
 def pooled(scene: Scene, side: int) -> Scene:
@@ -175,24 +310,24 @@ def pooled(scene: Scene, side: int) -> Scene:
     return replace(scene, rows=scene.rows // side, columns=scene.columns // side)
 
 
-def make_placement(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
-    """Where images are shown."""
-    if settings.placement == "centred":
-        return Identity(image)
-    return Anywhere(image, camera, settings.pooling)
-
-
 def scene_statistics(
-    settings: FreshSettings, camera: Camera, image: Scene, training: Images
+    training: Images, change: Transform, *, pooling: int, rank: int, seed: int
 ) -> SceneStatistics:
-    """Statistics of decoded scenes, from training images placed as they will be."""
-    placement = make_placement(settings, camera, image)
-    places = stream(settings.seed, "statistics")
+    """Statistics of decoded scenes, from training images shown as they will be.
+
+    Args:
+        training: images.
+        change: how they are shown.
+        pooling: side of a pixel of the decoded scene, in scene pixels.
+        rank: principal components to keep.
+        seed: of the choice of images and of their places.
+    """
+    places = stream(seed, "statistics")
     order = torch.randperm(len(training), generator=places)[:STATISTICS_SCENES]
 
     def batches() -> Iterator[Tensor]:
         for chosen in torch.split(order, STATISTICS_BATCH):
-            scenes = placement(training.scenes(chosen), places)
-            yield avg_pool2d(scenes[:, None], settings.pooling)[:, 0]
+            scenes = change(training.scenes(chosen), places)
+            yield avg_pool2d(scenes[:, None], pooling)[:, 0]
 
-    return fit_statistics(batches(), settings.rank)
+    return fit_statistics(batches(), rank)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.transfer.regions import Region
-from veilcam_training.encoders.base import Encoder, Setup
+from veilcam_training.encoders.base import LinearEncoder, Setup
 from veilcam_training.encoders.imperfections import PanelErrors, make_places
 
 NO_ERRORS = PanelErrors()
@@ -21,7 +21,7 @@ GROUND = 0.05
 """Largest amplitude around a pinhole: closed sub-pixels would have next to no gradient."""
 
 
-class Mask(Encoder):
+class Mask(LinearEncoder):
     """A mask on the panel, which is ideal in evaluation and errs in training as ``errors`` says."""
 
     def __init__(self, setup: Setup, generator: torch.Generator, errors: PanelErrors) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from veilcam_training.encoders.base import Encoder, Setup
+from veilcam_training.encoders.base import LinearEncoder, Setup
 from veilcam_training.encoders.baselines import coded_aperture_psf, diffuser_psf, lens_psf
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
@@ -15,7 +15,7 @@ from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask
 from veilcam_training.encoders.psf import PsfEncoder, read_psf
 from veilcam_training.errors import TrainingError
 
-Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], Encoder]
+Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], LinearEncoder]
 
 ENCODERS: Mapping[str, Maker] = {
     "lens": lambda setup, _generator, _psf, _errors: PsfEncoder(setup, lens_psf(setup.camera)),
@@ -42,7 +42,7 @@ def make_encoder(
     psf: Path | None = None,
     errors: PanelErrors = NO_ERRORS,
     pinhole: bool = False,
-) -> Encoder:
+) -> LinearEncoder:
     """Encoder ``name``.
 
     Args:
@@ -70,7 +70,7 @@ def make_encoder(
     return encoder
 
 
-def _measured(setup: Setup, psf: Path | None) -> Encoder:
+def _measured(setup: Setup, psf: Path | None) -> LinearEncoder:
     if psf is None:
         raise TrainingError("encoder 'fixed_measured' needs a measured PSF: give --psf FILE")
     return PsfEncoder(setup, read_psf(psf, setup.camera.distance))

@@ -2,76 +2,39 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
-from collections.abc import Sequence
+import secrets
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TypeVar
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera, Embedding
-from veilcam_training.bundle import Accuracy, Pair
-from veilcam_training.config.recipes import Recipe
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.decoding import SceneStatistics
+from veilcam_training.bundle import Accuracy
+from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
-from veilcam_training.encoders import Encoder, Mask, Setup, make_encoder
+from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.errors import TrainingError
-from veilcam_training.models.classifiers import Task, make_layers
-from veilcam_training.models.lensless import LenslessClassifier
-from veilcam_training.models.whitening import plain
-from veilcam_training.seeding import seeded, stream
+from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
+from veilcam_training.files import read_private, write_private
+from veilcam_training.trainer.callbacks import Callback, MovingAverage
+from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.distributed import ALONE, Ranks
 from veilcam_training.trainer.evaluation import confusion, evaluate
-from veilcam_training.trainer.loop import Fit, Observer, fit
-from veilcam_training.transforms.scene import make_transform
+from veilcam_training.trainer.loop import Fit, fit
 
+WRONG_KEY_IMAGES = 1000
+"""Test images that are decoded with another key: enough to tell that accuracy is at chance."""
+SEED_BITS = 63
 
-def parse_embedding(text: str) -> Embedding:
-    """Embedding from rows and columns, e.g. ``24x32``.
-
-    Raises:
-        TrainingError: not of that form, or zero.
-    """
-    match = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
-    if match is None:
-        raise TrainingError(f"embedding {text!r} is not valid: use ROWSxCOLUMNS, e.g. 24x32")
-    return Embedding(int(match[1]), int(match[2]))
-
-
-class Settings(BaseModel):
-    """All that the result of a fit depends on, besides the files of the data set."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-    data: str = "mnist"
-    encoder: str = "learned"
-    psf: Path | None = None
-    """File of the point spread function of the encoder ``fixed_measured``."""
-    embedding: str = "24x32"
-    reading: Literal["area", "point"] = "area"
-    """Averaged over each embedding pixel, or at its centre as in the paper's code."""
-    change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
-    """How images are shown to the camera, in training and in testing."""
-    classifier: str = "LR"
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    recipe: Recipe = Recipe()
-
-    def fingerprint(self, source: Source) -> str:
-        """SHA-256 of the settings and of the data: two fits are the same if these are."""
-        files = sorted(source.digests().items())
-        if self.psf is not None:
-            files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
-        # What is in the file counts, not where it lies.
-        chosen = self.model_copy(update={"psf": None}).model_dump_json()
-        text = f"{chosen} {files} torch {torch.__version__}"
-        return hashlib.sha256(text.encode()).hexdigest()
+SettingsT = TypeVar("SettingsT", Settings, FreshSettings)
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FitResult:
     """A fit and its one look at the test set."""
 
     settings: Settings
@@ -81,62 +44,21 @@ class Outcome:
     """Of the test set, see :func:`veilcam_training.trainer.evaluation.confusion`."""
 
 
-def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
-    """The model that ``settings`` describe, not fitted yet.
+@dataclass(frozen=True)
+class FreshResult:
+    """A fit for fresh masks and its one look at the test set."""
 
-    Raises:
-        TrainingError: an unknown encoder or classifier, or an embedding that is none.
-    """
-    embedding = parse_embedding(settings.embedding)
-    change = make_transform(settings.change, source.scene, camera)
-    setup = Setup(
-        camera,
-        change.scene,
-        embedding,
-        colour=source.colour,
-        point_reading=settings.reading == "point",
-        finer=change.finer,
-    )
-    encoder = make_encoder(
-        settings.encoder,
-        setup,
-        stream(settings.seed, "encoder"),
-        psf=settings.psf,
-        errors=settings.recipe.panel_errors,
-        pinhole=settings.recipe.mask_start == "pinhole",
-    )
-    task = Task(
-        channels=setup.channels,
-        rows=embedding.rows,
-        columns=embedding.columns,
-        classes=len(source.labels),
-        rectified=encoder.trainable,
-        normalisation=settings.recipe.normalisation,
-        gain=white_gain(encoder),
-        exposure=settings.recipe.exposure,
-    )
-    layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
-    with seeded(settings.seed, "classifier"):
-        return LenslessClassifier(
-            encoder,
-            layers,
-            settings.recipe.snr_db,
-            change=change,
-            mixed_precision=settings.recipe.precision == "mixed",
-            decorrelated=settings.recipe.normalisation == "white",
-        )
+    settings: FreshSettings
+    fit: Fit
+    camera: FreshCamera
+    accuracy: Accuracy
+    masks: int
+    """How many different masks were tested on, none of which it was fitted to."""
+    wrong_key_accuracy: float
+    """The same, every reading decoded with the mask of another epoch."""
 
 
-def white_gain(encoder: Encoder) -> float:
-    """Factor that brings the reading of a white scene to a root mean square of 1, to 3 digits."""
-    encoder.eval()  # without the errors of a panel, which are drawn at random
-    with torch.no_grad():
-        white = encoder.transfer().sum(-2).square().mean().sqrt().item()
-    encoder.train()
-    return float(f"{1 / white:.3g}") if white > 0 else 1.0
-
-
-def run_job(
+def run_fit(
     settings: Settings,
     source: Source,
     camera: Camera,
@@ -144,9 +66,9 @@ def run_job(
     training: Images | None = None,
     device: torch.device | str = "cpu",
     checkpoint: Path | None = None,
-    observers: Sequence[Observer] = (),
+    callbacks: Sequence[Callback] = (),
     ranks: Ranks = ALONE,
-) -> Outcome:
+) -> FitResult:
     """Fit, select on the validation split, then look at the test set once.
 
     Args:
@@ -156,33 +78,26 @@ def run_job(
         training: training images if they have been read before.
         device: that computes.
         checkpoint: see :func:`veilcam_training.trainer.loop.fit`.
-        observers: told how far it has come.
+        callbacks: called after every step and epoch.
         ranks: processes that fit it together, each with this same call.
 
     Raises:
         TrainingError: settings or data that cannot be used.
     """
     model = make_model(settings, source, camera).to(device)
-    # Another number of ranks draws other noise.
-    fingerprint = settings.fingerprint(source) + (f" {ranks.size} ranks" if ranks.size > 1 else "")
-    parts = split(source.training() if training is None else training)
-    # Read now, so that a bad file does not cost a fit; fitting has no part in it.
-    test = source.test()
-    if len(test) == 0:
-        raise TrainingError(f"{source.name} has no test images: use a data set that holds some")
+    parts, test = _read(source, device, training)
     fitted = fit(
         model,
-        Split(parts.training.to(device), parts.validation.to(device)),
+        parts,
         settings.recipe,
         settings.seed,
         checkpoint=checkpoint,
-        fingerprint=fingerprint,
-        observers=observers,
+        fingerprint=_fingerprint(settings, source, ranks),
+        callbacks=callbacks,
         ranks=ranks,
     )
-    test = test.to(device)
     result = ranks.from_first(lambda: evaluate(fitted.model, test, settings.seed, "test"))
-    return Outcome(
+    return FitResult(
         settings,
         fitted,
         Accuracy(result.accuracy, f"{source.name} test", len(test)),
@@ -190,18 +105,128 @@ def run_job(
     )
 
 
-def as_pair(model: LenslessClassifier) -> Pair:
-    """Mask and classifier of a fitted model, for a bundle.
+def run_fresh(
+    settings: FreshSettings,
+    source: Source,
+    camera: Camera,
+    *,
+    masks: int | None = None,
+    device: torch.device | str = "cpu",
+    work: Path | None = None,
+    callbacks: Sequence[Callback] = (),
+    ranks: Ranks = ALONE,
+) -> FreshResult:
+    """Fit for fresh masks, select on the validation split, then look at the test set once.
+
+    Args:
+        settings: what to fit and how.
+        source: the data set.
+        camera: the device.
+        masks: how many masks to test on; by default one for each test image.
+        device: that computes.
+        work: folder to leave statistics and checkpoints in; what is in it is taken up again.
+        callbacks: called after every step and epoch.
+        ranks: processes that fit it together, each with this same call and masks of its own.
 
     Raises:
-        TrainingError: the encoder has no mask that a panel could show.
+        TrainingError: settings or data that cannot be used.
     """
-    encoder = model.encoder
-    if not isinstance(encoder, Mask):
+    parts, test = _read(source, device)
+    if len(parts.training) < settings.batch:
         raise TrainingError(
-            "this encoder has no mask that a panel can show: "
-            "use 'learned' or 'fixed_simulated', or leave out --out"
+            f"{len(parts.training)} training images do not fill a batch of {settings.batch}: "
+            "use a smaller batch"
         )
-    weights = plain(model.classifier).state_dict()
-    weights = {name: tensor.cpu() for name, tensor in weights.items()}
-    return Pair(encoder.levels(), model.layers, weights)
+    fingerprint = _fingerprint(settings, source, ranks)
+    statistics = ranks.from_first(
+        lambda: _statistics(
+            None if work is None else work / "statistics.checkpoint",
+            fingerprint,
+            lambda: fresh_statistics(settings, camera, source.scene, parts.training),
+        )
+    )
+    model = make_fresh_model(settings, source, camera, statistics).to(device)
+    fitted = fit(
+        model,
+        parts,
+        settings,
+        settings.seed,
+        average=MovingAverage(model, settings.averaging),
+        masks=settings.validation_masks,
+        checkpoint=None if work is None else work / "fit.checkpoint",
+        fingerprint=fingerprint,
+        callbacks=callbacks,
+        ranks=ranks,
+    )
+
+    def test_on(images: Images, *, wrong_key: bool) -> float:
+        model.wrong_key = wrong_key
+        batches = min(masks or len(images), len(images)) if wrong_key else masks or len(images)
+        return evaluate(model, images, settings.seed, "test", batches=batches).accuracy
+
+    some = test.take(torch.arange(min(len(test), WRONG_KEY_IMAGES)))
+    right, wrong = ranks.from_first(
+        lambda: (test_on(test, wrong_key=False), test_on(some, wrong_key=True))
+    )
+    accuracy = Accuracy(right, f"{source.name} test", len(test))
+    return FreshResult(settings, fitted, model.encoder, accuracy, masks or len(test), wrong)
+
+
+def _read(
+    source: Source, device: torch.device | str, training: Images | None = None
+) -> tuple[Split, Images]:
+    """Both parts of the training set, and the test set: fitting has no part in it.
+
+    It is read now, so that a bad file does not cost a fit.
+    """
+    parts = split(source.training() if training is None else training)
+    test = source.test()
+    if len(test) == 0:
+        raise TrainingError(f"{source.name} has no test images: use a data set that holds some")
+    return Split(parts.training.to(device), parts.validation.to(device)), test.to(device)
+
+
+def _fingerprint(settings: Settings | FreshSettings, source: Source, ranks: Ranks) -> str:
+    """Of a fit: another number of ranks draws other noise."""
+    return settings.fingerprint(source) + (f" {ranks.size} ranks" if ranks.size > 1 else "")
+
+
+def _statistics(
+    checkpoint: Path | None, fingerprint: str, make: Callable[[], SceneStatistics]
+) -> SceneStatistics:
+    """Statistics as they were left, if they were; they take minutes for large scenes."""
+    if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
+        return SceneStatistics(**saved)
+    statistics = make()
+    if checkpoint is not None:
+        save_checkpoint(checkpoint, fingerprint, vars(statistics))
+    return statistics
+
+
+def settle_seed(settings: SettingsT, work: Path | None, ranks: Ranks = ALONE) -> SettingsT:
+    """``settings`` with the seed that they were given, or else with one that is drawn.
+
+    A mask can be made again by whoever knows its seed, so none is the same for everybody.
+
+    Args:
+        settings: of the run.
+        work: folder to keep a drawn seed in: the run that is taken up there has it again.
+        ranks: processes of the run; all have the seed of the first one.
+
+    Raises:
+        TrainingError: the seed in ``work`` is damaged.
+    """
+    if "seed" in settings.model_fields_set:
+        return settings
+    return settings.model_copy(update={"seed": ranks.from_first(lambda: _drawn_seed(work))})
+
+
+def _drawn_seed(work: Path | None) -> int:
+    if work is None:
+        return secrets.randbits(SEED_BITS)
+    path = work / "seed"
+    kept = read_private(path)
+    if kept is None:
+        kept = str(secrets.randbits(SEED_BITS)).encode()
+        write_private(path, kept)  # before the fit, which could be killed
+    return int(kept)

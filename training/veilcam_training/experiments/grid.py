@@ -10,9 +10,9 @@ from importlib.resources import files
 from itertools import product, starmap
 from typing import NamedTuple, Self
 
+from veilcam_training.config.settings import Settings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings
 from veilcam_training.models.classifiers import Task, make_layers
 
 

@@ -1,25 +1,30 @@
-"""A keyring: several pairs of mask and classifier, each from a seed of its own, in one bundle."""
+"""Bundles of what was fitted: pairs of mask and classifier, or one classifier for fresh masks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from statistics import mean
 
 import torch
-from pydantic import JsonValue
+from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.bundle import Accuracy, Bundle
+from veilcam_training.bundle import Bundle, Fresh, Pair
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source
+from veilcam_training.encoders import Mask
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import HERE, Executor
-from veilcam_training.experiments.fit import Outcome, Settings, as_pair, make_model, run_job
+from veilcam_training.experiments.fit import FitResult, FreshResult, run_fit
+from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.records import provenance
+from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import derive
-from veilcam_training.trainer.loop import Observer
+from veilcam_training.trainer.callbacks import Callback
 
 
 def fit_keyring(
@@ -31,8 +36,8 @@ def fit_keyring(
     device: torch.device | str = "cpu",
     work: Path | None = None,
     workers: Executor = HERE,
-    observe: Callable[[int], Sequence[Observer]] = lambda _: (),
-    fitted: Callable[[int, Outcome], None] = lambda *_: None,
+    observe: Callable[[int], Sequence[Callback]] = lambda _: (),
+    fitted: Callable[[int, FitResult], None] = lambda *_: None,
 ) -> Bundle:
     """Fit ``pairs`` pairs and put them into one bundle.
 
@@ -44,7 +49,7 @@ def fit_keyring(
         device: that computes.
         work: folder for one checkpoint per pair, so that a broken-off run is taken up again.
         workers: fit the pairs; what comes out is the same, given as many threads.
-        observe: gives the observers of pair ``i``, which go with it to its worker: none that cannot
+        observe: gives the callbacks of pair ``i``, which go with it to its worker: none that cannot
             be pickled, if that is another process.
         fitted: told of each pair as it is done.
 
@@ -63,11 +68,11 @@ def fit_keyring(
         )
         for index, seed in enumerate(seeds)
     ]
-    outcomes: dict[int, Outcome] = {}
-    for index, outcome in workers.run(_Fitter(source, camera, device), tasks):
-        outcomes[index] = outcome
-        fitted(index, outcome)
-    return as_bundle([outcomes[index] for index in range(pairs)], source, camera)
+    results: dict[int, FitResult] = {}
+    for index, result in workers.run(_Fitter(source, camera, device), tasks):
+        results[index] = result
+        fitted(index, result)
+    return as_bundle([results[index] for index in range(pairs)], source, camera)
 
 
 def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
@@ -94,7 +99,7 @@ class _Task:
 
     settings: Settings
     checkpoint: Path | None
-    observers: Sequence[Observer]
+    callbacks: Sequence[Callback]
 
 
 @dataclass(frozen=True)
@@ -109,39 +114,60 @@ class _Fitter:
     def training(self) -> Images:
         return self.source.training()
 
-    def __call__(self, task: _Task) -> Outcome:
-        outcome = run_job(
+    def __call__(self, task: _Task) -> FitResult:
+        result = run_fit(
             task.settings,
             self.source,
             self.camera,
             training=self.training,
             device=self.device,
             checkpoint=task.checkpoint,
-            observers=task.observers,
+            callbacks=task.callbacks,
         )
-        outcome.fit.model.cpu()  # who collects may have no GPU
-        return outcome
+        result.fit.model.cpu()  # who collects may have no GPU
+        return result
 
 
-def as_bundle(outcomes: Sequence[Outcome], source: Source, camera: Camera) -> Bundle:
+def as_pair(model: LenslessClassifier) -> Pair:
+    """Mask and classifier of a fitted model, for a bundle.
+
+    Raises:
+        TrainingError: the encoder has no mask that a panel could show.
+    """
+    encoder = model.encoder
+    if not isinstance(encoder, Mask):
+        raise TrainingError(
+            "this encoder has no mask that a panel can show: "
+            "use 'learned' or 'fixed_simulated', or leave out --out"
+        )
+    return Pair(encoder.levels(), model.layers, _weights(model))
+
+
+def _weights(model: LenslessClassifier) -> dict[str, Tensor]:
+    return {
+        name: tensor.cpu().clone(memory_format=torch.contiguous_format)
+        for name, tensor in plain(model.classifier).state_dict().items()
+    }
+
+
+def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> Bundle:
     """Bundle of fitted pairs that differ in their seeds alone; the accuracy is their mean.
 
     Raises:
         TrainingError: pairs that no device can use.
     """
-    settings, first = outcomes[0].settings, outcomes[0].accuracy
+    settings, first = results[0].settings, results[0].accuracy
     _check_reading(settings)
-    setup = outcomes[0].fit.model.encoder.setup
-    common: JsonValue = settings.model_dump(mode="json", exclude={"seed"})
-    record = provenance(common, source.digests())
+    setup = results[0].fit.model.encoder.setup
+    record = provenance(settings.model_dump(mode="json", exclude={"seed"}), source.digests())
     record["pairs"] = [
         {
-            "seed": outcome.settings.seed,
-            "test_accuracy": outcome.accuracy.value,
-            "validation_accuracy": outcome.fit.best.validation_accuracy,
-            "epoch": outcome.fit.best.number + 1,
+            "seed": result.settings.seed,
+            "test_accuracy": result.accuracy.value,
+            "validation_accuracy": result.fit.best.validation_accuracy,
+            "epoch": result.fit.best.number + 1,
         }
-        for outcome in outcomes
+        for result in results
     ]
     return Bundle(
         task=source.name,
@@ -151,9 +177,44 @@ def as_bundle(outcomes: Sequence[Outcome], source: Source, camera: Camera) -> Bu
         embedding=setup.embedding,
         channels=3 if setup.colour else 1,
         mode="pairs",
-        pairs=tuple(as_pair(outcome.fit.model) for outcome in outcomes),
+        pairs=tuple(as_pair(result.fit.model) for result in results),
         provenance=record,
-        accuracy=Accuracy(
-            mean(outcome.accuracy.value for outcome in outcomes), first.test_set, first.samples
+        accuracy=replace(first, value=mean(result.accuracy.value for result in results)),
+    )
+
+
+def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera, *, device: str) -> Bundle:
+    """Bundle of mode ``fresh``: no mask is in it, and one classifier for all.
+
+    Args:
+        result: of the fit.
+        source: that it was fitted to.
+        camera: that it was fitted for.
+        device: name of the camera in its key schedule.
+    """
+    best, frame, model = result.fit.best, result.camera.frame, result.fit.model
+    record = provenance(result.settings.model_dump(mode="json"), source.digests())
+    record["fit"] = {
+        "validation_accuracy": best.validation_accuracy,
+        "epoch": best.number + 1,
+        "test_masks": result.masks,
+        "wrong_key_accuracy": result.wrong_key_accuracy,
+    }
+    return Bundle(
+        task=source.name,
+        labels=source.labels,
+        camera=camera,
+        scene=frame.scene,
+        embedding=frame.embedding,
+        mode="fresh",
+        fresh=Fresh(
+            device=device,
+            distribution=result.camera.distribution,
+            statistics=frame.statistics,
+            noise=frame.noise,
+            layers=model.layers,
+            weights=_weights(model),
         ),
+        provenance=record,
+        accuracy=result.accuracy,
     )

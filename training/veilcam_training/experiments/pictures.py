@@ -16,10 +16,10 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Scene
 from veilcam_optics.files import replacing
+from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images
 from veilcam_training.encoders import Digital, LearnedMask, make_encoder
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import stream
 

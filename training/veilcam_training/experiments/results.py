@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
+from veilcam_training.config.settings import Settings
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import Settings
 from veilcam_training.experiments.grid import Cell, Column, Place, Row, Table
 from veilcam_training.experiments.pictures import Pictures, save_pictures
 from veilcam_training.experiments.records import Origin, record_figures

@@ -14,7 +14,7 @@ from veilcam_training.data import Source, open_source, split
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.encoders import Mask
 from veilcam_training.experiments.executors import Executor
-from veilcam_training.experiments.fit import run_job
+from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.grid import Cell
 from veilcam_training.experiments.keyring import as_bundle
 from veilcam_training.experiments.pictures import make_pictures
@@ -29,10 +29,10 @@ from veilcam_training.experiments.results import (
     save_finished,
 )
 from veilcam_training.experiments.stopwatch import Stopwatch, time_label
-from veilcam_training.trainer.loop import Observer
+from veilcam_training.trainer.callbacks import Callback
 
 
-def _unobserved(cell: Cell) -> Sequence[Observer]:
+def _no_callbacks(cell: Cell) -> Sequence[Callback]:
     del cell
     return ()
 
@@ -46,14 +46,14 @@ class CellRunner:
         work: folder of the cells; a broken-off one is taken up from its checkpoint there.
         device: that computes.
         until: time after which no cell is begun [s since 1970]; None for no end.
-        observe: gives the observers of a cell; for workers in other processes, leave it.
+        observe: gives the callbacks of a cell; for workers in other processes, leave it.
     """
 
     data: Path
     work: Path
     device: torch.device
     until: float | None = None
-    observe: Callable[[Cell], Sequence[Observer]] = _unobserved
+    observe: Callable[[Cell], Sequence[Callback]] = _no_callbacks
 
     def __post_init__(self) -> None:
         self._sources: dict[str, ReadOnce] = {}
@@ -77,28 +77,28 @@ class CellRunner:
             return None
         source, camera, settings = self.source(cell.settings.data), Camera(), cell.settings
         watch = Stopwatch(self.device)
-        outcome = run_job(
+        fitted = run_fit(
             settings,
             source,
             camera,
             device=self.device,
             checkpoint=cell_folder(self.work, cell) / CHECKPOINT,
-            observers=[watch, *self.observe(cell)],
+            callbacks=[watch, *self.observe(cell)],
         )
-        model, history, best = outcome.fit.model, outcome.fit.history, outcome.fit.best
+        model, history, best = fitted.fit.model, fitted.fit.history, fitted.fit.best
         seconds, clock = watch.read(history)
         result = CellResult(
             settings=settings,
             fingerprint=settings.fingerprint(source),
             labels=source.labels,
-            test_set=outcome.accuracy.test_set,
-            test_accuracy=outcome.accuracy.value,
+            test_set=fitted.accuracy.test_set,
+            test_accuracy=fitted.accuracy.value,
             validation_accuracy=best.validation_accuracy,
             best_epoch=best.number,
             epochs=tuple(
                 EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
             ),
-            confusion=tuple(map(tuple, outcome.confusion.tolist())),
+            confusion=tuple(map(tuple, fitted.confusion.tolist())),
             seconds=seconds,
             clock=clock,
             inference_seconds=time_label(model.classifier, model.encoder.setup.outputs),
@@ -111,7 +111,7 @@ class CellRunner:
         return Finished(
             result,
             make_pictures(model, settings, split(source.training()).validation),
-            as_bundle([outcome], source, camera) if on_device else None,
+            as_bundle([fitted], source, camera) if on_device else None,
         )
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from veilcam_training.models.whitening import plain
-from veilcam_training.trainer.loop import Epoch
+from veilcam_training.trainer.callbacks import Epoch
 
 REPEATS = 100
 WARM_UP = 10

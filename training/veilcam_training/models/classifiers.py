@@ -1,19 +1,22 @@
 """Classifiers by name, as the layer records that a bundle holds.
 
 ``LR``, ``FC<width>`` and ``VGG11`` are the paper's (``FC800`` has 800 hidden units); ``MLP<width>``
-and ``CNN<width>`` are ours.
+and ``CNN<width>`` are ours. Of scenes that were decoded there is a ``CNN<width>`` of its own.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
+from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import (
     GELU,
     Affine,
+    AveragePool,
     BatchNorm,
     Conv2d,
     Dropout,
@@ -33,12 +36,15 @@ from veilcam_training.errors import TrainingError
 Layers = tuple[LayerRecord, ...]
 PlainLayers = tuple[PlainLayer, ...]
 
-NAMES = ("LR", "FC<width>", "MLP<width>", "CNN<width>", "VGG11")
 VGG11 = (64, "pool", 128, "pool", 256, 256, "pool", 512, 512, "pool", 512, 512, "pool")
 """Output channels of the 3 x 3 convolutions (Simonyan and Zisserman 2015, configuration A)."""
 VGG_SIDE = 32
 LEAST_POOLED_SIDE = 6
 """A CNN halves the image while its shorter side is at least this long."""
+LEAST_SCENE_SIDE = 8
+"""One of decoded scenes halves them until a side is shorter than twice this."""
+SCENE_HIDDEN = 128
+"""Hidden units after its convolutions."""
 
 
 Normalisation = Literal["shared", "per_pixel", "white"]
@@ -83,37 +89,52 @@ class Task:
         return self.channels, self.rows, self.columns
 
 
-def make_layers(name: str, task: Task, *, dropout: float = 0.0) -> Layers:
+@dataclass(frozen=True)
+class SceneTask:
+    """Decoded scenes that go into a classifier, and what must come out."""
+
+    channels: int
+    """Each as large as the scene."""
+    rows: int
+    columns: int
+    classes: int
+    centred: bool
+    """False averages over all places before the last layers, for objects anywhere."""
+
+
+def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> Layers:
     """Layers of classifier ``name``; the last gives logits.
 
     Args:
-        name: one of ``NAMES``, with a number for ``<width>``.
+        name: one of ``OF_READINGS`` or ``OF_SCENES``, with a number for ``<width>``.
         task: inputs and outputs.
         dropout: probability, for those that have hidden layers.
 
     Raises:
         TrainingError: an unknown name, or dropout that would have no effect.
     """
+    if isinstance(task, SceneTask):
+        make_for_scene, width = _find(OF_SCENES, name)
+        return make_for_scene(task, width, dropout)
     if task.normalisation == "white" and not name.startswith(("FC", "MLP")):
         raise TrainingError(
             f"normalisation 'white' needs a hidden layer that takes the whole reading: use it with "
             f"FC or MLP, not with {name!r}"
         )
-    if name == "LR":
-        if dropout:
-            raise TrainingError("LR has no hidden layer: use dropout 0")
-        return (*_sensor(task), Linear(inputs=task.inputs, outputs=task.classes))
-    if name == "VGG11":
-        return _vgg11(task, dropout)
-    makers: dict[str, Callable[[Task, int, float], Layers]] = {
-        "FC": _fully_connected,
-        "MLP": _residual_mlp,
-        "CNN": _convolutional,
-    }
+    make, width = _find(OF_READINGS, name)
+    return make(task, width, dropout)
+
+
+MakerT = TypeVar("MakerT")
+
+
+def _find(makers: Mapping[str, MakerT], name: str) -> tuple[MakerT, int]:
+    """What makes classifier ``name``, and its width."""
     match = re.fullmatch(r"(FC|MLP|CNN)([1-9]\d{0,4})", name)
-    if match is None:
-        raise TrainingError(f"classifier {name!r} is unknown: use one of {', '.join(NAMES)}")
-    return makers[match[1]](task, int(match[2]), dropout)
+    kind, width = (name, 0) if match is None else (f"{match[1]}<width>", int(match[2]))
+    if kind not in makers or (match is None and "<" in kind):
+        raise TrainingError(f"classifier {name!r} is unknown: use one of {', '.join(makers)}")
+    return makers[kind], width
 
 
 def _sensor(task: Task) -> Layers:
@@ -132,6 +153,12 @@ def _sensor(task: Task) -> Layers:
 
 def _dropped(dropout: float) -> PlainLayers:
     return (Dropout(probability=dropout),) if dropout else ()
+
+
+def _linear(task: Task, _: int, dropout: float) -> Layers:
+    if dropout:
+        raise TrainingError("LR has no hidden layer: use dropout 0")
+    return (*_sensor(task), Linear(inputs=task.inputs, outputs=task.classes))
 
 
 def _fully_connected(task: Task, width: int, dropout: float) -> Layers:
@@ -215,7 +242,7 @@ def _convolutional(task: Task, width: int, dropout: float) -> Layers:
     )
 
 
-def _vgg11(task: Task, dropout: float) -> Layers:
+def _vgg11(task: Task, _: int, dropout: float) -> Layers:
     """VGG11 with batch normalisation for 32 x 32 images, to which the embedding is resized."""
     layers: list[LayerRecord] = [*_sensor(task), Reshape(shape=task.shape)]
     layers.append(Resize(rows=VGG_SIDE, columns=VGG_SIDE))
@@ -232,3 +259,47 @@ def _vgg11(task: Task, dropout: float) -> Layers:
         *_dropped(dropout),
         Linear(inputs=channels, outputs=task.classes),
     )
+
+
+def _scene_convolutional(task: SceneTask, width: int, dropout: float) -> Layers:
+    """A small residual network.
+
+    A convolution halves the image at the start of every stage, and one residual block follows. The
+    first stage has ``width`` channels and each next one twice as many.
+    """
+    layers: list[LayerRecord] = [Reshape(shape=(task.channels, task.rows, task.columns))]
+    inputs, kernel, side = task.channels, 5, min(task.rows, task.columns)
+    while True:
+        layers += _convolution(inputs, width, kernel=kernel, stride=2)
+        block = (*_convolution(width, width), *_convolution(width, width)[:2])
+        layers += [Residual(layers=block), ReLU()]
+        side = math.ceil(side / 2)
+        if side < LEAST_SCENE_SIDE:
+            break
+        inputs, width, kernel = width, 2 * width, 3
+    if not task.centred:
+        layers.append(AveragePool())
+    layers.append(Flatten())
+    (features,) = output_shape(layers, task.channels * task.rows * task.columns)
+    return (
+        *layers,
+        *_dropped(dropout),
+        Linear(inputs=features, outputs=SCENE_HIDDEN, bias=False),
+        BatchNorm(features=SCENE_HIDDEN),
+        ReLU(),
+        Linear(inputs=SCENE_HIDDEN, outputs=task.classes),
+    )
+
+
+OF_READINGS: Mapping[str, Callable[[Task, int, float], Layers]] = {
+    "LR": _linear,
+    "FC<width>": _fully_connected,
+    "MLP<width>": _residual_mlp,
+    "CNN<width>": _convolutional,
+    "VGG11": _vgg11,
+}
+"""Classifiers of readings, by name."""
+OF_SCENES: Mapping[str, Callable[[SceneTask, int, float], Layers]] = {
+    "CNN<width>": _scene_convolutional
+}
+"""Classifiers of decoded scenes."""

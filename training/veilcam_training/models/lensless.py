@@ -1,16 +1,28 @@
-"""Encoder and classifier in one module: from scenes to logits."""
+"""Encoder and classifier in one module: from images to logits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from veilcam_training.bundle import LayerRecord, build_untrained
 from veilcam_training.encoders import Encoder
-from veilcam_training.models.whitening import decorrelate
+from veilcam_training.encoders.fresh import FreshCamera
+from veilcam_training.models.whitening import whiten
+from veilcam_training.seeding import stream
 from veilcam_training.transforms.scene import Identity, Transform
+
+
+class Draws(NamedTuple):
+    """Random numbers of an epoch, or of an evaluation."""
+
+    noise: torch.Generator
+    """Of the sensor, on the device of the images."""
+    scenes: torch.Generator
+    """Of how images are shown, on the CPU."""
 
 
 class LenslessClassifier(nn.Module):
@@ -23,8 +35,8 @@ class LenslessClassifier(nn.Module):
         change: how images are shown to the camera; by default as they are.
         mixed_precision: True lets the classifier's matrix products run in bfloat16. The optics and
             the noise stay in float32.
-        decorrelated: True has the classifier's first fully connected layer fitted in coordinates
-            in which what it is given is decorrelated.
+        whitened: True has the classifier's first fully connected layer fitted in coordinates in
+            which what it is given is white.
     """
 
     def __init__(
@@ -35,26 +47,50 @@ class LenslessClassifier(nn.Module):
         *,
         change: Transform | None = None,
         mixed_precision: bool = False,
-        decorrelated: bool = False,
+        whitened: bool = False,
     ) -> None:
         super().__init__()
         self.encoder, self.layers, self.snr_db = encoder, tuple(layers), snr_db
         self.change = Identity(encoder.setup.scene) if change is None else change
         self.mixed_precision = mixed_precision
         self.classifier = build_untrained(self.layers)
-        if decorrelated:
-            decorrelate(self.classifier)
+        if whitened:
+            whiten(self.classifier)
 
     def read(self, embeddings: Tensor, noise: torch.Generator) -> Tensor:
         """Logits for noiseless embeddings (batch, encoder.outputs), after fresh sensor noise."""
         if self.snr_db is not None:
             embeddings = self.encoder.add_noise(embeddings, self.snr_db, noise)
-        if not self.mixed_precision:
-            logits: Tensor = self.classifier(embeddings)
+        inputs = self.encoder.decode(embeddings)
+        if not self.is_mixed:
+            logits: Tensor = self.classifier(inputs)
             return logits
-        with torch.autocast(embeddings.device.type, dtype=torch.bfloat16):
-            logits = self.classifier(embeddings)
+        with torch.autocast(inputs.device.type, dtype=torch.bfloat16):
+            logits = self.classifier(inputs)
         return logits.float()
+
+    @property
+    def is_mixed(self) -> bool:
+        """True if the classifier is to run in mixed precision now."""
+        return self.mixed_precision
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is."""
+        return next(self.classifier.parameters()).device
+
+    def begin_epoch(self, seed: int, epoch: int, *process: str | int) -> Draws:
+        """Random numbers of an epoch of training, in one of the processes that train."""
+        return Draws(
+            stream(seed, "noise", epoch, *process, device=self.device),
+            stream(seed, "change", epoch, *process),
+        )
+
+    def begin_evaluation(self, seed: int, purpose: str) -> Draws:
+        """Random numbers of an evaluation; each purpose has its own, the same every time."""
+        return Draws(
+            stream(seed, purpose, "noise", device=self.device), stream(seed, purpose, "change")
+        )
 
     def forward(
         self, images: Tensor, noise: torch.Generator, draws: torch.Generator | None = None
@@ -81,3 +117,56 @@ class LenslessClassifier(nn.Module):
             return embeddings[0]
         back = torch.cat(chosen).argsort().to(images.device)
         return torch.cat(embeddings).index_select(0, back)
+
+
+class FreshClassifier(LenslessClassifier):
+    """A camera whose mask changes all the time, and one classifier for all its masks.
+
+    Args:
+        encoder: the camera.
+        layers: the classifier, made with fresh weights from torch's global generator.
+        change: how images are shown to the camera.
+        mixed_precision: True lets the classifier's matrix products run in bfloat16 in training.
+    """
+
+    encoder: FreshCamera
+
+    def __init__(
+        self,
+        encoder: FreshCamera,
+        layers: Sequence[LayerRecord],
+        change: Transform | None = None,
+        *,
+        mixed_precision: bool = False,
+    ) -> None:
+        super().__init__(
+            encoder,
+            layers,
+            encoder.frame.noise.snr_db,
+            change=change,
+            mixed_precision=mixed_precision,
+        )
+        self.classifier.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.wrong_key = False
+        """True evaluates with every reading decoded by the key of another mask."""
+
+    @property
+    def is_mixed(self) -> bool:
+        """True if the classifier is to run in mixed precision now: in training alone."""
+        return self.mixed_precision and self.training
+
+    def begin_epoch(self, seed: int, epoch: int, *process: str | int) -> Draws:
+        """Random numbers of an epoch, and masks of its own for every process."""
+        self.encoder.coming = self.encoder.rings("training", epoch, *process)
+        return self._draws(seed, epoch, *process)
+
+    def begin_evaluation(self, seed: int, purpose: str) -> Draws:
+        """Random numbers of an evaluation, and a new mask for each of its batches."""
+        self.encoder.coming = self.encoder.one_by_one(purpose, wrong_key=self.wrong_key)
+        return self._draws(seed, purpose)
+
+    def _draws(self, seed: int, *purpose: str | int) -> Draws:
+        scenes = stream(seed, "images", *purpose)
+        if self.device.type == "cpu":  # one stream for all: the fits there are depend on it
+            return Draws(scenes, scenes)
+        return Draws(stream(seed, "images", *purpose, device=self.device), scenes)

@@ -29,7 +29,7 @@ def _alone(mean: Tensor) -> Tensor:
     return mean
 
 
-class Decorrelated(nn.Module):
+class WhitenedWeights(nn.Module):
     """``V M`` from ``V``; ``M`` follows the inputs that it is shown.
 
     The whitening matrix is symmetric, so it changes steadily where eigenvectors swap their places.
@@ -90,10 +90,10 @@ class Decorrelated(nn.Module):
         self.matrix.copy_((directions / roots) @ directions.T)
 
 
-def decorrelate(classifier: nn.Sequential) -> None:
-    """Have the first fully connected layer of ``classifier`` fitted in decorrelated coordinates."""
+def whiten(classifier: nn.Sequential) -> None:
+    """Have the first fully connected layer of ``classifier`` fitted in white coordinates."""
     layer = next(layer for layer in classifier if isinstance(layer, nn.Linear))
-    parametrize.register_parametrization(layer, "weight", Decorrelated(layer.in_features))
+    parametrize.register_parametrization(layer, "weight", WhitenedWeights(layer.in_features))
     layer.register_forward_pre_hook(_observe)
 
 
@@ -103,7 +103,7 @@ def _observe(layer: nn.Module, inputs: tuple[Tensor]) -> None:
         fitted = cast(
             parametrize.ParametrizationList, layer.get_submodule("parametrizations.weight")
         )
-        cast(Decorrelated, fitted[0]).observe(inputs[0], fitted.original)
+        cast(WhitenedWeights, fitted[0]).observe(inputs[0], fitted.original)
 
 
 def plain(classifier: nn.Module) -> nn.Module:

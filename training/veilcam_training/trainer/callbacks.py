@@ -1,9 +1,15 @@
-"""Logs that TensorBoard shows: accuracies and losses of every epoch. No mask is ever logged."""
+"""Callbacks of a fit: progress, TensorBoard's logs, and the running mean of its weights."""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
+import torch
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -14,9 +20,79 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from torch.utils.tensorboard import SummaryWriter
 
-from veilcam_training.trainer.loop import Epoch
+from veilcam_training.models.lensless import LenslessClassifier
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """What one epoch came to; accuracies in [0, 1], on noisy readings."""
+
+    number: int
+    loss: float
+    """Mean over the epoch's steps."""
+    training_accuracy: float
+    """Of each batch before its step, mean over the epoch."""
+    validation_accuracy: float
+    validation_loss: float
+    seconds: float
+
+
+class Callback(Protocol):
+    """What is called as a fit goes on."""
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """``done`` of ``steps`` steps of ``epoch`` (from 0) are done."""
+
+    def epoch(self, epoch: Epoch) -> None:
+        """An epoch is over."""
+
+
+class MovingAverage:
+    """Running mean of a classifier's weights over the steps; it forgets the first ones fast.
+
+    Args:
+        model: that is fitted.
+        decay: of the mean, per step, in [0, 1); 0 keeps the last weights alone.
+    """
+
+    def __init__(self, model: LenslessClassifier, decay: float) -> None:
+        self._model, self._decay, self._steps = model, decay, 0
+        self._mean = copy.deepcopy(model.classifier).requires_grad_(False)
+
+    @torch.no_grad()
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """Take the new weights into the mean."""
+        del epoch, done, steps
+        self._steps += 1
+        share = 1 - min(self._decay, self._steps / (self._steps + 9))
+        weights = self._model.classifier.state_dict()
+        for name, mean in self._mean.state_dict().items():
+            if mean.is_floating_point():
+                mean.lerp_(weights[name], share)
+            else:
+                mean.copy_(weights[name])
+
+    def epoch(self, epoch: Epoch) -> None:
+        """Nothing: a mean of steps knows no epochs."""
+
+    @contextmanager
+    def applied(self) -> Iterator[None]:
+        """Let the model have the mean in the place of its weights."""
+        fitted, self._model.classifier = self._model.classifier, self._mean
+        try:
+            yield
+        finally:
+            self._model.classifier = fitted
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes."""
+        return {"mean": self._mean.state_dict(), "steps": self._steps}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Go on from what :meth:`state_dict` gave."""
+        self._mean.load_state_dict(saved["mean"])
+        self._steps = saved["steps"]
 
 
 def make_progress(console: Console) -> Progress:
@@ -53,9 +129,11 @@ class FitProgress:
 
 
 class TensorBoardLog:
-    """Observer that writes one run into ``folder``."""
+    """Writes accuracies and losses of one run into ``folder``. No mask is ever logged."""
 
     def __init__(self, folder: Path) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - slow to import
+
         self._writer = SummaryWriter(str(folder))
 
     def step(self, epoch: int, done: int, steps: int) -> None:

@@ -18,7 +18,7 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
 from veilcam_training.errors import TrainingError
-from veilcam_training.models.whitening import Decorrelated
+from veilcam_training.models.whitening import WhitenedWeights
 
 
 def choose_device(name: str) -> torch.device:
@@ -192,6 +192,6 @@ def _take_moments_over_ranks(module: nn.Module) -> None:
         if isinstance(child, _BatchNorm):
             setattr(module, name, _BatchNormOverRanks(child))
             continue
-        if isinstance(child, Decorrelated):
+        if isinstance(child, WhitenedWeights):
             child.mean = _mean_over_ranks
         _take_moments_over_ranks(child)

@@ -11,7 +11,6 @@ from torch.nn.functional import cross_entropy
 from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError
 from veilcam_training.models.lensless import LenslessClassifier
-from veilcam_training.seeding import stream
 
 BATCH = 1000
 
@@ -42,7 +41,14 @@ def confusion(labels: Tensor, predictions: Tensor, classes: int) -> Tensor:
 
 
 @torch.no_grad()
-def evaluate(model: LenslessClassifier, images: Images, seed: int, purpose: str) -> Evaluation:
+def evaluate(
+    model: LenslessClassifier,
+    images: Images,
+    seed: int,
+    purpose: str,
+    *,
+    batches: int | None = None,
+) -> Evaluation:
     """Classify ``images``, each shown in one way and behind one draw of the noise.
 
     Args:
@@ -50,20 +56,25 @@ def evaluate(model: LenslessClassifier, images: Images, seed: int, purpose: str)
         images: to classify.
         seed: of the draws.
         purpose: what the evaluation is for; each has its own draws, the same every time.
+        batches: how many to divide the images into, as evenly as can be; by default each has
+            ``BATCH``. A camera with fresh masks has another one for each.
 
     Raises:
-        TrainingError: there are no images.
+        TrainingError: there are no images, or fewer than batches.
     """
     if len(images) == 0:
         raise TrainingError("there are no images to evaluate with: use a set that holds some")
+    if batches is not None and not 1 <= batches <= len(images):
+        raise TrainingError(
+            f"masks = {batches} is not valid: use 1 to {len(images)}, one a capture"
+        )
     was_training = model.training
     model.eval()
-    draws = stream(seed, purpose, "change")
-    noise = stream(seed, purpose, "noise", device=images.labels.device)
+    draws = model.begin_evaluation(seed, purpose)
+    places = torch.arange(len(images), device=images.labels.device)
     loss, predictions = 0.0, []
-    for start in range(0, len(images), BATCH):
-        part = slice(start, start + BATCH)
-        logits = model(images.scenes(part), noise, draws)
+    for part in torch.split(places, BATCH) if batches is None else places.tensor_split(batches):
+        logits = model(images.scenes(part), *draws)
         loss += cross_entropy(logits, images.labels[part], reduction="sum").item()
         predictions.append(logits.argmax(1))
     model.train(was_training)

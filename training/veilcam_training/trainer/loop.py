@@ -5,38 +5,23 @@ from __future__ import annotations
 import copy
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from veilcam_training.config.recipes import Recipe
 from veilcam_training.data import Split
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import seeded, stream
+from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.distributed import ALONE, Ranks
 from veilcam_training.trainer.evaluation import evaluate
-from veilcam_training.trainer.step import Inputs, make_optimiser, train_step
-
-__all__ = ["Epoch", "Fit", "Inputs", "Observer", "fit", "make_optimiser", "train_step"]
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """What one epoch came to; accuracies in [0, 1], on noisy readings."""
-
-    number: int
-    loss: float
-    """Mean over the epoch's steps."""
-    training_accuracy: float
-    """Of each batch before its step, mean over the epoch."""
-    validation_accuracy: float
-    validation_loss: float
-    seconds: float
+from veilcam_training.trainer.step import Hyperparameters, Inputs, make_optimiser, train_step
 
 
 @dataclass(frozen=True)
@@ -48,25 +33,17 @@ class Fit:
     best: Epoch
 
 
-class Observer(Protocol):
-    """Someone who is told how far a fit has come."""
-
-    def step(self, epoch: int, done: int, steps: int) -> None:
-        """``done`` of ``steps`` steps of ``epoch`` (from 0) are done."""
-
-    def epoch(self, epoch: Epoch) -> None:
-        """An epoch is over."""
-
-
 def fit(
     model: LenslessClassifier,
     split: Split,
-    recipe: Recipe,
+    recipe: Hyperparameters,
     seed: int,
     *,
+    average: MovingAverage | None = None,
+    masks: int | None = None,
     checkpoint: Path | None = None,
     fingerprint: str = "",
-    observers: Sequence[Observer] = (),
+    callbacks: Sequence[Callback] = (),
     ranks: Ranks = ALONE,
 ) -> Fit:
     """Fit ``model`` in place.
@@ -80,9 +57,12 @@ def fit(
         split: images to fit to and to select with.
         recipe: how.
         seed: of the order of the images, the noise and dropout.
+        average: of the model's weights, to validate and to return in their place.
+        masks: how many a validation is spread over, at most; see
+            :func:`veilcam_training.trainer.evaluation.evaluate`.
         checkpoint: written after every epoch, and read first if it is there.
         fingerprint: of all that the result depends on; guards the checkpoint.
-        observers: told about every step and epoch.
+        callbacks: called after every step and epoch.
         ranks: processes that fit it together, each with this same call; the first one alone
             validates and writes, and each has noise and dropout of its own.
 
@@ -90,34 +70,33 @@ def fit(
         TrainingError: a checkpoint of another fit, a loss that is no number, or a batch that the
             ranks cannot share evenly.
     """
-    state = _State(model, recipe)
+    state = _State(model, recipe, average)
     if checkpoint is not None:
         saved = ranks.from_first(lambda: load_checkpoint(checkpoint, fingerprint))
         if saved is not None:
             state.load(saved)
-    inputs = Inputs(model, split.training, recipe.jitter)
+    inputs = Inputs(model, split.training, recipe.transform)
     network = ranks.wrap(inputs)
+    batches = None if masks is None else min(masks, len(split.validation))
+    watched = callbacks if average is None else (average, *callbacks)
     while not state.is_over:
         started = time.monotonic()
         with seeded(seed, "epoch", state.next_epoch, *ranks.purpose):
-            inputs.draws = stream(seed, "change", state.next_epoch, *ranks.purpose)
+            inputs.draws = model.begin_epoch(seed, state.next_epoch, *ranks.purpose)
             loss, accuracy = _run_epoch(
-                state, network, split.training.labels, seed, ranks=ranks, observers=observers
+                state, network, split.training.labels, seed, ranks=ranks, callbacks=watched
             )
-        result = ranks.from_first(lambda: evaluate(model, split.validation, seed, "validation"))
-        epoch = Epoch(
-            state.next_epoch,
-            loss,
-            accuracy,
-            result.accuracy,
-            result.loss,
-            time.monotonic() - started,
-        )
-        state.finish(epoch)
+        with state.averaged():
+            result = ranks.from_first(
+                lambda: evaluate(model, split.validation, seed, "validation", batches=batches)
+            )
+            seconds = time.monotonic() - started
+            epoch = Epoch(state.next_epoch, loss, accuracy, result.accuracy, result.loss, seconds)
+            state.finish(epoch)
         if checkpoint is not None and ranks.is_first:
             save_checkpoint(checkpoint, fingerprint, state.dump())
-        for observer in observers:
-            observer.epoch(epoch)
+        for callback in watched:
+            callback.epoch(epoch)
     model.load_state_dict(state.best_weights)
     model.eval()
     return Fit(model, tuple(state.history), state.best)
@@ -126,8 +105,10 @@ def fit(
 class _State:
     """All that changes during a fit."""
 
-    def __init__(self, model: LenslessClassifier, recipe: Recipe) -> None:
-        self.model, self.recipe = model, recipe
+    def __init__(
+        self, model: LenslessClassifier, recipe: Hyperparameters, average: MovingAverage | None
+    ) -> None:
+        self.model, self.recipe, self.average = model, recipe, average
         self.optimiser = make_optimiser(model, recipe)
         self.history: list[Epoch] = []
         self.best_weights: dict[str, Tensor] = {}
@@ -149,13 +130,18 @@ class _State:
     def best(self) -> Epoch:
         return max(self.history, key=lambda e: (e.validation_accuracy, -e.validation_loss))
 
+    def averaged(self) -> AbstractContextManager[None]:
+        """Where the model has the weights to validate and to keep."""
+        return nullcontext() if self.average is None else self.average.applied()
+
     def finish(self, epoch: Epoch) -> None:
         self.history.append(epoch)
         if self.best is epoch:
             self.best_weights = copy.deepcopy(self.model.state_dict())
 
     def dump(self) -> dict[str, Any]:
-        return {
+        average = {} if self.average is None else {"average": self.average.state_dict()}
+        return average | {
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "best_weights": self.best_weights,
@@ -165,6 +151,8 @@ class _State:
     def load(self, saved: dict[str, Any]) -> None:
         self.model.load_state_dict(saved["model"])
         self.optimiser.load_state_dict(saved["optimiser"])
+        if self.average is not None:
+            self.average.load_state_dict(saved["average"])
         self.best_weights = saved["best_weights"]
         self.history = [Epoch(**epoch) for epoch in saved["history"]]
 
@@ -176,11 +164,10 @@ def _run_epoch(
     seed: int,
     *,
     ranks: Ranks,
-    observers: Sequence[Observer],
+    callbacks: Iterable[Callback],
 ) -> tuple[float, float]:
     """One pass over the training images; mean loss and accuracy."""
     recipe, number, count = state.recipe, state.next_epoch, len(labels)
-    noise = stream(seed, "noise", number, *ranks.purpose, device=labels.device)
     order = torch.randperm(count, generator=stream(seed, "order", number)).to(labels.device)
     batch = min(recipe.batch, count)
     steps = count // batch  # what does not fill a batch waits for another epoch's order
@@ -196,11 +183,10 @@ def _run_epoch(
             network,
             chosen,
             state.optimiser,
-            noise,
             label_smoothing=recipe.label_smoothing,
         )
         total, right = total + loss, right + hits
-        for observer in observers:
-            observer.step(number, step + 1, steps)
+        for callback in callbacks:
+            callback.step(number, step + 1, steps)
     total, right = ranks.total(total, right)
     return total / (steps * ranks.size), right / (steps * batch)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import FreshSettings
 from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError
 from veilcam_training.models.lensless import LenslessClassifier
@@ -16,7 +17,8 @@ from veilcam_training.trainer.evaluation import BATCH
 from veilcam_training.transforms.augmentation import Augmentation
 from veilcam_training.transforms.scene import Identity
 
-NO_JITTER = Augmentation()
+Hyperparameters = Recipe | FreshSettings
+"""How to fit."""
 
 
 class Inputs(nn.Module):
@@ -24,27 +26,32 @@ class Inputs(nn.Module):
 
     Where images are shown as they are to a camera that does not change, every noiseless reading is
     computed once.
+
+    Args:
+        model: that is fitted.
+        images: to fit it to.
+        transform: changes them at random; None takes them as they are.
     """
 
     def __init__(
-        self, model: LenslessClassifier, images: Images, changes: Augmentation = NO_JITTER
+        self, model: LenslessClassifier, images: Images, transform: Augmentation | None = None
     ) -> None:
         super().__init__()
-        self._model, self._images, self._jitter = model, images, changes
-        self.draws = torch.Generator()
-        """Of how the images are shown, on the CPU; a fit gives each epoch its own."""
-        constant = isinstance(model.change, Identity) and not changes.any
+        self._model, self._images, self._transform = model, images, transform
+        self.draws = model.begin_epoch(0, 0)
+        """Random numbers; a fit gives each epoch its own."""
+        constant = isinstance(model.change, Identity) and transform is None
         self._readings = _encode(model, images) if model.encoder.constant and constant else None
 
-    def forward(self, chosen: Tensor, noise: torch.Generator) -> tuple[Tensor, Tensor]:
+    def forward(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """Logits for the images at ``chosen``, behind fresh noise, and what they show."""
         labels = self._images.labels[chosen]
         if self._readings is not None:
-            return self._model.read(self._readings[chosen], noise), labels
+            return self._model.read(self._readings[chosen], self.draws.noise), labels
         images = self._images.scenes(chosen)
-        if self._jitter.any:
-            images = self._jitter(images, self.draws)
-        logits: Tensor = self._model(images, noise, self.draws)
+        if self._transform is not None:
+            images = self._transform(images, self.draws.scenes)
+        logits: Tensor = self._model(images, *self.draws)
         return logits, labels
 
 
@@ -54,7 +61,7 @@ def _encode(model: LenslessClassifier, images: Images) -> Tensor:
     return torch.cat([model.encoder(images.scenes(part)) for part in parts])
 
 
-def make_optimiser(model: LenslessClassifier, recipe: Recipe) -> torch.optim.Optimizer:
+def make_optimiser(model: LenslessClassifier, recipe: Hyperparameters) -> torch.optim.Optimizer:
     """Optimiser with a rate for the classifier and one for the encoder.
 
     Weight decay acts on the matrices of the classifier alone.
@@ -77,7 +84,6 @@ def train_step(
     network: nn.Module,
     chosen: Tensor,
     optimiser: torch.optim.Optimizer,
-    noise: torch.Generator,
     *,
     label_smoothing: float = 0.0,
 ) -> tuple[float, int]:
@@ -88,13 +94,12 @@ def train_step(
         network: its :class:`Inputs`, as one process or several train them.
         chosen: indices of images, int64 (count,).
         optimiser: of the model.
-        noise: of the sensor.
         label_smoothing: share of the wanted probability that all classes have in common.
 
     Raises:
         TrainingError: the loss is no number; the model is as it was before.
     """
-    logits, labels = network(chosen, noise)
+    logits, labels = network(chosen)
     loss = cross_entropy(logits, labels, label_smoothing=label_smoothing)
     value = loss.item()
     if not math.isfinite(value):

@@ -1,0 +1,53 @@
+"""Groupings of points are found, and compared."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
+from veilcam_training.errors import TrainingError
+
+
+def blobs(count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    labels = torch.arange(4).repeat_interleave(count)
+    centres = 10 * torch.eye(4, 6)
+    return centres[labels] + torch.randn(len(labels), 6, generator=generator), labels
+
+
+def test_k_means_finds_blobs() -> None:
+    generator = torch.Generator().manual_seed(0)
+    points, labels = blobs(50, generator)
+    assert adjusted_rand_index(labels, k_means(points, 4, generator)) == 1
+    same = torch.zeros(5, 3)
+    assert len(k_means(same, 2, generator)) == 5
+    with pytest.raises(TrainingError, match="clusters = 6"):
+        k_means(same, 6, generator)
+
+
+def test_subspaces_are_found_where_k_means_finds_none() -> None:
+    generator = torch.Generator().manual_seed(0)
+    bases = torch.linalg.qr(torch.randn(4, 30, 3, generator=generator))[0]
+    points = torch.cat([torch.randn(60, 3, generator=generator) @ basis.T for basis in bases])
+    labels = torch.arange(4).repeat_interleave(60)
+    assert adjusted_rand_index(labels, subspace_clusters(points, 4, generator)) > 0.95
+    assert adjusted_rand_index(labels, k_means(points, 4, generator)) < 0.5
+    with pytest.raises(TrainingError, match="too few"):
+        subspace_clusters(points[:10], 4, generator)
+
+
+def test_adjusted_rand_index() -> None:
+    one = torch.tensor([0, 0, 1, 1, 2, 2])
+    assert adjusted_rand_index(one, (one + 1) % 3) == 1
+    # Hubert and Arabie's formula by hand: 1 pair together in both, 3 and 4 in each, 15 in all.
+    other = torch.tensor([0, 0, 0, 1, 1, 2])
+    expected = 3 * 4 / 15
+    assert adjusted_rand_index(one, other) == pytest.approx((1 - expected) / (3.5 - expected))
+    generator = torch.Generator().manual_seed(0)
+    labels = torch.randint(5, (2000,), generator=generator)
+    assert abs(adjusted_rand_index(labels, torch.randint(5, (2000,), generator=generator))) < 0.01
+    assert math.isclose(adjusted_rand_index(torch.zeros(4).long(), torch.zeros(4).long()), 1)
+    with pytest.raises(TrainingError, match="groupings"):
+        adjusted_rand_index(one, other[:3])

@@ -1,0 +1,106 @@
+"""``veilcam-train fit-fresh`` and ``frame`` end to end, and what they say to bad input."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from tensorboard.backend.event_processing import (  # type: ignore[import-untyped]
+    event_accumulator,
+)
+from typer.testing import CliRunner
+
+from veilcam_optics.camera.geometry import Embedding
+from veilcam_optics.decoding import read_frame
+from veilcam_training.bundle import read_bundle
+from veilcam_training.cli.main import app
+from veilcam_training.errors import TrainingError
+
+
+def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "fresh.veilcam"
+    command = [
+        "fit-fresh",
+        "--data",
+        str(digit_folder),
+        "--out",
+        str(out),
+        "--device-label",
+        "hall",
+    ]
+    result = CliRunner().invoke(
+        app, [*command, "--task", "mnist_3x4", "--epochs", "1", "--masks", "5", "--seed", "2"]
+    )
+    assert result.exit_code == 0, result.output
+    assert "on 5 unseen masks" in result.output
+    bundle = read_bundle(out)
+    assert bundle.fresh is not None
+    assert bundle.fresh.device == "hall"
+    assert bundle.provenance["settings"]["seed"] == 2  # type: ignore[index,call-overload]
+    assert bundle.embedding == Embedding(3, 4)
+    frame = tmp_path / "frame.safetensors"
+    result = CliRunner().invoke(app, ["frame", str(out), str(frame)])
+    assert result.exit_code == 0, result.output
+    assert "'hall'" in result.output
+    assert read_frame(frame).embedding == bundle.embedding
+    for refused, reason in (
+        ([*command[:4], str(tmp_path / "fresh.zip")], "use a name that ends in .veilcam"),
+        ([*command, "--epochs", "0"], "epochs is not valid: Input should be greater"),
+        ([*command, "--seed", "-1"], "seed is not valid: Input should be greater"),
+        (["frame", str(out), str(tmp_path / "a.zip")], "a name that ends in .safetensors"),
+        (["frame", str(out), str(out / "a.safetensors")], f"make the folder {out} first"),
+    ):
+        error = CliRunner().invoke(app, refused).exception
+        assert isinstance(error, TrainingError)
+        assert reason in str(error)
+
+
+def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
+    config, logs, work = tmp_path / "a.toml", tmp_path / "logs", tmp_path / "work"
+    config.write_text(
+        'task = "mnist_3x4"\nepochs = 2\nrank = 20\nclassifier = "CNN4"\n'
+        "[misalignment]\npanels = 2\n"
+    )
+    out = tmp_path / "fresh.veilcam"
+    command = ["fit-fresh", "--data", str(digit_folder), "--out", str(out), "--masks", "5"]
+    command += ["--config", str(config), "--device", "cpu", "--work", str(work), "--batch", "80"]
+    result = CliRunner().invoke(app, [*command, "--tensorboard", str(logs)])
+    assert result.exit_code == 0, result.output
+    made: Any = read_bundle(out).provenance["settings"]
+    assert (made["rank"], made["classifier"], made["batch"]) == (20, "CNN4", 80)
+    assert made["misalignment"]["panels"] == 2
+    # Nobody else knows the seed, and it is taken up with the rest.
+    assert sorted(path.name for path in work.iterdir()) == [
+        "fit.checkpoint",
+        "seed",
+        "statistics.checkpoint",
+    ]
+    curves = event_accumulator.EventAccumulator(str(logs))
+    curves.Reload()
+    assert [point.step for point in curves.Scalars("accuracy/validation")] == [1, 2]
+    first = read_bundle(out)
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    again: Any = read_bundle(out).provenance["settings"]
+    assert again["seed"] == made["seed"] != 0
+    assert read_bundle(out).accuracy == first.accuracy
+    error = CliRunner().invoke(app, [*command, "--device", "tpu"]).exception
+    assert isinstance(error, TrainingError)
+    assert "use cpu, cuda or auto" in str(error)
+
+
+def test_two_processes(digit_folder: Path, tmp_path: Path) -> None:
+    """Each with masks of its own, and one bar, one bundle."""
+    out, binaries = tmp_path / "a.veilcam", Path(sys.executable).parent
+    launch = (binaries / "torchrun", "--standalone", "--nproc-per-node", 2, "--no-python")
+    chosen = ("--task", "mnist_3x4", "--epochs", 1, "--batch", 128, "--masks", 5)
+    fit = ("fit-fresh", "--data", digit_folder, *chosen, "--device", "cpu", "--out", out)
+    command = [*launch, binaries / "veilcam-train", *fit]
+    done = subprocess.run(
+        [str(word) for word in command], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.count("validation") == 1
+    assert done.stdout.count("wrote") == 1
+    assert read_bundle(out).provenance["processes"] == 2

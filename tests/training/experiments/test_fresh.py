@@ -1,0 +1,132 @@
+"""A fit for fresh masks: what it learns, what it leaves, and the bundle made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_optics.camera.geometry import Camera, Window
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.sensor.noise import shot_noise
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_training.bundle import build_classifier, classifier_inputs, read_bundle, write_bundle
+from veilcam_training.config.settings import FreshSettings
+from veilcam_training.data import Source, open_source
+from veilcam_training.encoders.fresh import Misalignment
+from veilcam_training.errors import TrainingError
+from veilcam_training.experiments import fit as fitting
+from veilcam_training.experiments.fit import run_fresh
+from veilcam_training.experiments.keyring import as_fresh_bundle
+from veilcam_training.trainer.evaluation import evaluate
+
+CAMERA = Camera(window=Window(rows=18, columns=9))
+
+
+def settings(**changes: Any) -> FreshSettings:
+    small: dict[str, Any] = {
+        "embedding": "6x8",
+        "rank": 40,
+        "misalignment": Misalignment(panels=2),
+        "classifier": "CNN4",
+        "epochs": 3,
+        "batch": 64,
+        "renewed": 2,
+        "rate": 1e-2,
+        "averaging": 0.9,
+        "validation_masks": 10,
+    }
+    return FreshSettings(**{**small, **changes})
+
+
+def test_it_learns_and_serves_a_new_mask_for_every_capture(source: Source) -> None:
+    result = run_fresh(settings(epochs=6), source, CAMERA)
+    assert result.masks == 100
+    assert result.accuracy.value > 0.9
+    assert result.fit.history[-1].loss < 0.7 * result.fit.history[0].loss
+    # With a decoder of another mask little is left, even of a task as coarse as this one.
+    assert result.wrong_key_accuracy < result.accuracy.value - 0.3
+
+
+def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
+    source: Source, tmp_path: Path
+) -> None:
+    chosen = settings(epochs=6, spread=0.4)
+    result = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
+    write_bundle(
+        tmp_path / "a.veilcam", as_fresh_bundle(result, source, CAMERA, device="test camera")
+    )
+    bundle = read_bundle(tmp_path / "a.veilcam")
+    fresh = bundle.fresh
+    assert fresh is not None
+    assert bundle.accuracy == result.accuracy
+    secret = Secret.generate()
+    levels = epoch_levels(secret, fresh.device, 3, camera=CAMERA, distribution=fresh.distribution)
+    weights = to_weights(levels, CAMERA.panel)
+    decoder = fresh.frame(CAMERA, bundle.scene, bundle.embedding).decoding().prepare(weights)
+    test = source.test()
+    clean = TransferOperator(CAMERA, bundle.scene, bundle.embedding).embed(test.scenes(), weights)
+    readings = shot_noise(clean, 40.0, torch.Generator().manual_seed(0))
+    classifier = build_classifier(fresh.layers, fresh.weights)
+    predicted = classifier(classifier_inputs(decoder, readings, fresh.features)).argmax(1)
+    assert float((predicted == test.labels).float().mean()) > 0.8
+    # Nothing is left to do, and the same comes of it.
+    again = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
+    assert again.accuracy == result.accuracy
+
+
+def test_statistics_of_another_fit_are_refused(
+    monkeypatch: pytest.MonkeyPatch, source: Source, plain_folder: Path, tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+
+    class StopError(Exception):
+        pass
+
+    def stop(*_: object, **__: object) -> None:
+        raise StopError
+
+    monkeypatch.setattr(fitting, "fit", stop)  # before there is a checkpoint of the fit
+    with pytest.raises(StopError):
+        run_fresh(settings(batch=16), source, CAMERA, work=work)
+    (left,) = work.iterdir()
+    assert left.name == "statistics.checkpoint"
+    other = open_source("mnist", plain_folder)
+    for chosen, data in ((settings(batch=16), other), (settings(batch=16, seed=1), source)):
+        with pytest.raises(TrainingError, match=f"{left} is of another fit"):
+            run_fresh(chosen, data, CAMERA, work=work)
+    # Those of the same fit are not made again.
+    monkeypatch.setattr(fitting, "fresh_statistics", None)
+    with pytest.raises(StopError):
+        run_fresh(settings(batch=16), source, CAMERA, work=work)
+
+
+def test_what_is_learned_of_masks_is_taken_up_and_published(source: Source, tmp_path: Path) -> None:
+    chosen = settings(spread=0.3, epochs=2)
+    whole = run_fresh(chosen, source, CAMERA, work=tmp_path, masks=10)
+    again = run_fresh(chosen, source, CAMERA, work=tmp_path, masks=10)  # nothing is left to do
+    one, other = whole.camera.distribution, again.camera.distribution
+    assert np.array_equal(one.lowest, other.lowest)
+    assert np.array_equal(one.highest, other.highest)
+    assert 0 < one.bits < MaskDistribution.power(CAMERA, 1.0).bits
+    bundle = as_fresh_bundle(whole, source, CAMERA, device="a")
+    assert bundle.fresh is not None
+    assert np.array_equal(bundle.fresh.distribution.lowest, one.lowest)
+
+
+def test_masks_of_a_test_change_what_is_seen(source: Source) -> None:
+    model = run_fresh(settings(epochs=1), source, CAMERA, masks=5).fit.model
+    few, many = (evaluate(model, source.test(), 0, "x", batches=masks) for masks in (2, 50))
+    assert few.loss != many.loss
+    for masks in (0, 101):
+        with pytest.raises(TrainingError, match=f"masks = {masks} is not valid: use 1 to 100"):
+            evaluate(model, source.test(), 0, "x", batches=masks)
+
+
+def test_too_few_images_are_refused(source: Source) -> None:
+    with pytest.raises(TrainingError, match="do not fill a batch"):
+        run_fresh(settings(batch=1024), source, CAMERA)

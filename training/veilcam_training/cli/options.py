@@ -1,0 +1,78 @@
+"""Options that several commands have, and what they do before and around a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import typer
+from rich.console import Console
+
+from veilcam_training.files import check_file, check_folder
+from veilcam_training.trainer.callbacks import (
+    Callback,
+    FitProgress,
+    TensorBoardLog,
+    make_progress,
+)
+from veilcam_training.trainer.distributed import Ranks, choose_device
+
+Folder = Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")]
+Config = Annotated[
+    Path | None, typer.Option("--config", help="TOML file of settings; options go before it.")
+]
+Epochs = Annotated[int | None, typer.Option("--epochs", help="Instead of what the settings say.")]
+Batch = Annotated[int | None, typer.Option("--batch", help="Instead of what the settings say.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        help="Of every random number, to get the same masks again, as whoever knows it can: "
+        "leave it out for masks that go on a camera, then a secret one is drawn.",
+    ),
+]
+Work = Annotated[
+    Path | None, typer.Option("--work", help="Folder for checkpoints: resumes what is in it.")
+]
+Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
+Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
+
+
+def given(**options: object) -> dict[str, object]:
+    """Those options that were given."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def check_places(out: Path | None, work: Path | None, logs: Path | None = None) -> None:
+    """Refuse places that cannot be written to, before the work."""
+    if out is not None:
+        check_file("--out", out, ".veilcam")
+    if work is not None:
+        check_folder("--work", work)
+    if logs is not None:
+        check_folder("--tensorboard", logs)
+
+
+def prepare(device: str, threads: int | None) -> torch.device:
+    """Set the number of threads and choose the device."""
+    if threads is not None:
+        torch.set_num_threads(threads)
+    return choose_device(device)
+
+
+@contextmanager
+def watch(
+    console: Console, name: str, epochs: int, logs: Path | None, ranks: Ranks
+) -> Iterator[Sequence[Callback]]:
+    """Callbacks of a fit, shown by the first rank alone while it lasts."""
+    with make_progress(console if ranks.is_first else Console(quiet=True)) as progress:
+        callbacks: list[Callback] = []
+        if ranks.is_first:
+            callbacks.append(FitProgress(progress, name, epochs))
+            if logs is not None:
+                callbacks.append(TensorBoardLog(logs))
+        yield callbacks

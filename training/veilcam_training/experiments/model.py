@@ -1,0 +1,157 @@
+"""Models as settings describe them: camera and classifier, not fitted yet."""
+
+from __future__ import annotations
+
+import torch
+
+from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.decoding import ReadingNoise, SceneFrame, SceneStatistics
+from veilcam_optics.keys.masks import MaskDistribution
+from veilcam_training.bundle.fresh import FEATURES
+from veilcam_training.config.settings import FreshSettings, Settings, parse_embedding
+from veilcam_training.data import Images, Source
+from veilcam_training.encoders import LinearEncoder, Setup, make_encoder
+from veilcam_training.encoders.fresh import (
+    FreshCamera,
+    LearnedRange,
+    MaskSchedule,
+    pooled,
+    scene_statistics,
+)
+from veilcam_training.models.classifiers import SceneTask, Task, make_layers
+from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
+from veilcam_training.seeding import seeded, stream
+from veilcam_training.transforms.scene import Anywhere, Identity, Transform, make_transform
+
+FRESH_DROPOUT = 0.2
+"""Of a classifier's hidden layer behind fresh masks."""
+
+
+def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
+    """The model that ``settings`` describe, not fitted yet.
+
+    Raises:
+        TrainingError: an unknown encoder or classifier, or an embedding that is none.
+    """
+    embedding = parse_embedding(settings.embedding)
+    change = make_transform(settings.change, source.scene, camera)
+    setup = Setup(
+        camera,
+        change.scene,
+        embedding,
+        colour=source.colour,
+        point_reading=settings.reading == "point",
+        finer=change.finer,
+    )
+    encoder = make_encoder(
+        settings.encoder,
+        setup,
+        stream(settings.seed, "encoder"),
+        psf=settings.psf,
+        errors=settings.recipe.panel_errors,
+        pinhole=settings.recipe.mask_start == "pinhole",
+    )
+    task = Task(
+        channels=setup.channels,
+        rows=embedding.rows,
+        columns=embedding.columns,
+        classes=len(source.labels),
+        rectified=encoder.trainable,
+        normalisation=settings.recipe.normalisation,
+        gain=white_gain(encoder),
+        exposure=settings.recipe.exposure,
+    )
+    layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
+    with seeded(settings.seed, "classifier"):
+        return LenslessClassifier(
+            encoder,
+            layers,
+            settings.recipe.snr_db,
+            change=change,
+            mixed_precision=settings.recipe.precision == "mixed",
+            whitened=settings.recipe.normalisation == "white",
+        )
+
+
+def white_gain(encoder: LinearEncoder) -> float:
+    """Factor that brings the reading of a white scene to a root mean square of 1, to 3 digits."""
+    encoder.eval()  # without the errors of a panel, which are drawn at random
+    with torch.no_grad():
+        white = encoder.transfer().sum(-2).square().mean().sqrt().item()
+    encoder.train()
+    return float(f"{1 / white:.3g}") if white > 0 else 1.0
+
+
+def make_fresh_camera(
+    settings: FreshSettings, camera: Camera, image: Scene, statistics: SceneStatistics
+) -> FreshCamera:
+    """The camera that ``settings`` describe, its masks not learned yet.
+
+    Args:
+        settings: of the fit.
+        camera: the device.
+        image: how large and how far away the images are shown.
+        statistics: of the decoded scenes, public; see :func:`fresh_statistics`.
+    """
+    shown = _fresh_change(settings, camera, image).scene
+    frame = SceneFrame(
+        camera,
+        pooled(shown, settings.pooling),
+        parse_embedding(settings.embedding),
+        statistics,
+        ReadingNoise(settings.snr_db, settings.model_error),
+    )
+    source: MaskDistribution | LearnedRange
+    if settings.spread is None:
+        source = MaskDistribution.power(camera, settings.exponent)
+    else:
+        centres = stream(settings.seed, "centres")
+        source = LearnedRange(camera, settings.exponent, settings.spread, centres)
+    schedule = MaskSchedule(settings.seed, settings.masks, settings.renewed, settings.misalignment)
+    return FreshCamera(frame, source, shown, schedule)
+
+
+def make_fresh_model(
+    settings: FreshSettings, source: Source, camera: Camera, statistics: SceneStatistics
+) -> FreshClassifier:
+    """The model for fresh masks that ``settings`` describe, not fitted yet.
+
+    Raises:
+        TrainingError: an unknown classifier, or an embedding that is none.
+    """
+    encoder = make_fresh_camera(settings, camera, source.scene, statistics)
+    scene = encoder.frame.scene
+    task = SceneTask(
+        channels=len(FEATURES),
+        rows=scene.rows,
+        columns=scene.columns,
+        classes=len(source.labels),
+        centred=settings.placement == "centred",
+    )
+    layers = make_layers(settings.classifier, task, dropout=FRESH_DROPOUT)
+    with seeded(settings.seed, "classifier"):
+        return FreshClassifier(
+            encoder,
+            layers,
+            _fresh_change(settings, camera, source.scene),
+            mixed_precision=settings.bfloat16,
+        )
+
+
+def fresh_statistics(
+    settings: FreshSettings, camera: Camera, image: Scene, training: Images
+) -> SceneStatistics:
+    """Statistics of decoded scenes, from training images placed as they will be."""
+    return scene_statistics(
+        training,
+        _fresh_change(settings, camera, image),
+        pooling=settings.pooling,
+        rank=settings.rank,
+        seed=settings.seed,
+    )
+
+
+def _fresh_change(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
+    if settings.placement == "centred":
+        return Identity(image)
+    return Anywhere(image, camera, settings.pooling)
