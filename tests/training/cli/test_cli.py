@@ -221,12 +221,12 @@ def test_threads_of_workers(
     class StopError(Exception):
         pass
 
-    def make_workers(*_: object, threads: int | None, **__: object) -> None:
+    def make_executor(*_: object, threads: int | None, **__: object) -> None:
         assert threads == 3
         raise StopError
 
     monkeypatch.setattr(torch, "set_num_threads", lambda _: None)
-    monkeypatch.setattr(cli, "make_workers", make_workers)
+    monkeypatch.setattr(cli, "make_executor", make_executor)
     out = tmp_path / "a.veilcam"
     command = ("keyring", "--data", digit_folder, "--out", out, "--workers", 2, "--threads", 3)
     monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, command)])

@@ -35,8 +35,7 @@ from veilcam_training.experiments.grid import (
     load_paper,
 )
 from veilcam_training.experiments.results import load_results
-from veilcam_training.experiments.runner import time_label
-from veilcam_training.experiments.stopwatch import Stopwatch
+from veilcam_training.experiments.stopwatch import Stopwatch, time_label
 from veilcam_training.files import read_private
 from veilcam_training.trainer.callbacks import Epoch
 from veilcam_training.trainer.evaluation import confusion
@@ -264,11 +263,11 @@ def test_options_reach_the_cells(
         seen.update(cells=cells, runner=runner)
         return iter(())
 
-    def make_workers(*arguments: Any, **more: Any) -> None:
+    def make_executor(*arguments: Any, **more: Any) -> None:
         seen.update(workers=arguments)
 
     monkeypatch.setattr(command, "run_cells", run_cells)
-    monkeypatch.setattr(command, "make_workers", make_workers)
+    monkeypatch.setattr(command, "make_executor", make_executor)
     options = ("--data", digit_folder, "--work", tmp_path)
     assert call("mnist", *options) == 0
     assert len(seen["cells"]) == 56

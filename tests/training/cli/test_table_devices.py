@@ -20,7 +20,7 @@ def test_gpus_of_a_worker(
     asked: list[int] = []
     places: list[torch.device] = []
 
-    def make_workers(*_: object, gpus: int) -> None:
+    def make_executor(*_: object, gpus: int) -> None:
         asked.append(gpus)
 
     def run_cells(_cells: object, runner: Any, _workers: object) -> tuple[()]:
@@ -28,7 +28,7 @@ def test_gpus_of_a_worker(
         return ()
 
     monkeypatch.setattr(command, "choose_device", torch.device)  # no CUDA is needed to ask for it
-    monkeypatch.setattr(command, "make_workers", make_workers)
+    monkeypatch.setattr(command, "make_executor", make_executor)
     monkeypatch.setattr(command, "run_cells", run_cells)
     options = f"veilcam-train table mnist --data {tmp_path} --work {tmp_path} --device {device}"
     monkeypatch.setattr(sys, "argv", options.split())

@@ -7,9 +7,9 @@ import torch
 
 from veilcam_optics.apertures import mls_cells
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor
-from veilcam_training.encoders import Setup, SpreadEncoder
+from veilcam_training.encoders import PsfEncoder, Setup
 from veilcam_training.encoders import baselines as b
-from veilcam_training.encoders.psf import Spread, point_transfer
+from veilcam_training.encoders.psf import Psf, point_transfer
 from veilcam_training.seeding import stream
 
 CAMERA, SCENE = Camera(), Scene()
@@ -20,7 +20,7 @@ SMALL = Camera(sensor=Sensor(rows=1520, columns=2028))
 @pytest.mark.parametrize("place", [(0, 0), (0, 27), (20, 5)])
 def test_a_lens_shows_a_scene_pixel_inverted_where_geometry_says(place: tuple[int, int]) -> None:
     embedding = Embedding(152, 203)  # 31 um
-    encoder = SpreadEncoder(Setup(CAMERA, SCENE, embedding), b.lens_spread(CAMERA))
+    encoder = PsfEncoder(Setup(CAMERA, SCENE, embedding), b.lens_psf(CAMERA))
     scene = torch.zeros(1, 28, 28)
     scene[0, place[0], place[1]] = 1
     image = encoder(scene).reshape(embedding.shape)
@@ -35,27 +35,27 @@ def test_a_lens_shows_a_scene_pixel_inverted_where_geometry_says(place: tuple[in
 
 
 def test_coded_aperture_casts_the_shadow_of_its_pattern() -> None:
-    spread = b.coded_aperture_spread(CAMERA, SCENE)
+    psf = b.coded_aperture_psf(CAMERA, SCENE)
     # Averaged over an opening and its fringes, the light is the pattern, magnified a little.
-    rows, columns = spread.irradiance.shape[1:]
+    rows, columns = psf.irradiance.shape[1:]
     magnification = 1 + b.APERTURE_DISTANCE / SCENE.distance
     pattern = mls_cells()
-    place = (torch.arange(126) - 62.5) * b.APERTURE_FEATURE * magnification / spread.pitch
+    place = (torch.arange(126) - 62.5) * b.APERTURE_FEATURE * magnification / psf.pitch
     y, x = ((place + (count - 1) / 2).round().long() for count in (rows, columns))
-    middle = spread.irradiance.mean(0)
+    middle = psf.irradiance.mean(0)
     mean = torch.nn.functional.avg_pool2d(middle[None], 5, 1, 2)[0]
     seen = mean[y[:, None], x]
     assert float(seen[pattern == 1].mean()) > 0.8
     assert float(seen[pattern == 0].mean()) < 0.15
     # And its light comes through the openings: none is made, none is lost.
-    power = float(spread.irradiance.mean(0).sum()) * spread.pitch**2
+    power = float(psf.irradiance.mean(0).sum()) * psf.pitch**2
     assert power == pytest.approx(float(pattern.sum()) * b.APERTURE_FEATURE**2, rel=0.02)
 
 
 def test_diffuser_makes_caustics_and_no_light() -> None:
-    spread = b.diffuser_spread(CAMERA, SCENE, stream(0, "diffuser"))
-    rows, columns = spread.irradiance.shape[1:]
-    middle = spread.irradiance[:, rows // 4 : 3 * rows // 4, columns // 4 : 3 * columns // 4]
+    psf = b.diffuser_psf(CAMERA, SCENE, stream(0, "diffuser"))
+    rows, columns = psf.irradiance.shape[1:]
+    middle = psf.irradiance[:, rows // 4 : 3 * rows // 4, columns // 4 : 3 * columns // 4]
     assert float(middle.mean()) == pytest.approx(1, abs=0.08)
     contrast = float(middle[1].std() / middle[1].mean())
     assert contrast > 0.5
@@ -65,7 +65,7 @@ def test_caustics_are_sharpest_where_the_sensor_is(monkeypatch: pytest.MonkeyPat
     contrast = {}
     for distance in (1e-3, 4e-3, 16e-3):
         monkeypatch.setattr(b, "DIFFUSER_DISTANCE", distance)
-        irradiance = b.diffuser_spread(SMALL, SCENE, stream(0, "diffuser")).irradiance[1]
+        irradiance = b.diffuser_psf(SMALL, SCENE, stream(0, "diffuser")).irradiance[1]
         rows, columns = irradiance.shape
         middle = irradiance[2 * rows // 5 : 3 * rows // 5, 2 * columns // 5 : 3 * columns // 5]
         contrast[distance] = float(middle.std() / middle.mean())
@@ -74,13 +74,11 @@ def test_caustics_are_sharpest_where_the_sensor_is(monkeypatch: pytest.MonkeyPat
 
 def test_point_reading_is_a_fine_area_reading_at_the_same_place() -> None:
     """61 pixels side by side: the middle one is nearly a point."""
-    spread = Spread(
-        torch.rand(3, 90, 110, generator=stream(0, "psf"), dtype=torch.float64), 30e-6, 4e-3
-    )
+    psf = Psf(torch.rand(3, 90, 110, generator=stream(0, "psf"), dtype=torch.float64), 30e-6, 4e-3)
     scene, fine = Scene(rows=5, columns=6), Embedding(3 * 61, 4 * 61)
     setup = Setup(CAMERA, scene, fine, colour=True)
-    matrix = SpreadEncoder(setup, spread).transfer().reshape(3, 30, *fine.shape)
+    matrix = PsfEncoder(setup, psf).transfer().reshape(3, 30, *fine.shape)
     middle = matrix[..., 30::61, 30::61].flatten(2)
     image = scene.pixel_at_sensor(CAMERA)
-    point = point_transfer(spread, CAMERA.sensor, scene, Embedding(3, 4), image=image)
+    point = point_transfer(psf, CAMERA.sensor, scene, Embedding(3, 4), image=image)
     torch.testing.assert_close(point.float(), middle, rtol=0.02, atol=0.01 * float(middle.max()))

@@ -21,11 +21,11 @@ from veilcam_training.encoders import (
     FixedMask,
     LearnedMask,
     LinearEncoder,
+    Psf,
+    PsfEncoder,
     Setup,
-    Spread,
-    SpreadEncoder,
     make_encoder,
-    read_spread,
+    read_psf,
 )
 from veilcam_training.errors import TrainingError
 from veilcam_training.seeding import stream
@@ -239,12 +239,12 @@ def test_psf_and_transfer_operator_agree(point: bool) -> None:
     assert isinstance(mask, FixedMask)
     light = GridLight(CAMERA, SCENE, oversampling=4)
     psf = light.psf(to_weights(mask.levels(), CAMERA.panel).double())
-    spread = Spread(psf, float(light.grid.pitch_y), CAMERA.distance)
-    other = SpreadEncoder(mask.setup, spread).transfer()
+    spread = Psf(psf, float(light.grid.pitch_y), CAMERA.distance)
+    other = PsfEncoder(mask.setup, spread).transfer()
     error = (other - mask.transfer()).norm() / mask.transfer().norm()
     assert float(error) < 0.03
-    file_like = Spread(psf.flip(1), spread.pitch, spread.distance)
-    wrong = SpreadEncoder(mask.setup, file_like).transfer()
+    file_like = Psf(psf.flip(1), spread.pitch, spread.distance)
+    wrong = PsfEncoder(mask.setup, file_like).transfer()
     assert float((wrong - mask.transfer()).norm() / mask.transfer().norm()) > 0.1
 
 
@@ -261,10 +261,10 @@ def test_measured_psf_of_one_channel_and_of_another_distance(tmp_path: Path) -> 
     path = tmp_path / "psf.npz"
     psf = np.ones((5, 6))
     np.savez(path, psf=psf, pitch=1e-5)
-    assert read_spread(path, 4e-3).distance == 4e-3
-    assert read_spread(path, 4e-3).irradiance.shape == (3, 5, 6)
+    assert read_psf(path, 4e-3).distance == 4e-3
+    assert read_psf(path, 4e-3).irradiance.shape == (3, 5, 6)
     np.savez(path, psf=psf, pitch=1e-5, distance=2e-3)
-    assert read_spread(path, 4e-3).distance == 2e-3
+    assert read_psf(path, 4e-3).distance == 2e-3
 
 
 @pytest.mark.parametrize(
@@ -292,5 +292,5 @@ def test_files_that_are_no_psf(
     elif content is not None:
         np.savez(path, **content)
     with pytest.raises(TrainingError, match=reason) as caught:
-        read_spread(path, 4e-3)
+        read_psf(path, 4e-3)
     assert "\n" not in str(caught.value)

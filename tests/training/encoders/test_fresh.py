@@ -20,7 +20,7 @@ from veilcam_training.data import Source, split
 from veilcam_training.encoders.fresh import FreshCamera, LearnedRange, Misalignment, pooled
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_camera
-from veilcam_training.transforms.placement import Anywhere
+from veilcam_training.transforms.scene import Anywhere
 
 CAMERA = Camera(window=Window(rows=18, columns=9))
 

@@ -1,4 +1,4 @@
-"""Workers give the results of a plain loop, outlive lost processes, and end with their parent."""
+"""Executors give the results of a plain loop, outlive lost processes, and end with their parent."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import (
     ATTEMPTS,
     HERE,
-    LocalWorkers,
-    RayWorkers,
-    Workers,
-    make_workers,
+    Executor,
+    LocalExecutor,
+    RayExecutor,
+    make_executor,
 )
 from veilcam_training.experiments.results import load_results
 
@@ -61,14 +61,14 @@ def cluster(importable: None) -> Iterator[str]:
         running.shutdown()  # type: ignore[no-untyped-call]
 
 
-def make(kind: str, request: pytest.FixtureRequest, threads: int) -> Workers:
+def make(kind: str, request: pytest.FixtureRequest, threads: int) -> Executor:
     if kind == "local":
-        return LocalWorkers(2, threads=threads)
-    return RayWorkers(request.getfixturevalue("cluster"), threads=threads)
+        return LocalExecutor(2, threads=threads)
+    return RayExecutor(request.getfixturevalue("cluster"), threads=threads)
 
 
 @pytest.fixture(params=["local", "ray"])
-def workers(request: pytest.FixtureRequest) -> Workers:
+def workers(request: pytest.FixtureRequest) -> Executor:
     return make(request.param, request, threads=1)
 
 
@@ -100,19 +100,19 @@ def test_results_come_with_the_index_of_their_task(
 
 
 @pytest.mark.slow
-def test_a_lost_task_is_run_again(workers: Workers, folder: Path) -> None:
+def test_a_lost_task_is_run_again(workers: Executor, folder: Path) -> None:
     assert list(workers.run(kill_once, [folder])) == [(0, 1)]
     assert len(list(folder.iterdir())) == 2
 
 
 @pytest.mark.slow
-def test_a_task_that_kills_every_worker(workers: Workers, folder: Path) -> None:
+def test_a_task_that_kills_every_worker(workers: Executor, folder: Path) -> None:
     with pytest.raises(TrainingError, match=r"task 1 of 1 lost its worker 3 times .* use fewer"):
         list(workers.run(kill, [folder]))
     assert len(list(folder.iterdir())) == ATTEMPTS
 
 
-def test_what_a_task_raises_is_raised(workers: Workers) -> None:
+def test_what_a_task_raises_is_raised(workers: Executor) -> None:
     with pytest.raises(TrainingError) as caught:
         list(workers.run(refuse, [1]))
     assert str(caught.value) == "value = 1 is not valid"
@@ -121,15 +121,15 @@ def test_what_a_task_raises_is_raised(workers: Workers) -> None:
 
 def test_a_result_that_cannot_be_sent() -> None:
     with pytest.raises(TrainingError, match="cannot be sent"):
-        list(LocalWorkers(2).run(closure, [0]))
+        list(LocalExecutor(2).run(closure, [0]))
 
 
 def test_nothing_to_do() -> None:
-    assert list(LocalWorkers(2).run(place, [])) == []
+    assert list(LocalExecutor(2).run(place, [])) == []
 
 
 def test_gpus(cluster: str) -> None:
-    assert list(RayWorkers(cluster, gpus=1).run(gpus, [0])) == [(0, [0])]
+    assert list(RayExecutor(cluster, gpus=1).run(gpus, [0])) == [(0, [0])]
 
 
 PARENT = """
@@ -137,12 +137,12 @@ import signal
 import sys
 from pathlib import Path
 from tests.training.experiments.tasks import linger
-from veilcam_training.experiments.executors import LocalWorkers
+from veilcam_training.experiments.executors import LocalExecutor
 
 # A shell's background jobs ignore Ctrl-C, and what they start does, too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 if __name__ == "__main__":
-    list(LocalWorkers(2).run(linger, [Path(sys.argv[1])]))
+    list(LocalExecutor(2).run(linger, [Path(sys.argv[1])]))
 """
 
 
@@ -237,7 +237,7 @@ def test_a_cluster_is_started_for_local_alone(
 
     monkeypatch.setattr(ray, "init", init)
     for address in (cluster, "local"):
-        ((index, (_, threads, _)),) = RayWorkers(address).run(place, [0])
+        ((index, (_, threads, _)),) = RayExecutor(address).run(place, [0])
         assert (index, threads) == (0, 1)
         assert not ray.is_initialized()
     assert [options["address"] for options in asked] == [cluster, "local"]
@@ -251,21 +251,21 @@ def test_an_address_without_a_cluster(monkeypatch: pytest.MonkeyPatch, address: 
 
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     with pytest.raises(TrainingError, match="use HOST:PORT of a running cluster, or local"):
-        list(RayWorkers(address).run(place, [1]))
+        list(RayExecutor(address).run(place, [1]))
 
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(TrainingError, match=r"pip install -e '\.\[scale\]'"):
-        RayWorkers("local")
+        RayExecutor("local")
 
 
 @pytest.mark.slow
 def test_workers_of_the_command_line() -> None:
-    assert isinstance(make_workers(None, None), LocalWorkers)
-    assert isinstance(make_workers(None, "local"), RayWorkers)
+    assert isinstance(make_executor(None, None), LocalExecutor)
+    assert isinstance(make_executor(None, "local"), RayExecutor)
     with pytest.raises(TrainingError, match="use one of them"):
-        make_workers(2, "local")
+        make_executor(2, "local")
     for processes, threads in ((0, 1), (2, 0)):
         with pytest.raises(TrainingError, match="use at least 1"):
-            LocalWorkers(processes, threads=threads)
+            LocalExecutor(processes, threads=threads)

@@ -18,7 +18,6 @@ from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.cost import draw_cost
 from veilcam_training.experiments.grid import Cell, find_table
 from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.pictures import (
@@ -28,7 +27,7 @@ from veilcam_training.experiments.pictures import (
     make_pictures,
     save_pictures,
 )
-from veilcam_training.experiments.plots import draw_charts
+from veilcam_training.experiments.plots import draw_charts, draw_cost
 from veilcam_training.experiments.records import Origin
 from veilcam_training.experiments.report import write_report
 from veilcam_training.experiments.results import (

@@ -20,7 +20,7 @@ from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source, Split, open_source, split
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.executors import LocalWorkers
+from veilcam_training.experiments.executors import LocalExecutor
 from veilcam_training.experiments.fit import FitResult, run_fit
 from veilcam_training.experiments.model import make_model
 from veilcam_training.seeding import derive
@@ -152,7 +152,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def members(digit_folder: Path, work: Path, importable: None) -> dict[int, Seen]:
     tasks = [Member(rank, digit_folder, work) for rank in (0, 1)]
-    return dict(LocalWorkers(2).run(take_part, tasks))
+    return dict(LocalExecutor(2).run(take_part, tasks))
 
 
 @pytest.mark.parametrize("name", QUIET)

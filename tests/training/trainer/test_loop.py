@@ -28,7 +28,7 @@ from veilcam_training.trainer.callbacks import Epoch, MovingAverage
 from veilcam_training.trainer.evaluation import evaluate
 from veilcam_training.trainer.loop import Fit, fit
 from veilcam_training.trainer.step import make_optimiser
-from veilcam_training.transforms.augmentation import Jitter
+from veilcam_training.transforms.augmentation import Augmentation
 
 WINDOW = Camera(window=Window(rows=18, columns=9))
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
@@ -129,10 +129,10 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
         {"warm_up": 0.5},
         {"label_smoothing": 0.2},
         {"precision": "mixed"},
-        {"jitter": Jitter(rotation=5.0)},
-        {"jitter": Jitter(scale=0.1)},
-        {"jitter": Jitter(shift=0.05)},
-        {"jitter": Jitter(mirror=True)},
+        {"jitter": Augmentation(rotation=5.0)},
+        {"jitter": Augmentation(scale=0.1)},
+        {"jitter": Augmentation(shift=0.05)},
+        {"jitter": Augmentation(mirror=True)},
         {"panel_errors": PanelErrors(gamma=0.1)},
         {"panel_errors": PanelErrors(floor=0.1)},
         {"panel_errors": PanelErrors(shift=5e-5, places=2)},
@@ -316,7 +316,7 @@ class StopAfter:
             SMALL.model_copy(
                 update={
                     "dropout": 0.2,
-                    "jitter": Jitter(rotation=10.0, shift=0.05),
+                    "jitter": Augmentation(rotation=10.0, shift=0.05),
                     "panel_errors": PanelErrors(gamma=0.1, floor=0.05, shift=2e-5, places=2),
                     "patience": 5,
                 }

@@ -15,7 +15,7 @@ from veilcam_training.experiments.model import make_model
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.loop import fit
 from veilcam_training.trainer.step import Inputs
-from veilcam_training.transforms.augmentation import Jitter
+from veilcam_training.transforms.augmentation import Augmentation
 
 RECIPE = Recipe(epochs=2, batch=30)
 
@@ -27,15 +27,15 @@ def model_of(source: Source, **changes: Any) -> LenslessClassifier:
 @pytest.mark.parametrize(
     ("changes", "jitter", "steps_encode"),
     [
-        ({"encoder": "fixed_simulated"}, Jitter(), False),
-        ({"encoder": "lens"}, Jitter(), False),
-        ({"encoder": "lens"}, Jitter(mirror=True), True),
-        ({"encoder": "lens", "change": "rotate"}, Jitter(), True),
-        ({"encoder": "learned"}, Jitter(), True),
+        ({"encoder": "fixed_simulated"}, Augmentation(), False),
+        ({"encoder": "lens"}, Augmentation(), False),
+        ({"encoder": "lens"}, Augmentation(mirror=True), True),
+        ({"encoder": "lens", "change": "rotate"}, Augmentation(), True),
+        ({"encoder": "learned"}, Augmentation(), True),
     ],
 )
 def test_readings_of_a_fixed_camera_are_computed_once(
-    source: Source, changes: dict[str, Any], jitter: Jitter, *, steps_encode: bool
+    source: Source, changes: dict[str, Any], jitter: Augmentation, *, steps_encode: bool
 ) -> None:
     model = model_of(source, **changes)
     encoded: list[None] = []

@@ -1,12 +1,14 @@
-"""Jitter stays within its bounds and does each of its changes."""
+"""Augmentation stays within its bounds and does each of its changes."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import pytest
 import torch
 
 from veilcam_training.seeding import stream
-from veilcam_training.transforms.augmentation import Jitter, jitter
+from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
 
 def spot(row: int, column: int, count: int = 3000) -> torch.Tensor:
@@ -22,13 +24,13 @@ def places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def test_nothing_is_nothing() -> None:
-    assert not Jitter().any
+    assert not Augmentation().any
     images = torch.rand(4, 28, 20, generator=stream(0, "images"))
-    torch.testing.assert_close(jitter(images, Jitter(), stream(0, "jitter")), images)
+    torch.testing.assert_close(Augmentation()(images, stream(0, "jitter")), images)
 
 
 def test_rotation() -> None:
-    y, x = places(jitter(spot(14, 22), Jitter(rotation=30.0), stream(0, "jitter")))
+    y, x = places(Augmentation(rotation=30.0)(spot(14, 22), stream(0, "jitter")))
     angles = torch.atan2(y, x).rad2deg()
     assert float(angles.min()) == pytest.approx(-30, abs=1)
     assert float(angles.max()) == pytest.approx(30, abs=1)
@@ -36,20 +38,20 @@ def test_rotation() -> None:
 
 
 def test_scale() -> None:
-    _, x = places(jitter(spot(14, 22), Jitter(scale=0.2), stream(0, "jitter")))
+    _, x = places(Augmentation(scale=0.2)(spot(14, 22), stream(0, "jitter")))
     assert float(x.min()) == pytest.approx(6.4, abs=0.1)
     assert float(x.max()) == pytest.approx(9.6, abs=0.1)
 
 
 def test_shift() -> None:
-    y, x = places(jitter(spot(14, 14), Jitter(shift=0.1), stream(0, "jitter")))
+    y, x = places(Augmentation(shift=0.1)(spot(14, 14), stream(0, "jitter")))
     for place in (y, x):
         assert float(place.min()) == pytest.approx(-2.9, abs=0.05)
         assert float(place.max()) == pytest.approx(2.9, abs=0.05)
 
 
 def test_mirror() -> None:
-    y, x = places(jitter(spot(10, 20), Jitter(mirror=True), stream(0, "jitter")))
+    y, x = places(Augmentation(mirror=True)(spot(10, 20), stream(0, "jitter")))
     torch.testing.assert_close(y, torch.full_like(y, -4))
     torch.testing.assert_close(x.abs(), torch.full_like(x, 6))
     assert 0.45 < float((x < 0).float().mean()) < 0.55
@@ -57,7 +59,37 @@ def test_mirror() -> None:
 
 def test_colours_move_together() -> None:
     gray = torch.rand(5, 12, 12, generator=stream(0, "images"))
-    changes = Jitter(rotation=20.0, scale=0.1, shift=0.1, mirror=True)
-    expected = jitter(gray, changes, stream(0, "jitter"))
-    colour = jitter(gray[:, None].repeat(1, 3, 1, 1), changes, stream(0, "jitter"))
+    changes = Augmentation(rotation=20.0, scale=0.1, shift=0.1, mirror=True)
+    expected = changes(gray, stream(0, "jitter"))
+    colour = changes(gray[:, None].repeat(1, 3, 1, 1), stream(0, "jitter"))
     torch.testing.assert_close(colour, expected[:, None].expand(5, 3, 12, 12))
+
+
+@pytest.mark.parametrize("name", ["rotation", "scale", "shear", "shift"])
+def test_a_sheared_one_moves_by_the_amount_asked_for(name: str) -> None:
+    none: dict[str, Any] = {"rotation": 0.0, "scale": 0.0, "shear": 0.0, "shift": 0.0}
+    images = torch.zeros(50, 21, 21)
+    images[:, 8:13, 5:16] = 1
+    same = ShearedAugmentation(**none)(images, stream(0, "augmentation"))
+    assert torch.allclose(same, images, atol=1e-5)
+    amounts = {"rotation": 20.0, "scale": 0.2, "shear": 0.3, "shift": 2.0}
+    little, much = (
+        ShearedAugmentation(**{**none, name: share * amounts[name]})(
+            images, stream(0, "augmentation")
+        )
+        for share in (0.3, 1.0)
+    )
+    changes = [float((moved - images).abs().mean()) for moved in (little, much)]
+    assert 0 < changes[0] < changes[1]
+    assert float(much.min()) >= 0
+    assert float(much.max()) <= 1 + 1e-6
+
+
+def test_a_sheared_one_mirrors_half_of_the_images() -> None:
+    images = torch.zeros(200, 9, 9)
+    images[:, :, :3] = 1
+    still = ShearedAugmentation(rotation=0, scale=0, shear=0, shift=0, mirror=True)
+    moved = still(images, stream(0, "augmentation"))
+    mirrored = (moved[:, 4, 8] > 0.5).float().mean()
+    assert 0.35 < float(mirrored) < 0.65
+    assert torch.allclose(moved.sum((1, 2)), images.sum((1, 2)), rtol=1e-4)

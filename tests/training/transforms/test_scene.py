@@ -16,13 +16,15 @@ from veilcam_training.errors import TrainingError
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import stream
 from veilcam_training.transforms.scene import (
-    CHANGES,
     PLACES,
+    TRANSFORMS,
+    Anywhere,
+    Identity,
     Perspective,
     Rescale,
     Rotate,
     Shift,
-    make_change,
+    make_transform,
 )
 from veilcam_training.transforms.warp import homographies, warp
 
@@ -38,9 +40,9 @@ def images(count: int = 6) -> Tensor:
 
 
 @pytest.mark.parametrize("colour", [False, True])
-@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("name", TRANSFORMS)
 def test_contract(name: str, colour: bool) -> None:
-    change = make_change(name, IMAGE, CAMERA)
+    change = make_transform(name, IMAGE, CAMERA)
     pictures = images()[:, None].repeat(1, 3, 1, 1) if colour else images()
     scenes = change(pictures, stream(0, "change"))
     assert scenes.shape == (*pictures.shape[:-2], *change.scene.shape)
@@ -73,11 +75,33 @@ def test_shift_is_anywhere_wholly_on_the_sensor() -> None:
     torch.testing.assert_close(scenes[0, top : top + 28, left : left + 28], pictures[0])
 
 
-@pytest.mark.parametrize("name", CHANGES)
+def test_anywhere_covers_the_field_of_view() -> None:
+    placement = Anywhere(IMAGE, CAMERA, multiple=2)
+    assert placement.scene.shape == (110, 146)
+    pixel = placement.scene.pixel_at_sensor(CAMERA)
+    assert pixel == pytest.approx(IMAGE.pixel_at_sensor(CAMERA))
+    assert abs(110 * pixel - CAMERA.sensor.height) < pixel
+    generator = torch.Generator().manual_seed(0)
+    images = torch.rand(500, 28, 28, generator=generator) + 0.1
+    scenes = placement(images, generator)
+    assert scenes.shape == (500, 110, 146)
+    assert torch.allclose(scenes.sum((1, 2)), images.sum((1, 2)), rtol=1e-4)
+    lit = scenes > 0
+    tops = lit.any(2).float().argmax(1)
+    lefts = lit.any(1).float().argmax(1)
+    assert (int(tops.min()), int(tops.max())) == (0, 82)
+    assert (int(lefts.min()), int(lefts.max())) == (0, 118)
+    for scene, image, top, left in zip(scenes, images, tops, lefts, strict=True):
+        assert torch.equal(scene[top : top + 28, left : left + 28], image)
+    centred = Identity(IMAGE)
+    assert torch.equal(centred(images, generator), images)
+
+
+@pytest.mark.parametrize("name", TRANSFORMS)
 @pytest.mark.parametrize("count", [0, 1, 5, 40])
 @pytest.mark.parametrize("training", [True, False])
 def test_every_image_is_in_one_part(name: str, count: int, *, training: bool) -> None:
-    change, pictures = make_change(name, IMAGE, CAMERA), images(count)
+    change, pictures = make_transform(name, IMAGE, CAMERA), images(count)
     parts = list(change.in_parts(pictures, stream(0, "change"), training=training))
     chosen = torch.cat([shown.chosen for shown in parts])
     assert torch.equal(chosen.sort().values, torch.arange(count))
@@ -132,7 +156,7 @@ def test_an_object_that_does_not_fit() -> None:
     with pytest.raises(TrainingError, match="does not fit the sensor's view"):
         Shift(Scene(height=0.6), CAMERA)
     with pytest.raises(TrainingError, match="use one of none, shift"):
-        make_change("twist", IMAGE, CAMERA)
+        make_transform("twist", IMAGE, CAMERA)
 
 
 @pytest.mark.parametrize("height", [0.02, 0.03, 0.055, 0.09, 0.12, 0.17, 0.20])

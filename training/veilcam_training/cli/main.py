@@ -36,13 +36,13 @@ from veilcam_training.data import SOURCES, open_source
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.executors import make_workers
+from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
 from veilcam_training.experiments.keyring import as_bundle, check_pairs, fit_keyring
 from veilcam_training.files import check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
 from veilcam_training.trainer.distributed import join_ranks
-from veilcam_training.transforms.scene import CHANGES
+from veilcam_training.transforms.scene import TRANSFORMS
 
 app = typer.Typer(
     help="Train lensless cameras: mask and classifier together.",
@@ -68,7 +68,7 @@ Reading = Annotated[
     typer.Option("--reading", help="area: mean of a pixel; point: its centre (the paper's)."),
 ]
 ChangeName = Annotated[
-    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(CHANGES)}.")
+    str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
 RecipeName = Annotated[str | None, typer.Option("--recipe", help=f"One of {', '.join(RECIPES)}.")]
 WorkerCount = Annotated[
@@ -174,7 +174,7 @@ def keyring_command(
     )
     place = prepare(device, threads)
     check_places(out, work)
-    workers = make_workers(processes, address, threads=threads, gpus=int(place.type == "cuda"))
+    workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
         done = progress.add_task("pairs", total=pairs, note="")

@@ -15,7 +15,7 @@ from rich.progress import Progress
 
 from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.executors import make_workers
+from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.grid import TABLES, Cell, Part, Place, Table, find_table
 from veilcam_training.experiments.records import check_record
 from veilcam_training.experiments.results import CellResult, load_results, record_cells
@@ -100,7 +100,7 @@ def table_command(
     ]
     place = choose_device(device)
     torch.set_num_threads(1)  # as in every worker: a number does not depend on how many there are
-    run_by = make_workers(workers, ray, gpus=int(place.type == "cuda"))
+    run_by = make_executor(workers, ray, gpus=int(place.type == "cuda"))
     with make_progress(console) as progress:
         bar = TableProgress(progress, table.name, len(cells))
         runner = CellRunner(data.resolve(), work.resolve(), place, until)

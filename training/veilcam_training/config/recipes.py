@@ -7,18 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from torch import Tensor
 
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.errors import TrainingError
 from veilcam_training.models.classifiers import Exposure, Normalisation
-from veilcam_training.transforms.augmentation import Jitter, jitter
+from veilcam_training.transforms.augmentation import Augmentation
 
 Rate = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
-Transform = Callable[[Tensor, torch.Generator], Tensor]
-"""Changes training images at random; draws on the CPU."""
 
 
 def one_cycle(progress: float, *, warm_up: float, lowest: float) -> float:
@@ -69,7 +65,7 @@ class Recipe(BaseModel):
     """Epochs without a better validation accuracy after which fitting stops; None: never."""
     precision: Literal["full", "mixed"] = "full"
     """``mixed`` runs the classifier in bfloat16 where that is safe."""
-    jitter: Jitter = Jitter()
+    jitter: Augmentation = Augmentation()
     """Random changes of the training images."""
     panel_errors: PanelErrors = PanelErrors()
     """How the panel errs in training."""
@@ -93,11 +89,9 @@ class Recipe(BaseModel):
         return one_cycle(progress, warm_up=self.warm_up, lowest=1e-4)
 
     @property
-    def transform(self) -> Transform | None:
+    def transform(self) -> Augmentation | None:
         """What changes the training images; None if nothing does."""
-        if not self.jitter.any:
-            return None
-        return lambda images, draws: jitter(images, self.jitter, draws)
+        return self.jitter if self.jitter.any else None
 
 
 @dataclass(frozen=True)
@@ -141,7 +135,7 @@ def _long(situation: Situation) -> Recipe:
     return _default(situation).model_copy(update={"epochs": 50})
 
 
-DIGITS = Jitter(rotation=10.0, scale=0.1, shift=0.05)
+DIGITS = Augmentation(rotation=10.0, scale=0.1, shift=0.05)
 """Digits changed by this much are still the digits they were."""
 
 BEST_LINEAR: Mapping[str, Recipe] = {
@@ -157,7 +151,7 @@ BEST_LINEAR_FIXED: Mapping[str, Recipe] = {
 }
 """``LR`` behind an encoder that does not, at every size."""
 
-STEADY = Jitter(rotation=5.0, shift=1 / 28)
+STEADY = Augmentation(rotation=5.0, shift=1 / 28)
 """Less of it, for classifiers that hardly learn their images by heart."""
 
 BEST_HIDDEN: Mapping[str, Recipe] = {
@@ -173,7 +167,7 @@ BEST_HIDDEN: Mapping[str, Recipe] = {
         mask_rate=0.2,
         normalisation="white",
         dropout=0.2,
-        jitter=Jitter(shift=1 / 28),
+        jitter=Augmentation(shift=1 / 28),
     ),
     "3x4": Recipe(epochs=120, batch=256, mask_rate=0.2, normalisation="white"),
 }
@@ -247,7 +241,7 @@ def _paper(situation: Situation) -> Recipe:
             schedule="steps",
             steps_every=20 if learned else 10,
             normalisation="shared",
-            jitter=Jitter(shift=_cifar_padding(situation), mirror=True),
+            jitter=Augmentation(shift=_cifar_padding(situation), mirror=True),
         )
     if situation.classifier == "LR":
         batch, steps_every = 100 if learned else 64, None

@@ -32,14 +32,13 @@ from veilcam_training.config.recipes import (
     TASKS,
     Recipe,
     Situation,
-    Transform,
     find_recipe,
     one_cycle,
 )
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.errors import TrainingError
-from veilcam_training.transforms.augment import Augmentation, augment
+from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -110,7 +109,7 @@ class FreshSettings(BaseModel):
     model_error: NotNegative = 0.0
     """Relative error of the response that the decoder expects."""
     classifier: str = "CNN32"
-    augmentation: Augmentation | None = Augmentation()
+    augmentation: ShearedAugmentation | None = ShearedAugmentation()
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 20
     patience: Annotated[int, Field(ge=1)] | None = None
     """Epochs without a better validation accuracy after which fitting stops; None: never."""
@@ -146,10 +145,9 @@ class FreshSettings(BaseModel):
         return one_cycle(progress, warm_up=0.15, lowest=1e-3)
 
     @property
-    def transform(self) -> Transform | None:
+    def transform(self) -> Augmentation | None:
         """What changes the training images; None if nothing does."""
-        amounts = self.augmentation
-        return None if amounts is None else lambda images, draws: augment(images, amounts, draws)
+        return self.augmentation
 
     def fingerprint(self, source: Source) -> str:
         """SHA-256 of the settings and of the data: two fits are the same if these are."""

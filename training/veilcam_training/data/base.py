@@ -1,9 +1,12 @@
-"""A data set that is read from disk once, for many fits."""
+"""Images with labels, where they come from, and the part of them that validates."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Protocol
 
 import torch
@@ -115,48 +118,30 @@ def split(images: Images, share: float = 0.1) -> Split:
 
 
 class ReadOnce:
-    """A data set that is read from disk once, for the many cells that use it."""
+    """``source``, read from disk once for the many cells that use it."""
 
     def __init__(self, source: Source) -> None:
-        self._source = source
-        self._training: Images | None = None
-        self._test: Images | None = None
-        self._digests: Mapping[str, str] | None = None
+        self.name, self.labels = source.name, source.labels
+        self.colour, self.scene = source.colour, source.scene
+        self.training, self.test = cache(source.training), cache(source.test)
+        self.digests = cache(source.digests)
 
-    @property
-    def name(self) -> str:
-        """As the source's."""
-        return self._source.name
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """As the source's."""
-        return self._source.labels
+def find(*places: Path, advice: str = "give the folder that holds it as --data") -> Path:
+    """The first of ``places`` that is a file.
 
-    @property
-    def colour(self) -> bool:
-        """As the source's."""
-        return self._source.colour
+    Raises:
+        TrainingError: none is; it names the first and gives the ``advice``.
+    """
+    for place in places:
+        if place.is_file():
+            return place
+    raise TrainingError(f"{places[0]} is missing: {advice}")
 
-    @property
-    def scene(self) -> Scene:
-        """As the source's."""
-        return self._source.scene
 
-    def training(self) -> Images:
-        """As the source's."""
-        if self._training is None:
-            self._training = self._source.training()
-        return self._training
-
-    def test(self) -> Images:
-        """As the source's."""
-        if self._test is None:
-            self._test = self._source.test()
-        return self._test
-
-    def digests(self) -> Mapping[str, str]:
-        """As the source's."""
-        if self._digests is None:
-            self._digests = self._source.digests()
-        return self._digests
+def digest(*paths: Path) -> str:
+    """SHA-256 of the files one after the other, hexadecimal."""
+    whole = hashlib.sha256()
+    for path in paths:
+        whole.update(path.read_bytes())
+    return whole.hexdigest()

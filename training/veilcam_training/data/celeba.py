@@ -6,7 +6,6 @@ both parts have the same share of either class.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images
+from veilcam_training.data.base import Images, digest, find
 from veilcam_training.errors import TrainingError
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
@@ -72,29 +71,17 @@ class CelebaSource:
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the attributes, and of all photographs one after the other."""
-        photographs = hashlib.sha256()
-        for name in self._attributes():
-            photographs.update(self._photograph(name).read_bytes())
         return {
-            ATTRIBUTE_FILE: hashlib.sha256(self._table().read_bytes()).hexdigest(),
-            IMAGE_FOLDER: photographs.hexdigest(),
+            ATTRIBUTE_FILE: digest(self._table()),
+            IMAGE_FOLDER: digest(*map(self._photograph, self._attributes())),
         }
 
     def _table(self) -> Path:
-        for folder in (self.folder, self.folder / "Anno"):
-            if (folder / ATTRIBUTE_FILE).is_file():
-                return folder / ATTRIBUTE_FILE
-        raise TrainingError(
-            f"{self.folder / ATTRIBUTE_FILE} is missing: give the folder that holds it as --data"
-        )
+        return find(self.folder / ATTRIBUTE_FILE, self.folder / "Anno" / ATTRIBUTE_FILE)
 
     def _photograph(self, name: str) -> Path:
-        for folder in (self.folder / IMAGE_FOLDER, self.folder / "Img" / IMAGE_FOLDER):
-            if (folder / name).is_file():
-                return folder / name
-        raise TrainingError(
-            f"{self.folder / IMAGE_FOLDER / name} is missing: unpack {IMAGE_FOLDER}.zip there"
-        )
+        places = (self.folder / IMAGE_FOLDER / name, self.folder / "Img" / IMAGE_FOLDER / name)
+        return find(*places, advice=f"unpack {IMAGE_FOLDER}.zip there")
 
     def _attributes(self) -> dict[str, int]:
         """Class of each of the first photographs, by its file name."""

@@ -5,7 +5,6 @@ Each record is a label byte and 3,072 bytes of pixels: red, green, blue, each ro
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images
+from veilcam_training.data.base import Images, digest, find
 from veilcam_training.errors import TrainingError
 
 LABELS = (
@@ -63,20 +62,15 @@ class Cifar10Source:
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each of the six files, by its name."""
-        return {name: hashlib.sha256(self._bytes(name)).hexdigest() for name in (*TRAINING, *TEST)}
+        return {name: digest(self._path(name)) for name in (*TRAINING, *TEST)}
 
-    def _bytes(self, name: str) -> bytes:
-        for folder in (self.folder, self.folder / FOLDER):
-            if (folder / name).is_file():
-                return (folder / name).read_bytes()
-        raise TrainingError(
-            f"{self.folder / name} is missing: give the folder that holds it as --data"
-        )
+    def _path(self, name: str) -> Path:
+        return find(self.folder / name, self.folder / FOLDER / name)
 
     def _read(self, names: tuple[str, ...]) -> Images:
         records = []
         for name in names:
-            data = self._bytes(name)
+            data = self._path(name).read_bytes()
             if len(data) == 0 or len(data) % RECORD:
                 raise TrainingError(
                     f"{name} has {len(data)} bytes, not a multiple of {RECORD}: fetch it again "

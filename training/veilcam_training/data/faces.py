@@ -5,7 +5,6 @@ They are easier than photographs: their numbers do not stand beside those of pho
 
 from __future__ import annotations
 
-import hashlib
 import tokenize
 import zipfile
 import zlib
@@ -18,7 +17,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images
+from veilcam_training.data.base import Images, digest, find
 from veilcam_training.errors import TrainingError
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
@@ -63,8 +62,8 @@ class FacesSource:
 
     @property
     def path(self) -> Path:
-        """The file."""
-        return self.folder / "faces.npz"
+        """The file; raises TrainingError if it is missing."""
+        return find(self.folder / "faces.npz")
 
     def training(self) -> Images:
         """Read the training set; ``groups`` are the identities.
@@ -86,48 +85,39 @@ class FacesSource:
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the file."""
-        try:
-            return {self.path.name: hashlib.sha256(self.path.read_bytes()).hexdigest()}
-        except OSError:
-            raise TrainingError(
-                f"{self.path} is missing: give the folder that holds it as --data"
-            ) from None
+        return {self.path.name: digest(self.path)}
 
     def _read(self) -> tuple[Images, Tensor]:
         """All images, and which of them are for testing."""
-        array = ATTRIBUTES[self.name][0]
+        path, array = self.path, ATTRIBUTES[self.name][0]
         try:
-            with self.path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
                 pixels, labels = content["images"], content[array]
                 identities = content["identity"]
-        except FileNotFoundError:
-            raise TrainingError(
-                f"{self.path} is missing: give the folder that holds it as --data"
-            ) from None
         except UNREADABLE:
             raise TrainingError(
-                f"{self.path} is damaged, or lacks images, {array} or identity: get it again"
+                f"{path} is damaged, or lacks images, {array} or identity: get it again"
             ) from None
         if pixels.dtype != np.uint8 or pixels.shape[1:] != self.scene.shape or pixels.size == 0:
             raise TrainingError(
-                f"{self.path} has images {pixels.dtype} {pixels.shape}: "
+                f"{path} has images {pixels.dtype} {pixels.shape}: "
                 f"use uint8 (count, {self.scene.rows}, {self.scene.columns})"
             )
         for name, values in ((array, labels), ("identity", identities)):
             if values.dtype.kind not in "biu" or values.shape != pixels.shape[:1]:
                 raise TrainingError(
-                    f"{self.path} has {name} {values.dtype} {values.shape}: "
+                    f"{path} has {name} {values.dtype} {values.shape}: "
                     f"use a whole number for each of the {len(pixels)} images"
                 )
         if not np.isin(labels, (0, 1)).all():
-            raise TrainingError(f"{self.path} has {array} other than 0 and 1: get it again")
+            raise TrainingError(f"{path} has {array} other than 0 and 1: get it again")
         groups = torch.from_numpy(identities.astype(np.int64))
         known = torch.unique(groups)
         order = torch.randperm(len(known), generator=torch.Generator().manual_seed(SPLIT_SEED))
         held = known[order[: round(TEST_SHARE * len(known))]]
         if len(held) == 0:
             raise TrainingError(
-                f"{self.path} has {len(known)} identities, too few for a training and a test set: "
+                f"{path} has {len(known)} identities, too few for a training and a test set: "
                 "use more of them"
             )
         images = Images(torch.from_numpy(pixels), torch.from_numpy(labels.astype(np.int64)), groups)

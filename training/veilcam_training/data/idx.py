@@ -7,7 +7,6 @@ big-endian 32-bit number, then the bytes (http://yann.lecun.com/exdb/mnist).
 from __future__ import annotations
 
 import gzip
-import hashlib
 import struct
 import zlib
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images
+from veilcam_training.data.base import Images, digest, find
 from veilcam_training.errors import TrainingError
 
 DIGITS = tuple("0123456789")
@@ -38,18 +37,6 @@ CLOTHES = (
 MAX_BYTES = 2**30
 
 
-def find(folder: Path, name: str) -> Path:
-    """Return ``folder/name`` or ``folder/name.gz``, whichever is there.
-
-    Raises:
-        TrainingError: neither is.
-    """
-    for path in (folder / name, folder / f"{name}.gz"):
-        if path.is_file():
-            return path
-    raise TrainingError(f"{folder / name}[.gz] is missing: give the folder that holds it as --data")
-
-
 def read_idx(path: Path, dimensions: int) -> Tensor:
     """Read an idx file of unsigned bytes.
 
@@ -64,12 +51,8 @@ def read_idx(path: Path, dimensions: int) -> Tensor:
         TrainingError: the file is missing, damaged, or not such a file.
     """
     try:
-        if path.suffix == ".gz":
-            with gzip.open(path) as stream:
-                data = stream.read(MAX_BYTES + 1)
-        else:
-            with path.open("rb") as stream:
-                data = stream.read(MAX_BYTES + 1)
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise TrainingError(f"{path} is missing: give the folder that holds it as --data") from None
     except (OSError, EOFError, zlib.error) as error:
@@ -121,17 +104,13 @@ class IdxSource:
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each of the four files, by its name."""
-        return {
-            path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-            for part in ("train", "t10k")
-            for path in self._paths(part)
-        }
+        paths = [path for part in ("train", "t10k") for path in self._paths(part)]
+        return {path.name: digest(path) for path in paths}
 
     def _paths(self, part: str) -> tuple[Path, Path]:
-        return (
-            find(self.folder, f"{part}-images-idx3-ubyte"),
-            find(self.folder, f"{part}-labels-idx1-ubyte"),
-        )
+        names = (f"{part}-images-idx3-ubyte", f"{part}-labels-idx1-ubyte")
+        images, labels = (find(self.folder / n, self.folder / f"{n}.gz") for n in names)
+        return images, labels
 
     def _read(self, part: str) -> Images:
         images_path, labels_path = self._paths(part)

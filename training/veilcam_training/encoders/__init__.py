@@ -4,7 +4,7 @@ from veilcam_training.encoders.base import Encoder, FixedEncoder, LinearEncoder,
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import FixedMask, LearnedMask, Mask
-from veilcam_training.encoders.psf import Spread, SpreadEncoder, read_spread
+from veilcam_training.encoders.psf import Psf, PsfEncoder, read_psf
 from veilcam_training.encoders.registry import ENCODERS, make_encoder
 
 __all__ = [
@@ -17,9 +17,9 @@ __all__ = [
     "LinearEncoder",
     "Mask",
     "PanelErrors",
+    "Psf",
+    "PsfEncoder",
     "Setup",
-    "Spread",
-    "SpreadEncoder",
     "make_encoder",
-    "read_spread",
+    "read_psf",
 ]

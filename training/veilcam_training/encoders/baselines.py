@@ -13,7 +13,7 @@ from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid, covering_grid
-from veilcam_training.encoders.psf import Spread
+from veilcam_training.encoders.psf import Psf
 
 LENS_DISTANCE = 7.53e-3
 """Lens to sensor [m] (the paper, appendix A)."""
@@ -36,17 +36,17 @@ INDEX = 1.5
 """Refractive index of the diffuser."""
 
 
-def lens_spread(camera: Camera) -> Spread:
+def lens_psf(camera: Camera) -> Psf:
     """An ideal lens: a point is seen as a point, on one sensor pixel.
 
     Its strength is that of all light that falls on the sensor.
     """
     pixels = camera.sensor.rows * camera.sensor.columns
     irradiance = torch.full((3, 1, 1), float(pixels), dtype=torch.float64)
-    return Spread(irradiance, camera.sensor.pixel, LENS_DISTANCE)
+    return Psf(irradiance, camera.sensor.pixel, LENS_DISTANCE)
 
 
-def coded_aperture_spread(camera: Camera, scene: Scene) -> Spread:
+def coded_aperture_psf(camera: Camera, scene: Scene) -> Psf:
     """The paper's coded aperture, a separable MLS pattern, diffraction included."""
     pitch = 2 * camera.sensor.pixel
     cells = mls_cells()
@@ -57,7 +57,7 @@ def coded_aperture_spread(camera: Camera, scene: Scene) -> Spread:
     return _propagate(camera, scene, grid, lambda _: mask, APERTURE_DISTANCE)
 
 
-def diffuser_spread(camera: Camera, scene: Scene, generator: torch.Generator) -> Spread:
+def diffuser_psf(camera: Camera, scene: Scene, generator: torch.Generator) -> Psf:
     """A smooth random relief as large as the sensor, thin, without dispersion."""
     grid = covering_grid(camera.sensor.height, camera.sensor.width, 3 * camera.sensor.pixel)
     # A Gaussian relief has a root mean square slope of sqrt(2) roughness / correlation, and bends
@@ -81,13 +81,13 @@ def _propagate(
     grid: Grid,
     transmittance: Callable[[float], Tensor],
     distance: float,
-) -> Spread:
+) -> Psf:
     """PSF on the sensor and as far beyond it as the scene's image shifts it."""
     pitch = float(grid.pitch_y)
     image = scene.height * distance / scene.distance
     width = image * scene.columns / scene.rows
     target = covering_grid(camera.sensor.height + image, camera.sensor.width + width, pitch)
-    spreads = [
+    psfs = [
         PointSpread(
             grid,
             target,
@@ -99,4 +99,4 @@ def _propagate(
         )(transmittance(wavelength))
         for wavelength in camera.wavelengths
     ]
-    return Spread(torch.stack(spreads), pitch, distance)
+    return Psf(torch.stack(psfs), pitch, distance)

@@ -30,7 +30,7 @@ from veilcam_training.data import Images
 from veilcam_training.encoders.base import Encoder, Setup
 from veilcam_training.errors import TrainingError
 from veilcam_training.seeding import derive, stream
-from veilcam_training.transforms.scene import Change
+from veilcam_training.transforms.scene import Transform
 
 STATISTICS_BATCH = 2000
 STATISTICS_SCENES = 30_000
@@ -311,7 +311,7 @@ def pooled(scene: Scene, side: int) -> Scene:
 
 
 def scene_statistics(
-    training: Images, change: Change, *, pooling: int, rank: int, seed: int
+    training: Images, change: Transform, *, pooling: int, rank: int, seed: int
 ) -> SceneStatistics:
     """Statistics of decoded scenes, from training images shown as they will be.
 

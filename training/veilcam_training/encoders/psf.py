@@ -18,7 +18,7 @@ from veilcam_training.errors import TrainingError
 
 
 @dataclass(frozen=True)
-class Spread:
+class Psf:
     """A PSF on square cells centred on the axis; what falls outside counts as dark.
 
     ``irradiance`` is (3, rows, columns) for R, G, B; ``pitch`` the side of a cell [m];
@@ -30,29 +30,29 @@ class Spread:
     distance: float
 
 
-class SpreadEncoder(FixedEncoder):
+class PsfEncoder(FixedEncoder):
     """A camera with one PSF for the whole scene."""
 
-    def __init__(self, setup: Setup, spread: Spread) -> None:
-        super().__init__(setup, [_transfer(setup, scene, spread) for scene in setup.grids])
+    def __init__(self, setup: Setup, psf: Psf) -> None:
+        super().__init__(setup, [_transfer(setup, scene, psf) for scene in setup.grids])
 
 
-def _transfer(setup: Setup, scene: Scene, spread: Spread) -> Tensor:
-    camera = replace(setup.camera, distance=spread.distance)
+def _transfer(setup: Setup, scene: Scene, psf: Psf) -> Tensor:
+    camera = replace(setup.camera, distance=psf.distance)
     if setup.point_reading:
         image = scene.pixel_at_sensor(camera)
-        channels = point_transfer(spread, camera.sensor, scene, setup.embedding, image=image)
+        channels = point_transfer(psf, camera.sensor, scene, setup.embedding, image=image)
     else:
-        rows, columns = spread.irradiance.shape[1:]
+        rows, columns = psf.irradiance.shape[1:]
         binning = TransferBinning(
             camera,
             scene,
             setup.embedding,
             shape=(rows, columns),
-            pitch=spread.pitch,
-            dtype=spread.irradiance.dtype,
+            pitch=psf.pitch,
+            dtype=psf.irradiance.dtype,
         )
-        channels = binning(spread.irradiance)
+        channels = binning(psf.irradiance)
     if not setup.colour:
         shares = torch.tensor(camera.sensor.channel_weights, dtype=channels.dtype)
         channels = torch.einsum("c,cpe->pe", shares, channels)
@@ -60,18 +60,18 @@ def _transfer(setup: Setup, scene: Scene, spread: Spread) -> Tensor:
 
 
 def point_transfer(
-    spread: Spread, sensor: Sensor, scene: Scene, embedding: Embedding, *, image: float
+    psf: Psf, sensor: Sensor, scene: Scene, embedding: Embedding, *, image: float
 ) -> Tensor:
     """Transfer (3, scene pixels, embedding pixels) to the centres of the embedding pixels.
 
     Args:
-        spread: the PSF.
+        psf: the PSF.
         sensor: is read.
         scene: is seen.
         embedding: its pixels' centres are where the sensor is read.
         image: side of a scene pixel's geometric image on the sensor [m].
     """
-    rows, columns = spread.irradiance.shape[1:]
+    rows, columns = psf.irradiance.shape[1:]
     boxes = []
     for length, pixels, scene_pixels, cells in (
         (sensor.height, embedding.rows, scene.rows, rows),
@@ -79,16 +79,16 @@ def point_transfer(
     ):
         # A scene point falls on the other side of the axis: the offset to it is a sum.
         at = (axis(scene_pixels, image)[:, None] + axis(pixels, length / pixels)).flatten()
-        covered = coverage(at - image / 2, at + image / 2, cells, spread.pitch)
-        boxes.append(covered * (spread.pitch / (scene_pixels * image)))
-    y, x = (box.to(spread.irradiance.dtype) for box in boxes)
-    split = (y @ spread.irradiance @ x.T).reshape(
+        covered = coverage(at - image / 2, at + image / 2, cells, psf.pitch)
+        boxes.append(covered * (psf.pitch / (scene_pixels * image)))
+    y, x = (box.to(psf.irradiance.dtype) for box in boxes)
+    split = (y @ psf.irradiance @ x.T).reshape(
         3, scene.rows, embedding.rows, scene.columns, embedding.columns
     )
     return split.transpose(2, 3).reshape(3, scene.rows * scene.columns, embedding.size)
 
 
-def read_spread(path: Path, distance: float) -> Spread:
+def read_psf(path: Path, distance: float) -> Psf:
     """Read a measured PSF from an ``.npz`` file.
 
     The file holds ``psf``, (rows, columns) or (3, rows, columns), not negative; ``pitch``, the side
@@ -122,4 +122,4 @@ def read_spread(path: Path, distance: float) -> Spread:
         raise TrainingError(
             f"{path} has pitch {pitch} m and distance {distance} m: use metres, > 0"
         )
-    return Spread(torch.from_numpy(np.ascontiguousarray(psf)), pitch, distance)
+    return Psf(torch.from_numpy(np.ascontiguousarray(psf)), pitch, distance)

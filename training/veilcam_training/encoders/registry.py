@@ -8,24 +8,22 @@ from pathlib import Path
 import torch
 
 from veilcam_training.encoders.base import LinearEncoder, Setup
-from veilcam_training.encoders.baselines import coded_aperture_spread, diffuser_spread, lens_spread
+from veilcam_training.encoders.baselines import coded_aperture_psf, diffuser_psf, lens_psf
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask
-from veilcam_training.encoders.psf import SpreadEncoder, read_spread
+from veilcam_training.encoders.psf import PsfEncoder, read_psf
 from veilcam_training.errors import TrainingError
 
 Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], LinearEncoder]
 
 ENCODERS: Mapping[str, Maker] = {
-    "lens": lambda setup, _generator, _psf, _errors: SpreadEncoder(
-        setup, lens_spread(setup.camera)
+    "lens": lambda setup, _generator, _psf, _errors: PsfEncoder(setup, lens_psf(setup.camera)),
+    "coded_aperture": lambda setup, _generator, _psf, _errors: PsfEncoder(
+        setup, coded_aperture_psf(setup.camera, setup.scene)
     ),
-    "coded_aperture": lambda setup, _generator, _psf, _errors: SpreadEncoder(
-        setup, coded_aperture_spread(setup.camera, setup.scene)
-    ),
-    "diffuser": lambda setup, generator, _psf, _errors: SpreadEncoder(
-        setup, diffuser_spread(setup.camera, setup.scene, generator)
+    "diffuser": lambda setup, generator, _psf, _errors: PsfEncoder(
+        setup, diffuser_psf(setup.camera, setup.scene, generator)
     ),
     "fixed_measured": lambda setup, _generator, psf, _errors: _measured(setup, psf),
     "fixed_simulated": lambda setup, generator, _psf, errors: FixedMask(setup, generator, errors),
@@ -75,4 +73,4 @@ def make_encoder(
 def _measured(setup: Setup, psf: Path | None) -> LinearEncoder:
     if psf is None:
         raise TrainingError("encoder 'fixed_measured' needs a measured PSF: give --psf FILE")
-    return SpreadEncoder(setup, read_spread(psf, setup.camera.distance))
+    return PsfEncoder(setup, read_psf(psf, setup.camera.distance))

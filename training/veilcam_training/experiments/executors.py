@@ -1,4 +1,4 @@
-"""Workers: they run the same function on many tasks, here or on a cluster, and outlive lost ones.
+"""Executors: they run the same function on many tasks, here or on a cluster, and outlive lost ones.
 
 ``concurrent.futures`` and ``loky`` give up a whole pool when one process dies, and cannot say which
 task was at fault; so each local worker is a plain ``multiprocessing`` process with its own pipe.
@@ -33,8 +33,8 @@ ATTEMPTS = 3
 """How often a task is begun whose worker is lost each time."""
 
 
-class Workers(Protocol):
-    """Whoever runs tasks. Function, tasks and results must be picklable, unless it is one here."""
+class Executor(Protocol):
+    """Runs tasks. Function, tasks and results must be picklable, unless it is one here."""
 
     def run(
         self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
@@ -55,7 +55,7 @@ def _at_least_one(name: str, value: int) -> int:
     return value
 
 
-class LocalWorkers:
+class LocalExecutor:
     """Processes of this machine.
 
     One process is this one: no other is started, and tasks run in their order. More are started
@@ -77,7 +77,7 @@ class LocalWorkers:
     def run(
         self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
     ) -> Iterator[tuple[int, ResultT]]:
-        """See :meth:`Workers.run`."""
+        """See :meth:`Executor.run`."""
         if self._processes == 1:
             for index, task in enumerate(tasks):
                 yield index, function(task)
@@ -110,11 +110,11 @@ class LocalWorkers:
                 process.end()
 
 
-HERE = LocalWorkers()
+HERE = LocalExecutor()
 """This process alone."""
 
 
-class RayWorkers:
+class RayExecutor:
     """Tasks on a Ray cluster; needs the extra ``scale``, on the cluster too.
 
     A connection that the caller has made is used and left alone.
@@ -137,7 +137,7 @@ class RayWorkers:
     def run(
         self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
     ) -> Iterator[tuple[int, ResultT]]:
-        """See :meth:`Workers.run`; also a TrainingError if there is no cluster at the address."""
+        """See :meth:`Executor.run`; also a TrainingError if there is no cluster at the address."""
         ray = _import_ray()
         connected = ray.is_initialized()
         if not connected:
@@ -197,10 +197,10 @@ def _check_reachable(address: str) -> None:
         ) from None
 
 
-def make_workers(
+def make_executor(
     processes: int | None, ray: str | None, *, threads: int | None = None, gpus: int = 0
-) -> Workers:
-    """Workers as a command line asks for them.
+) -> Executor:
+    """The executor that a command line asks for.
 
     Args:
         processes: of this machine; None for this one alone.
@@ -212,10 +212,10 @@ def make_workers(
         TrainingError: both are asked for, or what they cannot be.
     """
     if ray is None:
-        return LocalWorkers(1 if processes is None else processes, threads=threads or 1)
+        return LocalExecutor(1 if processes is None else processes, threads=threads or 1)
     if processes is not None:
         raise TrainingError("--workers and --ray are both given: use one of them")
-    return RayWorkers(ray, threads=threads or 1, gpus=gpus)
+    return RayExecutor(ray, threads=threads or 1, gpus=gpus)
 
 
 class _Answer(Generic[ResultT]):

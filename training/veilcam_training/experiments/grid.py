@@ -1,4 +1,4 @@
-"""The paper's tables by name, and ours of the same kind."""
+"""Tables of fits by name, the paper's and ours of the same kind, and the cells in them."""
 
 from __future__ import annotations
 
@@ -29,6 +29,82 @@ def load_paper() -> Paper:
     """The numbers of ``paper.json``."""
     content = json.loads((files(__package__) / "paper.json").read_text())
     return Paper(content["source"], content["accuracy"])
+
+
+class Row(NamedTuple):
+    """What one row of a table has in common."""
+
+    classifier: str
+    encoder: str
+    reading: str
+
+
+class Column(NamedTuple):
+    """What one column of a table has in common."""
+
+    data: str
+    change: str
+    embedding: str
+
+
+@dataclass(frozen=True)
+class Place:
+    """A row and a column, by the names of the settings of a fit."""
+
+    row: Row
+    column: Column
+
+    @classmethod
+    def of(cls, settings: Settings) -> Self:
+        """Where a fit with ``settings`` stands."""
+        return cls(
+            Row(settings.classifier, settings.encoder, settings.reading),
+            Column(settings.data, settings.change, settings.embedding),
+        )
+
+    @property
+    def title(self) -> str:
+        """What is compared, e.g. ``mnist_FC800_learned_24x32_shift``."""
+        row, column = self.row, self.column
+        parts = [column.data, row.classifier, row.encoder, column.embedding]
+        return "_".join(parts if column.change == "none" else [*parts, column.change])
+
+    @property
+    def name(self) -> str:
+        """The title, with ``_point`` for the paper's sampling of the sensor."""
+        return self.title + ("_point" if self.row.reading == "point" else "")
+
+    @property
+    def figure(self) -> str:
+        """The name of its test accuracy in a record of figures."""
+        row, (data, change, embedding) = self.row, self.column
+        classifier = row.classifier.lower() if data == "fashion" else row.classifier
+        name = f"{data}_{classifier}_{row.encoder}_{embedding}"
+        if change != "none":
+            name = f"robust_{change}_{row.classifier}_{row.encoder}"
+        return name + ("_point" if row.reading == "point" else "")
+
+    @property
+    def paper(self) -> float | None:
+        """Test accuracy in the paper [percent], or None where it has none."""
+        return load_paper().accuracy.get(self.title)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One fit of a table."""
+
+    settings: Settings
+
+    @property
+    def place(self) -> Place:
+        """Where it stands."""
+        return Place.of(self.settings)
+
+    @property
+    def name(self) -> str:
+        """Of its place and its seed, unless that is 0: no two cells of a table share a name."""
+        return self.place.name + (f"_seed{self.settings.seed}" if self.settings.seed else "")
 
 
 READINGS = ("area", "point")
@@ -154,118 +230,44 @@ class Table:
         return tuple(dict.fromkeys(wanted))
 
 
-class Row(NamedTuple):
-    """What one row of a table has in common."""
-
-    classifier: str
-    encoder: str
-    reading: str
-
-
-class Column(NamedTuple):
-    """What one column of a table has in common."""
-
-    data: str
-    change: str
-    embedding: str
-
-
-@dataclass(frozen=True)
-class Place:
-    """A row and a column, by the names of the settings of a fit."""
-
-    row: Row
-    column: Column
-
-    @classmethod
-    def of(cls, settings: Settings) -> Self:
-        """Where a fit with ``settings`` stands."""
-        return cls(
-            Row(settings.classifier, settings.encoder, settings.reading),
-            Column(settings.data, settings.change, settings.embedding),
-        )
-
-    @property
-    def title(self) -> str:
-        """What is compared, e.g. ``mnist_FC800_learned_24x32_shift``."""
-        row, column = self.row, self.column
-        parts = [column.data, row.classifier, row.encoder, column.embedding]
-        return "_".join(parts if column.change == "none" else [*parts, column.change])
-
-    @property
-    def name(self) -> str:
-        """The title, with ``_point`` for the paper's sampling of the sensor."""
-        return self.title + ("_point" if self.row.reading == "point" else "")
-
-    @property
-    def figure(self) -> str:
-        """The name of its test accuracy in a record of figures."""
-        row, (data, change, embedding) = self.row, self.column
-        classifier = row.classifier.lower() if data == "fashion" else row.classifier
-        name = f"{data}_{classifier}_{row.encoder}_{embedding}"
-        if change != "none":
-            name = f"robust_{change}_{row.classifier}_{row.encoder}"
-        return name + ("_point" if row.reading == "point" else "")
-
-    @property
-    def paper(self) -> float | None:
-        """Test accuracy in the paper [percent], or None where it has none."""
-        return load_paper().accuracy.get(self.title)
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One fit of a table."""
-
-    settings: Settings
-
-    @property
-    def place(self) -> Place:
-        """Where it stands."""
-        return Place.of(self.settings)
-
-    @property
-    def name(self) -> str:
-        """Of its place and its seed, unless that is 0: no two cells of a table share a name."""
-        return self.place.name + (f"_seed{self.settings.seed}" if self.settings.seed else "")
-
-
 GRAY_SIZES = ("24x32", "12x16", "6x8", "3x4")
 
-_TABLES = (
-    Table("mnist", "Handwritten digits (MNIST)", ("mnist",), ("LR", "FC800"), GRAY_SIZES),
-    Table("fashion", "Clothes (Fashion-MNIST)", ("fashion",), ("LR", "FC800"), GRAY_SIZES),
-    Table(
-        "robust",
-        "Digits that are moved, scaled, turned and tilted (MNIST)",
-        ("mnist",),
-        ("FC800",),
-        ("24x32",),
-        changes=("none", "shift", "rescale", "rotate", "perspective"),
-    ),
-    Table(
-        "faces",
-        "Drawn faces",
-        ("faces-gender", "faces-smiling", "faces-glasses"),
-        ("FC800",),
-        ("24x32", "3x4"),
-    ),
-    Table(
-        "celeba",
-        "Photographs of faces (CelebA)",
-        ("celeba-gender", "celeba-smiling"),
-        ("FC800",),
-        ("24x32", "3x4"),
-    ),
-    Table(
-        "cifar10",
-        "Photographs of objects in colour (CIFAR-10)",
-        ("cifar10",),
-        ("VGG11",),
-        ("27x36", "13x17", "6x8", "3x4"),
-    ),
-)
-TABLES: Mapping[str, Table] = {table.name: table for table in _TABLES}
+TABLES: Mapping[str, Table] = {
+    table.name: table
+    for table in (
+        Table("mnist", "Handwritten digits (MNIST)", ("mnist",), ("LR", "FC800"), GRAY_SIZES),
+        Table("fashion", "Clothes (Fashion-MNIST)", ("fashion",), ("LR", "FC800"), GRAY_SIZES),
+        Table(
+            "robust",
+            "Digits that are moved, scaled, turned and tilted (MNIST)",
+            ("mnist",),
+            ("FC800",),
+            ("24x32",),
+            changes=("none", "shift", "rescale", "rotate", "perspective"),
+        ),
+        Table(
+            "faces",
+            "Drawn faces",
+            ("faces-gender", "faces-smiling", "faces-glasses"),
+            ("FC800",),
+            ("24x32", "3x4"),
+        ),
+        Table(
+            "celeba",
+            "Photographs of faces (CelebA)",
+            ("celeba-gender", "celeba-smiling"),
+            ("FC800",),
+            ("24x32", "3x4"),
+        ),
+        Table(
+            "cifar10",
+            "Photographs of objects in colour (CIFAR-10)",
+            ("cifar10",),
+            ("VGG11",),
+            ("27x36", "13x17", "6x8", "3x4"),
+        ),
+    )
+}
 
 
 def find_table(name: str) -> Table:

@@ -17,10 +17,10 @@ from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import Mask
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.executors import HERE, Workers
+from veilcam_training.experiments.executors import HERE, Executor
 from veilcam_training.experiments.fit import FitResult, FreshResult, run_fit
 from veilcam_training.experiments.model import make_model
-from veilcam_training.experiments.provenance import provenance
+from veilcam_training.experiments.records import provenance
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import derive
@@ -35,7 +35,7 @@ def fit_keyring(
     *,
     device: torch.device | str = "cpu",
     work: Path | None = None,
-    workers: Workers = HERE,
+    workers: Executor = HERE,
     observe: Callable[[int], Sequence[Callback]] = lambda _: (),
     fitted: Callable[[int, FitResult], None] = lambda *_: None,
 ) -> Bundle:

@@ -21,8 +21,7 @@ from veilcam_training.encoders.fresh import (
 from veilcam_training.models.classifiers import SceneTask, Task, make_layers
 from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.seeding import seeded, stream
-from veilcam_training.transforms.placement import Anywhere
-from veilcam_training.transforms.scene import Change, Unchanged, make_change
+from veilcam_training.transforms.scene import Anywhere, Identity, Transform, make_transform
 
 FRESH_DROPOUT = 0.2
 """Of a classifier's hidden layer behind fresh masks."""
@@ -35,7 +34,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         TrainingError: an unknown encoder or classifier, or an embedding that is none.
     """
     embedding = parse_embedding(settings.embedding)
-    change = make_change(settings.change, source.scene, camera)
+    change = make_transform(settings.change, source.scene, camera)
     setup = Setup(
         camera,
         change.scene,
@@ -152,7 +151,7 @@ def fresh_statistics(
     )
 
 
-def _fresh_change(settings: FreshSettings, camera: Camera, image: Scene) -> Change:
+def _fresh_change(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
     if settings.placement == "centred":
-        return Unchanged(image)
+        return Identity(image)
     return Anywhere(image, camera, settings.pooling)

@@ -8,14 +8,36 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import (
+    FixedLocator,
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+)
 
-from veilcam_training.experiments.cost import draw_cost
+from veilcam_training.experiments.grid import Column
 from veilcam_training.experiments.pictures import Pixels, load_pictures
 from veilcam_training.experiments.results import PICTURES, Entry, Summary, cell_folder
-from veilcam_training.experiments.style import COLOURS, NAMES, bare, encoder_title, panels_of, tidy
+from veilcam_training.experiments.style import (
+    COLOURS,
+    MARKERS,
+    NAMES,
+    bare,
+    encoder_title,
+    panels_of,
+    tidy,
+)
+
+POINT_EDGE, EDGE = "#d1495b", "#333333"
+LEAST_ERROR = 0.05
+"""Percent: less has no place on a logarithmic axis."""
+ACCURACIES = (10, 30, 50, 60, 70, 80, 90, 95, 98, 99, 99.5, 99.8)
 
 
 def draw_charts(folder: Path, summary: Summary, work: Path) -> list[tuple[str, str]]:
@@ -74,11 +96,95 @@ def draw_charts(folder: Path, summary: Summary, work: Path) -> list[tuple[str, s
     return drawn
 
 
+def draw_cost(summary: Summary) -> Figure:
+    """Test accuracy against the time of training, one marker for each finished place.
+
+    A marker's shape is its encoder, its area its embedding, its colour its time of inference.
+    """
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    axes = figure.add_subplot()
+    entries = summary.finished()
+    times = [1e6 * entry.results[0].inference_seconds for entry in entries]
+    norm = LogNorm(0.99 * min(times), 1.01 * max(times))
+    for entry, micros in zip(entries, times, strict=True):
+        row = entry.place.row
+        points = axes.scatter(
+            entry.results[0].seconds,
+            _error(entry),
+            s=_area(entry.place.column.embedding),
+            c=[micros],
+            cmap="viridis_r",
+            norm=norm,
+            marker=MARKERS[row.encoder],
+            edgecolors=POINT_EDGE if row.reading == "point" else EDGE,
+            linewidths=1.5 if row.reading == "point" else 0.6,
+            zorder=3,
+        )
+    axes.set(xscale="log", xlabel="training, all epochs [s]")
+    _number(axes.xaxis)
+    # What is left to gain is the error: on its logarithm 98 and 99 % are as far apart as 80 and 90.
+    axes.set(yscale="log", ylabel="test accuracy [%]")
+    axes.invert_yaxis()
+    axes.yaxis.set_major_locator(FixedLocator([100 - accuracy for accuracy in ACCURACIES]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 - value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+    tidy(axes)
+    bar = figure.colorbar(points, ax=axes, label="reading to label [µs]", pad=0.02)
+    _number(bar.ax.yaxis)
+    figure.legend(
+        handles=_legend(entries),
+        loc="outside lower center",
+        ncols=5,
+        frameon=False,
+        fontsize=8.5,
+    )
+    return figure
+
+
+def _error(entry: Entry) -> float:
+    """Test error [percent]."""
+    return max(100 - (entry.test or 0), LEAST_ERROR)
+
+
+def _area(embedding: str) -> float:
+    """Area of a marker [square points]: it grows with the side of the embedding."""
+    return 18 + 9 * math.sqrt(_pixels(embedding))
+
+
+def _pixels(embedding: str) -> int:
+    return math.prod(map(int, embedding.split("x")))
+
+
+def _legend(entries: list[Entry]) -> list[Line2D]:
+    encoders = dict.fromkeys(entry.place.row.encoder for entry in entries)
+    handles = [_handle(NAMES[name], MARKERS[name], "#777777", 7) for name in encoders]
+    if any(entry.place.row.reading == "point" for entry in entries):
+        handles.append(_handle("red edge: point reading", "o", "white", 7, edge=POINT_EDGE))
+    sizes = sorted({entry.place.column.embedding for entry in entries}, key=_pixels, reverse=True)
+    handles += [_handle(size, "o", "#bbbbbb", math.sqrt(_area(size))) for size in sizes]
+    return handles
+
+
+def _handle(
+    label: str, marker: str, colour: str, size: float, *, edge: str | None = None
+) -> Line2D:
+    return Line2D(
+        [],
+        [],
+        linestyle="",
+        marker=marker,
+        markersize=size,
+        markerfacecolor=colour,
+        markeredgecolor=edge or colour,
+        label=label,
+    )
+
+
 def draw_curves(summary: Summary) -> Figure:
     """A panel for each classifier and column, a line for each encoder."""
     entries = summary.finished()
     classifiers = list(dict.fromkeys(entry.place.row.classifier for entry in entries))
-    columns = [c for c in summary.columns if any(entry.place.column == c for entry in entries)]
+    columns = summary.finished_columns(entries)
     figure, panels = panels_of(len(classifiers), len(columns), (3.3, 2.7))
     for axes_row, classifier in zip(panels, classifiers, strict=True):
         for axes, column in zip(axes_row, columns, strict=True):
@@ -145,57 +251,63 @@ def draw_psfs(summary: Summary, work: Path) -> Figure | None:
 def draw_embeddings(summary: Summary, work: Path) -> Figure | None:
     """A row for each encoder: the scene, and what is read of it at each size."""
     entries = summary.finished()
+    columns = summary.finished_columns(entries)
     classifier = entries[0].place.row.classifier
-    rows = [row for row in summary.rows if row.classifier == classifier]
-    rows = [row for row in rows if any(entry.place.row == row for entry in entries)]
-    columns = [c for c in summary.columns if any(entry.place.column == c for entry in entries)]
-    figure, panels = panels_of(len(rows), 1 + len(columns), (1.7, 1.5))
-    for axes_row, row in zip(panels, rows, strict=True):
-        for axes in axes_row:
-            bare(axes)
-        axes_row[0].set_ylabel(
-            encoder_title(row).replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=9
-        )
-        for axes, column in zip(axes_row[1:], columns, strict=True):
-            entry = summary.find(row, column)
-            if entry is None:
-                axes.set_axis_off()
-                continue
-            pictures = load_pictures(_pictures(entry, work))
-            axes.imshow(pictures.embeddings[0], cmap="magma", vmin=0, vmax=1)
-            if not axes_row[0].images:
-                axes_row[0].imshow(pictures.scenes[0], cmap="gray", vmin=0, vmax=1)
-    panels[0][0].set_title("scene", fontsize=9.5)
-    for axes, column in zip(panels[0][1:], columns, strict=True):
-        axes.set_title(summary.table.column_title(column), fontsize=9.5)
+    same = [entry for entry in entries if entry.place.row.classifier == classifier]
+    figure, panels = _matrix(summary, same, columns, (1.7, 1.5), lead=("scene",))
+    for entry, axes, first in panels:
+        pictures = load_pictures(_pictures(entry, work))
+        axes.imshow(pictures.embeddings[0], cmap="magma", vmin=0, vmax=1)
+        if not first.images:
+            first.imshow(pictures.scenes[0], cmap="gray", vmin=0, vmax=1)
     return figure
 
 
 def draw_confusion(summary: Summary, classifier: str) -> Figure:
     """A matrix for each encoder and column."""
     entries = [e for e in summary.finished() if e.place.row.classifier == classifier]
+    figure, panels = _matrix(summary, entries, summary.finished_columns(entries), (1.8, 1.8))
+    for entry, axes, _ in panels:
+        matrix = np.array(entry.results[0].confusion, dtype=float)
+        matrix /= np.maximum(matrix.sum(1, keepdims=True), 1)
+        np.fill_diagonal(matrix, 0)
+        axes.imshow(np.sqrt(matrix), cmap="Purples", vmin=0, vmax=0.7)
+        axes.set_xlabel(f"{entry.test:.1f} %", fontsize=8.5, labelpad=2)
+    return figure
+
+
+def _matrix(
+    summary: Summary,
+    entries: Sequence[Entry],
+    columns: Sequence[Column],
+    size: tuple[float, float],
+    lead: tuple[str, ...] = (),
+) -> tuple[Figure, list[tuple[Entry, Axes, Axes]]]:
+    """Panels under the titles ``lead`` and those of ``columns``, a row for each of ``entries``.
+
+    Returns:
+        The figure; and each entry with its panel and the first panel of its row.
+    """
     rows = [row for row in summary.rows if any(entry.place.row == row for entry in entries)]
-    columns = [c for c in summary.columns if any(entry.place.column == c for entry in entries)]
-    figure, panels = panels_of(len(rows), len(columns), (1.8, 1.8))
-    for axes_row, row in zip(panels, rows, strict=True):
-        for axes, column in zip(axes_row, columns, strict=True):
+    figure, panels = panels_of(len(rows), len(lead) + len(columns), size)
+    for axes, title in zip(
+        panels[0], (*lead, *map(summary.table.column_title, columns)), strict=True
+    ):
+        axes.set_title(title, fontsize=9.5)
+    found = []
+    for (first, *others), row in zip(panels, rows, strict=True):
+        for axes in (first, *others):
             bare(axes)
+        for axes, column in zip((first, *others)[len(lead) :], columns, strict=True):
             entry = summary.find(row, column)
             if entry is None:
                 axes.set_axis_off()
-                continue
-            matrix = np.array(entry.results[0].confusion, dtype=float)
-            matrix /= np.maximum(matrix.sum(1, keepdims=True), 1)
-            np.fill_diagonal(matrix, 0)
-            axes.imshow(np.sqrt(matrix), cmap="Purples", vmin=0, vmax=0.7)
-            axes.set_xlabel(f"{entry.test:.1f} %", fontsize=8.5, labelpad=2)
-        axes_row[0].set_ylabel(
-            encoder_title(row).replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=9
-        )
-        axes_row[0].set_axis_on()
-    for axes, column in zip(panels[0], columns, strict=True):
-        axes.set_title(summary.table.column_title(column), fontsize=9.5)
-    return figure
+            else:
+                found.append((entry, axes, first))
+        label = encoder_title(row).replace(", ", "\n")
+        first.set_ylabel(label, rotation=0, ha="right", va="center", fontsize=9)
+        first.set_axis_on()
+    return figure, found
 
 
 def _pictures(entry: Entry, work: Path) -> Path:
@@ -213,3 +325,10 @@ def _gallery(pictures: Sequence[tuple[str, Pixels]], *, across: int) -> Figure:
         axes.imshow(np.sqrt(picture), cmap="magma", vmin=0, vmax=1)
         axes.set_title(title, fontsize=8.5)
     return figure
+
+
+def _number(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis."""
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,4 +1,6 @@
-"""The record of measured figures: one JSON file, filled by the commands that measured.
+"""Records of what was measured, and the provenance of what was made.
+
+A record of figures is one JSON file, filled by the commands that measured:
 
 ``{"NAME": {"value": ..., "command": ..., "commit": ..., "date": ..., "machine": ...}}``
 """
@@ -17,7 +19,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
+
+import torch
+from pydantic import JsonValue
+from torch import distributed
 
 from veilcam_optics.files import write_whole
 from veilcam_training.errors import TrainingError
@@ -85,6 +92,23 @@ def check_record(path: Path) -> None:
     """
     check_folder("--figures", path.parent)
     _read(path)
+
+
+def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, JsonValue]:
+    """Settings, data, versions, date and command, as JSON: enough to make an artefact again."""
+    return {
+        "settings": settings,
+        "data_sha256": dict(digests),
+        "versions": {
+            "veilcam": version("veilcam"),
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+        },
+        "processes": distributed.get_world_size() if distributed.is_initialized() else 1,
+        "commit": commit(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": shlex.join(own_command()),
+    }
 
 
 def commit() -> str:

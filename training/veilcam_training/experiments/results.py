@@ -1,4 +1,4 @@
-"""Test accuracies of finished cells in the record of figures."""
+"""Finished cells of a table: their files, their places, and their test accuracies in a record."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class CellResult(BaseModel):
     clock: Clock = "elapsed"
     """Which measured ``seconds``, see :mod:`veilcam_training.experiments.stopwatch`."""
     inference_seconds: float
-    """From one reading to its label, see ``runner.time_label``."""
+    """From one reading to its label, see ``stopwatch.time_label``."""
     device: str
     origin: Origin
     provenance: dict[str, JsonValue]
@@ -224,6 +224,10 @@ class Summary:
     def finished(self) -> list[Entry]:
         """Every place that has been run, row by row."""
         return [entry for row in self._entries for entry in row if entry.results]
+
+    def finished_columns(self, entries: Sequence[Entry]) -> list[Column]:
+        """The columns in which one of ``entries`` stands."""
+        return [c for c in self.columns if any(entry.place.column == c for entry in entries)]
 
     def find(self, row: Row, column: Column) -> Entry | None:
         """What stands in ``row`` and ``column``, if there are such and it has been run."""

@@ -6,22 +6,19 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 
 import torch
-from torch import nn
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.data import Source, open_source, split
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.encoders import Mask
-from veilcam_training.experiments.executors import Workers
+from veilcam_training.experiments.executors import Executor
 from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.grid import Cell
 from veilcam_training.experiments.keyring import as_bundle
 from veilcam_training.experiments.pictures import make_pictures
-from veilcam_training.experiments.provenance import provenance
-from veilcam_training.experiments.records import Origin
+from veilcam_training.experiments.records import Origin, provenance
 from veilcam_training.experiments.results import (
     CHECKPOINT,
     CellResult,
@@ -31,33 +28,8 @@ from veilcam_training.experiments.results import (
     load_result,
     save_finished,
 )
-from veilcam_training.experiments.stopwatch import Stopwatch
-from veilcam_training.models.whitening import plain
+from veilcam_training.experiments.stopwatch import Stopwatch, time_label
 from veilcam_training.trainer.callbacks import Callback
-
-REPEATS = 100
-WARM_UP = 10
-
-
-@torch.inference_mode()
-def time_label(classifier: nn.Module, inputs: int) -> float:
-    """Seconds from one reading of ``inputs`` numbers to its label: the median of many.
-
-    On the CPU, with one thread and one reading at a time, as a device without a GPU does it.
-    """
-    classifier = plain(classifier).cpu().eval()
-    reading = torch.rand(1, inputs)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    times = []
-    try:
-        for _ in range(WARM_UP + REPEATS):
-            started = time.perf_counter()
-            int(classifier(reading).argmax())
-            times.append(time.perf_counter() - started)
-    finally:
-        torch.set_num_threads(threads)
-    return median(times[WARM_UP:])
 
 
 def _no_callbacks(cell: Cell) -> Sequence[Callback]:
@@ -144,7 +116,7 @@ class CellRunner:
 
 
 def run_cells(
-    cells: Sequence[Cell], runner: CellRunner, workers: Workers
+    cells: Sequence[Cell], runner: CellRunner, workers: Executor
 ) -> Iterator[tuple[CellResult, bool]]:
     """Results of ``cells``, those that were finished before first; True if it was run now.
 

@@ -1,14 +1,20 @@
-"""How long a fit takes, whatever else the machine does meanwhile."""
+"""Times of a fit, whatever else the machine does meanwhile, and of one reading's label."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from statistics import median
 from typing import Literal
 
 import torch
+from torch import nn
 
+from veilcam_training.models.whitening import plain
 from veilcam_training.trainer.callbacks import Epoch
+
+REPEATS = 100
+WARM_UP = 10
 
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""
@@ -54,3 +60,24 @@ class Stopwatch:
 
     def _now(self) -> float:
         return time.process_time() if self._clock == "processor" else time.monotonic()
+
+
+@torch.inference_mode()
+def time_label(classifier: nn.Module, inputs: int) -> float:
+    """Seconds from one reading of ``inputs`` numbers to its label: the median of many.
+
+    On the CPU, with one thread and one reading at a time, as a device without a GPU does it.
+    """
+    classifier = plain(classifier).cpu().eval()
+    reading = torch.rand(1, inputs)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    times = []
+    try:
+        for _ in range(WARM_UP + REPEATS):
+            started = time.perf_counter()
+            int(classifier(reading).argmax())
+            times.append(time.perf_counter() - started)
+    finally:
+        torch.set_num_threads(threads)
+    return median(times[WARM_UP:])

@@ -13,7 +13,7 @@ from veilcam_training.encoders import Encoder
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.models.whitening import whiten
 from veilcam_training.seeding import stream
-from veilcam_training.transforms.scene import Change, Unchanged
+from veilcam_training.transforms.scene import Identity, Transform
 
 
 class Draws(NamedTuple):
@@ -45,13 +45,13 @@ class LenslessClassifier(nn.Module):
         layers: Sequence[LayerRecord],
         snr_db: float | None,
         *,
-        change: Change | None = None,
+        change: Transform | None = None,
         mixed_precision: bool = False,
         whitened: bool = False,
     ) -> None:
         super().__init__()
         self.encoder, self.layers, self.snr_db = encoder, tuple(layers), snr_db
-        self.change = Unchanged(encoder.setup.scene) if change is None else change
+        self.change = Identity(encoder.setup.scene) if change is None else change
         self.mixed_precision = mixed_precision
         self.classifier = build_untrained(self.layers)
         if whitened:
@@ -135,7 +135,7 @@ class FreshClassifier(LenslessClassifier):
         self,
         encoder: FreshCamera,
         layers: Sequence[LayerRecord],
-        change: Change | None = None,
+        change: Transform | None = None,
         *,
         mixed_precision: bool = False,
     ) -> None:

@@ -8,13 +8,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from veilcam_training.config.recipes import Recipe, Transform
+from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import FreshSettings
 from veilcam_training.data import Images
 from veilcam_training.errors import TrainingError
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.evaluation import BATCH
-from veilcam_training.transforms.scene import Unchanged
+from veilcam_training.transforms.augmentation import Augmentation
+from veilcam_training.transforms.scene import Identity
 
 Hyperparameters = Recipe | FreshSettings
 """How to fit."""
@@ -33,13 +34,13 @@ class Inputs(nn.Module):
     """
 
     def __init__(
-        self, model: LenslessClassifier, images: Images, transform: Transform | None = None
+        self, model: LenslessClassifier, images: Images, transform: Augmentation | None = None
     ) -> None:
         super().__init__()
         self._model, self._images, self._transform = model, images, transform
         self.draws = model.begin_epoch(0, 0)
         """Random numbers; a fit gives each epoch its own."""
-        constant = isinstance(model.change, Unchanged) and transform is None
+        constant = isinstance(model.change, Identity) and transform is None
         self._readings = _encode(model, images) if model.encoder.constant and constant else None
 
     def forward(self, chosen: Tensor) -> tuple[Tensor, Tensor]:

@@ -37,7 +37,7 @@ class Shown:
         chosen: which images these are, int64 (count,).
         scenes: (count, rows, columns) or (count, 3, rows, columns).
         part: of the grid that ``scenes`` are; beyond it is black. None for all of it.
-        grid: number of the grid: 0 is the change's ``scene``, the others are its ``finer`` ones.
+        grid: number of the grid: 0 is the transform's ``scene``, the others are its ``finer`` ones.
     """
 
     chosen: Tensor
@@ -46,7 +46,7 @@ class Shown:
     grid: int = 0
 
 
-class Change(ABC):
+class Transform(ABC):
     """Draws images into ``scene``, or into ``finer`` ones: smaller, with smaller pixels."""
 
     def __init__(self, scene: Scene, finer: tuple[Scene, ...] = ()) -> None:
@@ -79,7 +79,7 @@ class Change(ABC):
         yield Shown(torch.arange(len(images)), self(images, generator))
 
 
-class Unchanged(Change):
+class Identity(Transform):
     """The image is the scene."""
 
     def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
@@ -88,24 +88,11 @@ class Unchanged(Change):
         return images
 
 
-class Shift(Change):
-    """The object is anywhere wholly in the sensor's view, by whole pixels."""
-
-    def __init__(self, image: Scene, camera: Camera) -> None:
-        pixel = image.pixel_at_sensor(camera)
-        # The allowance keeps 110.0000 pixels from becoming 109.
-        rows, columns = (
-            math.floor(side / pixel + 1e-6) for side in (camera.sensor.height, camera.sensor.width)
-        )
-        if rows < image.rows or columns < image.columns:
-            raise TrainingError(
-                f"an object of {image.rows} x {image.columns} pixels does not fit the sensor's "
-                f"view of {rows} x {columns}: use a smaller or more distant scene"
-            )
-        super().__init__(replace(image, rows=rows, columns=columns, height=rows * image.pixel))
+class Moved(Transform):
+    """Each image at a place of its own wholly in the scene, by whole pixels."""
 
     def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Return each image at a place of its own."""
+        """Return each image at its place, drawn uniformly."""
         rows, columns = images.shape[-2:]
         count = len(images)
         tops, lefts = self._places(images, count, generator)
@@ -117,6 +104,43 @@ class Shift(Change):
         scenes = images.new_zeros(count, channels, self.scene.rows * self.scene.columns)
         scenes.scatter_(2, places[:, None].expand_as(planes), planes)
         return scenes.reshape(*images.shape[:-2], *self.scene.shape)
+
+    def _places(
+        self, images: Tensor, count: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """First rows and columns of ``count`` places where such images lie wholly in the scene."""
+        rows, columns = images.shape[-2:]
+        tops = torch.randint(self.scene.rows - rows + 1, (count,), generator=generator)
+        lefts = torch.randint(self.scene.columns - columns + 1, (count,), generator=generator)
+        return tops, lefts
+
+
+class Anywhere(Moved):
+    """The object is anywhere in the sensor's view, in training too.
+
+    Args:
+        image: how large and how far away images are shown.
+        camera: whose sensor sees the scene.
+        multiple: the scene's sides are the nearest multiples of so many pixels.
+    """
+
+    def __init__(self, image: Scene, camera: Camera, multiple: int = 1) -> None:
+        rows, columns = (multiple * round(side / multiple) for side in _view(image, camera))
+        super().__init__(_resized(image, rows, columns))
+
+
+class Shift(Moved):
+    """The object is anywhere wholly in the sensor's view."""
+
+    def __init__(self, image: Scene, camera: Camera) -> None:
+        # The allowance keeps 110.0000 pixels from becoming 109.
+        rows, columns = (math.floor(side + 1e-6) for side in _view(image, camera))
+        if rows < image.rows or columns < image.columns:
+            raise TrainingError(
+                f"an object of {image.rows} x {image.columns} pixels does not fit the sensor's "
+                f"view of {rows} x {columns}: use a smaller or more distant scene"
+            )
+        super().__init__(_resized(image, rows, columns))
 
     def in_parts(
         self, images: Tensor, generator: torch.Generator, *, training: bool
@@ -134,17 +158,8 @@ class Shift(Change):
         for group, top, left in zip(groups, tops.tolist(), lefts.tolist(), strict=True):
             yield Shown(group, images[group], Region(top, left, *images.shape[-2:]))
 
-    def _places(
-        self, images: Tensor, count: int, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """First rows and columns of ``count`` places where such images lie wholly in the scene."""
-        rows, columns = images.shape[-2:]
-        tops = torch.randint(self.scene.rows - rows + 1, (count,), generator=generator)
-        lefts = torch.randint(self.scene.columns - columns + 1, (count,), generator=generator)
-        return tops, lefts
 
-
-class Rescale(Change):
+class Rescale(Transform):
     """The object's height is anything from 2 to 20 cm.
 
     On one grid the smallest would have five pixels instead of an image's 28, and lose what a mask
@@ -156,7 +171,7 @@ class Rescale(Change):
         self._image, (low, high) = image, heights
         self._heights = heights
         rows, columns = (math.ceil(high / image.height * side - 1e-6) for side in image.shape)
-        scene = replace(image, rows=rows, columns=columns, height=rows * image.pixel)
+        scene = _resized(image, rows, columns)
         halvings = range(1, round(math.log2(high / low)))
         super().__init__(
             scene, tuple(replace(scene, height=scene.height / 2**number) for number in halvings)
@@ -201,7 +216,7 @@ class Rescale(Change):
         return scenes
 
 
-class Rotate(Change):
+class Rotate(Transform):
     """The object is turned by up to 90 degrees to either side."""
 
     def __init__(self, image: Scene, angle: float = ANGLE) -> None:
@@ -217,7 +232,7 @@ class Rotate(Change):
         return warp(images, matrices, self.scene.shape)
 
 
-class Perspective(Change):
+class Perspective(Transform):
     """The object is tilted: each of its corners moves inwards by up to a quarter of the side."""
 
     def __init__(self, image: Scene, distortion: float = DISTORTION) -> None:
@@ -234,8 +249,8 @@ class Perspective(Change):
         )
 
 
-CHANGES: Mapping[str, Callable[[Scene, Camera], Change]] = {
-    "none": lambda image, _camera: Unchanged(image),
+TRANSFORMS: Mapping[str, Callable[[Scene, Camera], Transform]] = {
+    "none": lambda image, _camera: Identity(image),
     "shift": Shift,
     "rescale": lambda image, _camera: Rescale(image),
     "rotate": lambda image, _camera: Rotate(image),
@@ -243,12 +258,23 @@ CHANGES: Mapping[str, Callable[[Scene, Camera], Change]] = {
 }
 
 
-def make_change(name: str, image: Scene, camera: Camera) -> Change:
-    """Change ``name`` for images shown as ``image`` says.
+def make_transform(name: str, image: Scene, camera: Camera) -> Transform:
+    """Transform ``name`` of images shown as ``image`` says.
 
     Raises:
         TrainingError: an unknown name, or an object larger than the sensor's view.
     """
-    if name not in CHANGES:
-        raise TrainingError(f"change {name!r} is unknown: use one of {', '.join(CHANGES)}")
-    return CHANGES[name](image, camera)
+    if name not in TRANSFORMS:
+        raise TrainingError(f"change {name!r} is unknown: use one of {', '.join(TRANSFORMS)}")
+    return TRANSFORMS[name](image, camera)
+
+
+def _view(image: Scene, camera: Camera) -> tuple[float, float]:
+    """Sides of what the sensor sees, in pixels of ``image``."""
+    pixel = image.pixel_at_sensor(camera)
+    return camera.sensor.height / pixel, camera.sensor.width / pixel
+
+
+def _resized(image: Scene, rows: int, columns: int) -> Scene:
+    """A scene of so many of the pixels of ``image``."""
+    return replace(image, rows=rows, columns=columns, height=rows * image.pixel)
