@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import re
 import tomllib
+from graphlib import TopologicalSorter
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,3 +53,9 @@ def test_its_names_are_in_the_files_beside_them() -> None:
     assert named
     for name, path in named:
         assert re.search(rf"\b{name}\b", (ROOT / "docs" / path).read_text()), name
+
+
+def test_no_file_is_in_a_circle_of_imports() -> None:
+    graph = grimp.build_graph(*(Path(package).name for package in PACKAGES))
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(imports).prepare()  # raises CycleError, which names the files
