@@ -61,11 +61,11 @@ class AsyncCamera:
 
     async def status(self) -> Status:
         """State, device, bundle, rotation and queue of the daemon."""
-        return await self._transport.send(calls.status())
+        return await self._transport.send(calls.STATUS)
 
     async def calibration(self) -> CalibrationStatus:
         """What the camera found out about itself, and how finding out goes on."""
-        return await self._transport.send(calls.calibration())
+        return await self._transport.send(calls.CALIBRATION)
 
     async def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
         """Begin to measure the camera with itself; it takes no captures meanwhile.
@@ -81,11 +81,11 @@ class AsyncCamera:
 
     async def cancel_calibration(self) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""
-        return await self._transport.send(calls.cancel_calibration())
+        return await self._transport.send(calls.CANCEL_CALIBRATION)
 
     async def capture(self) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array."""
-        return await self._transport.send(calls.capture())
+        return await self._transport.send(calls.CAPTURE)
 
     async def classify(self, *, include_embedding: bool = False) -> Classification:
         """Take one embedding and classify it on the device."""
@@ -93,7 +93,7 @@ class AsyncCamera:
 
     async def rotation(self) -> Rotation:
         """The rotation policy and the present mask epoch."""
-        return await self._transport.send(calls.rotation())
+        return await self._transport.send(calls.ROTATION)
 
     async def set_rotation(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change."""
@@ -101,7 +101,7 @@ class AsyncCamera:
 
     async def rotate(self) -> Rotation:
         """Show another mask now."""
-        return await self._transport.send(calls.rotate())
+        return await self._transport.send(calls.ROTATE)
 
     async def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
@@ -132,15 +132,15 @@ class AsyncCamera:
 
     async def lease_state(self) -> Lease:
         """Who holds the camera, and how long."""
-        return await self._transport.send(calls.lease_state())
+        return await self._transport.send(calls.LEASE_STATE)
 
     async def diagnostics(self) -> Diagnostics:
         """Versions, settings, and the last states and faults of the daemon."""
-        return await self._transport.send(calls.diagnostics())
+        return await self._transport.send(calls.DIAGNOSTICS)
 
     async def tokens(self) -> tuple[Token, ...]:
         """All tokens, revoked and expired ones included."""
-        return (await self._transport.send(calls.tokens())).tokens
+        return (await self._transport.send(calls.TOKENS)).tokens
 
     async def create_token(
         self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
@@ -155,12 +155,12 @@ class AsyncCamera:
     async def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
         """Hold a picture up, or take it away, as :meth:`Camera.hold_scene` does."""
         if picture is None:
-            return await self._transport.send(calls.take_scene_away())
+            return await self._transport.send(calls.TAKE_SCENE_AWAY)
         return await self._transport.send(calls.hold_scene(picture_bytes(picture)))
 
     async def keyrings(self) -> tuple[Keyring, ...]:
         """All keyrings; one of them is ``active``."""
-        return (await self._transport.send(calls.keyrings())).keyrings
+        return (await self._transport.send(calls.KEYRINGS)).keyrings
 
     async def install_keyring(self, bundle: bytes) -> Keyring:
         """Hand over the content of a bundle; it is checked, and not used yet."""

@@ -77,11 +77,11 @@ class Camera:
 
     def status(self) -> Status:
         """State, device, bundle, rotation and queue of the daemon."""
-        return self._transport.send(calls.status())
+        return self._transport.send(calls.STATUS)
 
     def calibration(self) -> CalibrationStatus:
         """What the camera found out about itself, and how finding out goes on."""
-        return self._transport.send(calls.calibration())
+        return self._transport.send(calls.CALIBRATION)
 
     def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
         """Begin to measure the camera with itself; it takes no captures meanwhile.
@@ -97,11 +97,11 @@ class Camera:
 
     def cancel_calibration(self) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""
-        return self._transport.send(calls.cancel_calibration())
+        return self._transport.send(calls.CANCEL_CALIBRATION)
 
     def capture(self) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array."""
-        return self._transport.send(calls.capture())
+        return self._transport.send(calls.CAPTURE)
 
     def classify(self, *, include_embedding: bool = False) -> Classification:
         """Take one embedding and classify it on the device."""
@@ -109,7 +109,7 @@ class Camera:
 
     def rotation(self) -> Rotation:
         """The rotation policy and the present mask epoch."""
-        return self._transport.send(calls.rotation())
+        return self._transport.send(calls.ROTATION)
 
     def set_rotation(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change."""
@@ -117,7 +117,7 @@ class Camera:
 
     def rotate(self) -> Rotation:
         """Show another mask now."""
-        return self._transport.send(calls.rotate())
+        return self._transport.send(calls.ROTATE)
 
     def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
@@ -146,15 +146,15 @@ class Camera:
 
     def lease_state(self) -> Lease:
         """Who holds the camera, and how long."""
-        return self._transport.send(calls.lease_state())
+        return self._transport.send(calls.LEASE_STATE)
 
     def diagnostics(self) -> Diagnostics:
         """Versions, settings, and the last states and faults of the daemon."""
-        return self._transport.send(calls.diagnostics())
+        return self._transport.send(calls.DIAGNOSTICS)
 
     def tokens(self) -> tuple[Token, ...]:
         """All tokens, revoked and expired ones included."""
-        return (self._transport.send(calls.tokens())).tokens
+        return self._transport.send(calls.TOKENS).tokens
 
     def create_token(
         self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
@@ -174,12 +174,12 @@ class Camera:
                 (rows, columns, 3), uint8, or floats in [0, 1].
         """
         if picture is None:
-            return self._transport.send(calls.take_scene_away())
+            return self._transport.send(calls.TAKE_SCENE_AWAY)
         return self._transport.send(calls.hold_scene(picture_bytes(picture)))
 
     def keyrings(self) -> tuple[Keyring, ...]:
         """All keyrings; one of them is ``active``."""
-        return (self._transport.send(calls.keyrings())).keyrings
+        return self._transport.send(calls.KEYRINGS).keyrings
 
     def install_keyring(self, bundle: bytes) -> Keyring:
         """Hand over the content of a bundle; it is checked, and not used yet."""
@@ -191,7 +191,7 @@ class Camera:
 
     def remove_keyring(self, digest: str) -> tuple[Keyring, ...]:
         """Remove a keyring that is not in use for good; return those that are left."""
-        return (self._transport.send(calls.remove_keyring(digest))).keyrings
+        return self._transport.send(calls.remove_keyring(digest)).keyrings
 
     def events(self, *, last_event_id: str | None = None) -> Iterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""

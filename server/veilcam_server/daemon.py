@@ -11,7 +11,6 @@ import structlog
 import torch
 import uvicorn
 
-from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
@@ -23,7 +22,6 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.camera.self_test import OpticalSelfTest
-from veilcam_server.devices.base import Device
 from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
@@ -91,7 +89,13 @@ def build_service(settings: Settings) -> Service:
         raise StartError(str(error)) from error
     return Service(
         camera,
-        _identity(settings, keys.info, device),
+        Identity(
+            DeviceInfo(
+                display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
+            ),
+            keys.info,
+            experiment="wrong-classifier" if settings.wrong_classifier else None,
+        ),
         Keyrings(store, opener, keys, limit=settings.keyring_limit, faults=faults),
         CalibrationService(settings, bundle, signed),
         form=form,
@@ -113,16 +117,6 @@ def _begin(camera: MaskedCamera) -> None:
         raise
     except (SelfTestError, SensorError, FenceError) as error:
         log.warning("no capture yet", reason=str(error))
-
-
-def _identity(settings: Settings, bundle: BundleInfo, device: Device) -> Identity:
-    return Identity(
-        device=DeviceInfo(
-            display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
-        ),
-        bundle=bundle,
-        experiment="wrong-classifier" if settings.wrong_classifier else None,
-    )
 
 
 class _Server(uvicorn.Server):

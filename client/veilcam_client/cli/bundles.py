@@ -15,9 +15,8 @@ from veilcam_client.cli.terminal import (
     TimeoutOption,
     UrlOption,
     ask,
-    errors,
     fail,
-    print_json,
+    show,
 )
 from veilcam_client.wire.bundles import Keyring
 
@@ -35,10 +34,8 @@ def list_keyrings(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Print all keyrings; a star stands at the one in use."""
-    with errors(), Camera(url, read_timeout=timeout) as camera:
-        keyrings = camera.keyrings()
-    for keyring in keyrings:
-        _print(keyring, json)
+    for keyring in ask(url, timeout, Camera.keyrings):
+        show(keyring, keyring_in_words, json=json)
 
 
 @app.command()
@@ -60,7 +57,7 @@ def install(
         keyring = camera.install_keyring(bundle)
         return camera.activate_keyring(keyring.digest) if activate else keyring
 
-    _print(ask(url, timeout, question), json)
+    show(ask(url, timeout, question), keyring_in_words, json=json)
 
 
 @app.command()
@@ -73,7 +70,7 @@ def activate(
 ) -> None:
     """Take masks and classifiers from this keyring from now on."""
     answer = ask(url, timeout, lambda camera: camera.activate_keyring(_whole(camera, digest)))
-    _print(answer, json)
+    show(answer, keyring_in_words, json=json)
 
 
 @app.command()
@@ -85,10 +82,9 @@ def remove(
     json: JsonOption = False,
 ) -> None:
     """Remove a keyring that is not in use, for good, and print those that are left."""
-    with errors(), Camera(url, read_timeout=timeout) as camera:
-        left = camera.remove_keyring(_whole(camera, digest))
+    left = ask(url, timeout, lambda camera: camera.remove_keyring(_whole(camera, digest)))
     for keyring in left:
-        _print(keyring, json)
+        show(keyring, keyring_in_words, json=json)
 
 
 def _whole(camera: Camera, start: str) -> str:
@@ -97,10 +93,3 @@ def _whole(camera: Camera, start: str) -> str:
     if len(found) != 1:
         raise ValueError(f"{len(found)} keyrings begin with {start!r}: see 'veilcam keyring list'")
     return found[0]
-
-
-def _print(keyring: Keyring, json: bool) -> None:
-    if json:
-        print_json(keyring)
-    else:
-        typer.echo(keyring_in_words(keyring))

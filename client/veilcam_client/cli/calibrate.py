@@ -17,10 +17,9 @@ from veilcam_client.cli.terminal import (
     UrlOption,
     errors,
     fail,
-    print_json,
 )
 from veilcam_client.errors import VeilcamError
-from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus
+from veilcam_client.wire.calibration import CalibrationRun
 
 _EVERY = 0.5
 """Between two looks at how it goes on [s]."""
@@ -50,7 +49,10 @@ def calibrate(
         found = camera.calibration()
     if run.stage != "done":
         fail(f"{run.detail or 'the calibration was cancelled'}; nothing was changed", DEVICE)
-    _print(found, json)
+    if json:
+        typer.echo(found.model_dump_json())
+    elif found.signed is not None:
+        typer.echo(record_in_words(found.signed.record))
 
 
 def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
@@ -68,10 +70,3 @@ def _follow(camera: Camera, run: CalibrationRun) -> CalibrationRun:
         time.sleep(_EVERY)
         run = camera.calibration().run or run
     return run
-
-
-def _print(found: CalibrationStatus, json: bool) -> None:
-    if json:
-        print_json(found)
-    elif found.signed is not None:
-        typer.echo(record_in_words(found.signed.record))

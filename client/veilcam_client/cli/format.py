@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from json import dumps
 
+import numpy as np
 from pydantic import ValidationError
 
 from veilcam_client.wire.bundles import BundleInfo, Keyring
 from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun, Quantity
 from veilcam_client.wire.captures import Capture, Classification
+from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
     CalibrationChanged,
     CaptureTaken,
@@ -21,6 +24,7 @@ from veilcam_client.wire.events import (
     RotationChanged,
     StateChanged,
 )
+from veilcam_client.wire.lease import Lease
 from veilcam_client.wire.rotation import (
     EverySeconds,
     Preparation,
@@ -28,6 +32,7 @@ from veilcam_client.wire.rotation import (
     RotationOff,
     RotationPolicy,
 )
+from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Token
 
 _ROWS = (
@@ -136,6 +141,77 @@ def epoch_in_words(rotation: Rotation) -> str:
     if rotation.epoch is None:
         return "none: no mask is shown"
     return f"{rotation.epoch}, {rotation.captures} captures"
+
+
+def status_in_words(status: Status) -> str:
+    """What the camera is and what it is doing."""
+    rows, columns = status.bundle.embedding_shape[-2:]
+    masks = masks_in_words(status.bundle)
+    lines = [f"state     {status.state}{f' ({status.detail})' if status.detail else ''}"]
+    if status.experiment:
+        lines.append(f"          experiment: {status.experiment}, labels mean nothing")
+    lines += [
+        f"device    {status.device.display}, {status.device.sensor}",
+        f"task      {status.bundle.task}, {rows} x {columns}, {masks}",
+        rotation_in_words(status.rotation),
+        f"next      {next_in_words(status.rotation.preparation)}",
+        f"release   {status.release}",
+        f"captures  {status.captures} in {status.uptime_s:.0f} s",
+        f"version   {status.version}",
+    ]
+    return "\n".join(lines)
+
+
+def rotation_in_words(rotation: Rotation) -> str:
+    """When masks change, and the present epoch, in two lines."""
+    return f"rotation  {policy_in_words(rotation.policy)}\nepoch     {epoch_in_words(rotation)}"
+
+
+def lease_in_words(lease: Lease) -> str:
+    """Who holds the camera, and how long."""
+    if not lease.held or lease.expires_in_s is None:
+        return "nobody holds the camera"
+    return f"held by {lease.owner!r} for another {lease.expires_in_s:.0f} s"
+
+
+def capture_in_words(capture: Capture) -> str:
+    """One embedding: its shape and its mean."""
+    values = np.asarray(capture)
+    shape = " x ".join(str(count) for count in values.shape)
+    return (
+        f"{capture.id}  epoch {capture.epoch}  {shape} {capture.embedding.form}  "
+        f"mean {values.mean():.4g}  {1e3 * capture.timing.total_s:.0f} ms{replay_in_words(capture)}"
+    )
+
+
+def classification_in_words(found: Classification) -> str:
+    """What is in front of the camera."""
+    return (
+        f"{found.label}  {100 * found.confidence:.1f} %  epoch {found.epoch}  "
+        f"{1e3 * found.timing.total_s:.0f} ms{replay_in_words(found)}"
+    )
+
+
+def diagnostics_in_words(found: Diagnostics) -> str:
+    """Versions, settings, and what failed lately."""
+    lines = [
+        *(f"version   {name} {text}" for name, text in found.versions.items()),
+        *(f"setting   {name} {dumps(value)}" for name, value in found.settings.items()),
+        *(f"events    {count} {kind}" for kind, count in found.events.items()),
+    ]
+    for past in found.states:
+        why = f": {past.detail}" if past.detail else ""
+        lines.append(f"state     {past.at:%Y-%m-%d %H:%M:%S}  {past.state}{why}")
+    lines += [
+        f"fault     {fault.at:%Y-%m-%d %H:%M:%S}  {fault.code}: {fault.detail}"
+        for fault in found.faults
+    ]
+    return "\n".join(lines)
+
+
+def dated_in_words(event: Event) -> str:
+    """When what happened, in one line."""
+    return f"{event.at:%H:%M:%S}  {event.kind:<14}  {event_in_words(event)}"
 
 
 def event_in_words(event: Event) -> str:

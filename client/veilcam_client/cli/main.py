@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from json import dumps
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +13,14 @@ from pydantic import ValidationError
 from veilcam_client.camera import DEFAULT_URL, Camera
 from veilcam_client.cli import bundles, calibrate, tokens
 from veilcam_client.cli.format import (
-    epoch_in_words,
-    event_in_words,
-    masks_in_words,
-    next_in_words,
-    policy_in_words,
+    capture_in_words,
+    classification_in_words,
+    dated_in_words,
+    diagnostics_in_words,
+    lease_in_words,
     refusal,
-    replay_in_words,
+    rotation_in_words,
+    status_in_words,
 )
 from veilcam_client.cli.terminal import (
     USAGE,
@@ -30,14 +30,12 @@ from veilcam_client.cli.terminal import (
     ask,
     errors,
     fail,
-    print_json,
+    show,
 )
 from veilcam_client.recording import record as write_recording
-from veilcam_client.wire.lease import Lease
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
-    Rotation,
     RotationOff,
     RotationPolicy,
 )
@@ -58,16 +56,7 @@ def lease(
 ) -> None:
     """Show who holds the camera for a while, or end that."""
     answer = ask(url, timeout, Camera.break_lease if end else Camera.lease_state)
-    if json:
-        print_json(answer)
-    else:
-        typer.echo(_in_words(answer))
-
-
-def _in_words(lease: Lease) -> str:
-    if not lease.held or lease.expires_in_s is None:
-        return "nobody holds the camera"
-    return f"held by {lease.owner!r} for another {lease.expires_in_s:.0f} s"
+    show(answer, lease_in_words, json=json)
 
 
 def record(
@@ -115,24 +104,7 @@ def status(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Show what the camera is and what it is doing."""
-    answer = ask(url, timeout, Camera.status)
-    if json:
-        print_json(answer)
-        return
-    detail = f" ({answer.detail})" if answer.detail else ""
-    rows, columns = answer.bundle.embedding_shape[-2:]
-    typer.echo(f"state     {answer.state}{detail}")
-    if answer.experiment:
-        typer.echo(f"          experiment: {answer.experiment}, labels mean nothing")
-    typer.echo(f"device    {answer.device.display}, {answer.device.sensor}")
-    masks = masks_in_words(answer.bundle)
-    typer.echo(f"task      {answer.bundle.task}, {rows} x {columns}, {masks}")
-    typer.echo(f"rotation  {policy_in_words(answer.rotation.policy)}")
-    typer.echo(f"epoch     {epoch_in_words(answer.rotation)}")
-    typer.echo(f"next      {next_in_words(answer.rotation.preparation)}")
-    typer.echo(f"release   {answer.release}")
-    typer.echo(f"captures  {answer.captures} in {answer.uptime_s:.0f} s")
-    typer.echo(f"version   {answer.version}")
+    show(ask(url, timeout, Camera.status), status_in_words, json=json)
 
 
 @app.command()
@@ -151,15 +123,7 @@ def capture(
                 np.save(stream, np.asarray(answer), allow_pickle=False)
         except OSError as error:
             fail(f"cannot write {out}: {error.strerror}", USAGE)
-    if json:
-        print_json(answer)
-        return
-    values = np.asarray(answer)
-    shape = " x ".join(str(count) for count in values.shape)
-    typer.echo(
-        f"{answer.id}  epoch {answer.epoch}  {shape} {answer.embedding.form}  "
-        f"mean {values.mean():.4g}  {1e3 * answer.timing.total_s:.0f} ms{replay_in_words(answer)}"
-    )
+    show(answer, capture_in_words, json=json)
 
 
 @app.command()
@@ -167,14 +131,7 @@ def classify(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Tell what is in front of the camera."""
-    answer = ask(url, timeout, Camera.classify)
-    if json:
-        print_json(answer)
-        return
-    typer.echo(
-        f"{answer.label}  {100 * answer.confidence:.1f} %  epoch {answer.epoch}  "
-        f"{1e3 * answer.timing.total_s:.0f} ms{replay_in_words(answer)}"
-    )
+    show(ask(url, timeout, Camera.classify), classification_in_words, json=json)
 
 
 @app.command()
@@ -188,13 +145,8 @@ def watch(
 ) -> None:
     """Print events as they happen, one a line."""
     with errors(), Camera(url, read_timeout=timeout) as camera:
-        for number, event in enumerate(camera.events(last_event_id=since), start=1):
-            if json:
-                print_json(event)
-            else:
-                typer.echo(f"{event.at:%H:%M:%S}  {event.kind:<14}  {event_in_words(event)}")
-            if number == count:
-                break
+        for event in islice(camera.events(last_event_id=since), count):
+            show(event, dated_in_words, json=json)
 
 
 @app.command()
@@ -202,21 +154,7 @@ def diagnostics(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Show versions, settings, and what failed lately."""
-    answer = ask(url, timeout, Camera.diagnostics)
-    if json:
-        print_json(answer)
-        return
-    for name, text in answer.versions.items():
-        typer.echo(f"version   {name} {text}")
-    for name, value in answer.settings.items():
-        typer.echo(f"setting   {name} {dumps(value)}")
-    for kind, count in answer.events.items():
-        typer.echo(f"events    {count} {kind}")
-    for past in answer.states:
-        why = f": {past.detail}" if past.detail else ""
-        typer.echo(f"state     {past.at:%Y-%m-%d %H:%M:%S}  {past.state}{why}")
-    for fault in answer.faults:
-        typer.echo(f"fault     {fault.at:%Y-%m-%d %H:%M:%S}  {fault.code}: {fault.detail}")
+    show(ask(url, timeout, Camera.diagnostics), diagnostics_in_words, json=json)
 
 
 @app.command()
@@ -257,19 +195,12 @@ def rotate(
             policy = EveryCaptures(captures=every_captures, reuse=reuse or 0)
     except ValidationError as error:
         fail(refusal(error), USAGE)
-    question: Callable[[Camera], Rotation] = Camera.rotate
-    if policy is not None:
-        wanted = policy
-
-        def question(camera: Camera) -> Rotation:
-            return camera.set_rotation(wanted)
-
-    answer = ask(url, timeout, question)
-    if json:
-        print_json(answer)
-        return
-    typer.echo(f"rotation  {policy_in_words(answer.policy)}")
-    typer.echo(f"epoch     {epoch_in_words(answer)}")
+    answer = ask(
+        url,
+        timeout,
+        lambda camera: camera.rotate() if policy is None else camera.set_rotation(policy),
+    )
+    show(answer, rotation_in_words, json=json)
 
 
 def main() -> None:

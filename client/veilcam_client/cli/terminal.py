@@ -42,6 +42,7 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (RecordingError, 13),
 )
 
+FoundT = TypeVar("FoundT")
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 
 UrlOption = Annotated[
@@ -52,7 +53,7 @@ TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 
-def ask(url: str, timeout: float, question: Callable[[Camera], AnswerT]) -> AnswerT:
+def ask(url: str, timeout: float, question: Callable[[Camera], FoundT]) -> FoundT:
     """Ask a camera; exits with the code of what goes wrong."""
     with errors(), Camera(url, read_timeout=timeout) as camera:
         return question(camera)
@@ -83,6 +84,6 @@ def fail(message: str, code: int) -> NoReturn:
     sys.exit(code)
 
 
-def print_json(answer: BaseModel) -> None:
-    """Print an answer as it came."""
-    typer.echo(answer.model_dump_json())
+def show(answer: AnswerT, in_words: Callable[[AnswerT], str], *, json: bool) -> None:
+    """Print an answer as it came, or in words."""
+    typer.echo(answer.model_dump_json() if json else in_words(answer))

@@ -15,11 +15,10 @@ from veilcam_client.cli.terminal import (
     TimeoutOption,
     UrlOption,
     ask,
-    errors,
     fail,
-    print_json,
+    show,
 )
-from veilcam_client.wire.tokens import SCOPES, NewToken, TokenRequest
+from veilcam_client.wire.tokens import SCOPES, TokenRequest
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -55,14 +54,12 @@ def create(
         option = {"scopes": "scope", "seconds": "days"}.get(str(item["loc"][0]), item["loc"][0])
         fail(f"--{option}: {item['msg']}", USAGE)
 
-    def question(camera: Camera) -> NewToken:
-        return camera.create_token(asked.label, asked.scopes, seconds=asked.seconds)
-
-    answer = ask(url, timeout, question)
-    if json:
-        print_json(answer)
-    else:
-        typer.echo(answer.secret)
+    answer = ask(
+        url,
+        timeout,
+        lambda camera: camera.create_token(asked.label, asked.scopes, seconds=asked.seconds),
+    )
+    show(answer, lambda made: made.secret, json=json)
 
 
 @app.command("list")
@@ -70,13 +67,8 @@ def list_tokens(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
     """Print all tokens without their secrets."""
-    with errors(), Camera(url, read_timeout=timeout) as camera:
-        tokens = camera.tokens()
-    for token in tokens:
-        if json:
-            print_json(token)
-        else:
-            typer.echo(token_in_words(token))
+    for token in ask(url, timeout, Camera.tokens):
+        show(token, token_in_words, json=json)
 
 
 @app.command()
@@ -91,7 +83,4 @@ def revoke(
 ) -> None:
     """Let a token do nothing any more, from the next request on."""
     answer = ask(url, timeout, lambda camera: camera.revoke_token(token_id))
-    if json:
-        print_json(answer)
-    else:
-        typer.echo(f"revoked {answer.id}")
+    show(answer, lambda revoked: f"revoked {revoked.id}", json=json)

@@ -43,13 +43,11 @@ class RetryPolicy:
         default=random.SystemRandom().uniform, repr=False
     )
 
-    def delay(self, attempt: int, error: VeilcamError) -> float | None:
-        """Seconds to wait after failure number ``attempt`` (from 0), or None to give up."""
-        if not error.retryable or attempt >= self.retries:
-            return None
+    def delay(self, attempt: int, error: VeilcamError) -> float:
+        """Seconds to wait after failure number ``attempt`` (from 0), or raise it to give up."""
         asked = error.retry_after or 0.0
-        if asked > self.patience:
-            return None
+        if not error.retryable or attempt >= self.retries or asked > self.patience:
+            raise error
         return asked + self.uniform(0.0, min(self.cap, self.base * 2.0**attempt))
 
 
@@ -135,22 +133,20 @@ class Transport:
 
     def send(self, call: Call[AnswerT]) -> AnswerT:
         """Send, retry as the policy says, and return the answer."""
-        attempt = 0
+        attempt, headers = 0, self.options.credentials.headers(call.headers())
         while True:
             try:
                 with self.options.translate():
                     response = self._client.request(
                         call.method,
                         self.options.base + call.path,
-                        content=call.body,
-                        headers=self.options.credentials.headers(call.headers),
+                        content=call.content(),
+                        headers=headers,
                         timeout=self.options.timeout(),
                     )
                 return _read(call.answer, response)
             except VeilcamError as error:
                 delay = self.options.retry.delay(attempt, error)
-                if delay is None:
-                    raise
             self._sleep(delay)
             attempt += 1
 
@@ -162,13 +158,8 @@ class Transport:
                 for event in self._stream(last_event_id):
                     attempt, last_event_id = 0, event.id
                     yield event
-                # Ended without an error: the daemon stops, or restarts.
-                failure: VeilcamError = ConnectError(f"{self.options.url} ended the stream")
             except VeilcamError as error:
-                failure = error
-            delay = self.options.retry.delay(attempt, failure)
-            if delay is None:
-                raise failure
+                delay = self.options.retry.delay(attempt, error)
             self._sleep(delay)
             attempt += 1
 
@@ -190,6 +181,8 @@ class Transport:
                 for message in decoder.feed(chunk):
                     if message.event in EVENT_KINDS:
                         yield _event(message)
+        # Ended without an error: the daemon stops, or restarts.
+        raise ConnectError(f"{self.options.url} ended the stream")
 
     def close(self) -> None:
         """Close the connections, unless the client was handed in."""
@@ -209,22 +202,20 @@ class AsyncTransport:
 
     async def send(self, call: Call[AnswerT]) -> AnswerT:
         """Send, retry as the policy says, and return the answer."""
-        attempt = 0
+        attempt, headers = 0, self.options.credentials.headers(call.headers())
         while True:
             try:
                 with self.options.translate():
                     response = await self._client.request(
                         call.method,
                         self.options.base + call.path,
-                        content=call.body,
-                        headers=self.options.credentials.headers(call.headers),
+                        content=call.content(),
+                        headers=headers,
                         timeout=self.options.timeout(),
                     )
                 return _read(call.answer, response)
             except VeilcamError as error:
                 delay = self.options.retry.delay(attempt, error)
-                if delay is None:
-                    raise
             await asyncio.sleep(delay)
             attempt += 1
 
@@ -236,12 +227,8 @@ class AsyncTransport:
                 async for event in self._stream(last_event_id):
                     attempt, last_event_id = 0, event.id
                     yield event
-                failure: VeilcamError = ConnectError(f"{self.options.url} ended the stream")
             except VeilcamError as error:
-                failure = error
-            delay = self.options.retry.delay(attempt, failure)
-            if delay is None:
-                raise failure
+                delay = self.options.retry.delay(attempt, error)
             await asyncio.sleep(delay)
             attempt += 1
 
@@ -261,6 +248,7 @@ class AsyncTransport:
                     for message in decoder.feed(chunk):
                         if message.event in EVENT_KINDS:
                             yield _event(message)
+        raise ConnectError(f"{self.options.url} ended the stream")
 
     async def close(self) -> None:
         """Close the connections, unless the client was handed in."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -52,6 +52,7 @@ class AngularSpectrum:
             function cannot represent. Switch it off only to compare.
     """
 
+    name: ClassVar[str] = "angular spectrum"
     padding: Padding = "full"
     guard: float = 0.25
     band_limit: bool = True
@@ -61,11 +62,6 @@ class AngularSpectrum:
             raise invalid("padding", repr(self.padding), "", '"full", "reach" or "none"')
         if not 0 <= self.guard < math.inf:
             raise invalid("guard", self.guard, "", "a finite share >= 0")
-
-    @property
-    def name(self) -> str:
-        """The method's name."""
-        return "angular spectrum"
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate where no frequency is dropped, or the flank of the band limit is soft enough."""

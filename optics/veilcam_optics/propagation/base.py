@@ -17,6 +17,8 @@ Propagation = Callable[[Tensor], Tensor]
 
 TURN = 2 * torch.pi
 
+_COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}
+
 
 @dataclass(frozen=True, slots=True)
 class Support:
@@ -82,20 +84,16 @@ def unit_phasor(phase: Tensor, dtype: torch.dtype) -> Tensor:
 
 def real_type(dtype: torch.dtype) -> torch.dtype:
     """Return the real type that belongs to a complex ``dtype``."""
-    if dtype == torch.complex128:
-        return torch.float64
-    if dtype == torch.complex64:
-        return torch.float32
-    raise invalid("dtype", str(dtype), "", "torch.complex64 or torch.complex128")
+    if dtype not in _COMPLEX.values():
+        raise invalid("dtype", str(dtype), "", "torch.complex64 or torch.complex128")
+    return dtype.to_real()
 
 
 def complex_type(dtype: torch.dtype) -> torch.dtype:
     """Return the complex type that belongs to a real ``dtype``."""
-    if dtype == torch.float64:
-        return torch.complex128
-    if dtype == torch.float32:
-        return torch.complex64
-    raise invalid("dtype", str(dtype), "", "torch.float32 or torch.float64")
+    if dtype not in _COMPLEX:
+        raise invalid("dtype", str(dtype), "", "torch.float32 or torch.float64")
+    return _COMPLEX[dtype]
 
 
 def check_field(field: Tensor, source: Grid, dtype: torch.dtype) -> None:
@@ -106,6 +104,16 @@ def check_field(field: Tensor, source: Grid, dtype: torch.dtype) -> None:
         )
     if field.dtype != dtype:
         raise invalid("field.dtype", str(field.dtype), "", f"{dtype}, as prepared")
+
+
+def separable(source: Grid, rows: Tensor, columns: Tensor) -> Propagation:
+    """Return the propagation of a separable kernel: (target, source) samples along y and x."""
+
+    def propagate(field: Tensor) -> Tensor:
+        check_field(field, source, rows.dtype)
+        return rows @ field @ columns.mT
+
+    return propagate
 
 
 def check_job(

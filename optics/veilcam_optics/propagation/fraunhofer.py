@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
-from torch import Tensor
 
 from veilcam_optics.errors import invalid
 from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
     Support,
-    check_field,
     check_job,
+    separable,
     unit_phasor,
 )
 from veilcam_optics.propagation.sampling import Grid, Real, as_float
@@ -27,10 +27,7 @@ from veilcam_optics.propagation.sampling import Grid, Real, as_float
 class Fraunhofer:
     """Fourier transform of the source, evaluated at the target's points by a matrix DFT."""
 
-    @property
-    def name(self) -> str:
-        """The method's name."""
-        return "fraunhofer"
+    name: ClassVar[str] = "fraunhofer"
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate where the source's own curvature, pi r^2 / (wavelength z), is below 0.3 rad."""
@@ -85,10 +82,4 @@ class Fraunhofer:
         rows = rows * (factor * torch.tensor(-1j, dtype=torch.complex128, device=y.device)).to(
             dtype
         )
-
-        def propagate(field: Tensor) -> Tensor:
-            check_field(field, source, dtype)
-            arrived: Tensor = rows @ field @ columns.mT
-            return arrived
-
-        return propagate
+        return separable(source, rows, columns)

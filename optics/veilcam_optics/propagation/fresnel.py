@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -18,13 +19,19 @@ from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
     Support,
-    check_field,
     check_job,
     real_type,
+    separable,
     unit_phasor,
 )
 from veilcam_optics.propagation.sampling import Grid, Real, as_float
-from veilcam_optics.propagation.spectral import Spectrum, full_lengths, same_pitch, transform_cost
+from veilcam_optics.propagation.spectral import (
+    Spectrum,
+    convolved,
+    full_lengths,
+    same_pitch,
+    transform_cost,
+)
 
 PARAXIAL_PHASE = 0.3
 """Largest phase error [rad] of the steepest ray at which Fresnel is called accurate."""
@@ -39,17 +46,13 @@ class FresnelTransfer:
         band_limit: Drop the frequencies whose rays miss the window; off only to compare.
     """
 
+    name: ClassVar[str] = "fresnel transfer function"
     guard: float = 0.25
     band_limit: bool = True
 
     def __post_init__(self) -> None:
         if not 0 <= self.guard < math.inf:
             raise invalid("guard", self.guard, "", "a finite share >= 0")
-
-    @property
-    def name(self) -> str:
-        """The method's name."""
-        return "fresnel transfer function"
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate while rays are flat and the transfer function is sampled finely enough."""
@@ -94,10 +97,7 @@ class FresnelImpulse:
     The kernel separates, so a target of any pitch and shift costs two matrix products.
     """
 
-    @property
-    def name(self) -> str:
-        """The method's name."""
-        return "fresnel impulse response"
+    name: ClassVar[str] = "fresnel impulse response"
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate while rays are flat and the impulse response is sampled finely enough."""
@@ -147,13 +147,7 @@ class FresnelImpulse:
         rows = unit_phasor(torch.pi / (length * z) * (v[:, None] - y).square(), dtype)
         columns = unit_phasor(torch.pi / (length * z) * (u[:, None] - x).square(), dtype)
         rows = rows * factor.to(dtype)
-
-        def propagate(field: Tensor) -> Tensor:
-            check_field(field, source, dtype)
-            arrived: Tensor = rows @ field @ columns.mT
-            return arrived
-
-        return propagate
+        return separable(source, rows, columns)
 
 
 def _convolution(
@@ -181,16 +175,7 @@ def _convolution(
 
     rows = kernel(v[0] - y[0], source.rows, target.rows, source.pitch_y, lengths[0])
     columns = kernel(u[0] - x[0], source.columns, target.columns, source.pitch_x, lengths[1])
-    transfer = (rows * factor.to(dtype))[:, None] * columns
-
-    def propagate(field: Tensor) -> Tensor:
-        check_field(field, source, dtype)
-        if not field.numel():  # which the FFT refuses
-            return field.new_zeros(*field.shape[:-2], *target.shape)
-        arrived: Tensor = torch.fft.ifft2(torch.fft.fft2(field, s=lengths) * transfer)
-        return arrived[..., : target.rows, : target.columns]
-
-    return propagate
+    return convolved(source, target, (rows * factor.to(dtype))[:, None] * columns)
 
 
 def _sides(source: Grid, target: Grid) -> tuple[tuple[str, float, float], ...]:

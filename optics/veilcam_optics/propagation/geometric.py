@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from veilcam_optics.errors import invalid, require_positive
-from veilcam_optics.propagation.base import Propagation, Support, check_field, check_job, real_type
+from veilcam_optics.propagation.base import Propagation, Support, check_job, real_type, separable
 from veilcam_optics.propagation.sampling import Grid, Real, as_float
 
 
@@ -24,16 +25,12 @@ class GeometricShadow:
         source_distance: From the point that lights the mask to the mask [m]; infinite: plane wave.
     """
 
+    name: ClassVar[str] = "geometric shadow"
     source_distance: float = math.inf
 
     def __post_init__(self) -> None:
         if not math.isinf(self.source_distance) or self.source_distance < 0:
             require_positive("source_distance", self.source_distance, "m")
-
-    @property
-    def name(self) -> str:
-        """The method's name."""
-        return "geometric shadow"
 
     def supports(
         self,
@@ -83,13 +80,7 @@ class GeometricShadow:
         )
         # Energy is spread over magnified^2 the area, amplitude falls by magnified.
         rows, columns = (rows / magnified).to(kind).to(dtype), columns.to(kind).to(dtype)
-
-        def propagate(field: Tensor) -> Tensor:
-            check_field(field, source, dtype)
-            arrived: Tensor = rows @ field @ columns.mT
-            return arrived
-
-        return propagate
+        return separable(source, rows, columns)
 
 
 def _overlap(target: Tensor, cell: Real, source: Tensor, pitch: Real, magnified: Tensor) -> Tensor:

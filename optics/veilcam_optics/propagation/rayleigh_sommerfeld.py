@@ -6,6 +6,7 @@ J. W. Goodman, "Introduction to Fourier Optics", equation 3-40, first kind, all 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -31,15 +32,11 @@ class RayleighSommerfeld:
         largest: Most pairs of samples it accepts; each costs about 100 operations.
     """
 
+    name: ClassVar[str] = "rayleigh-sommerfeld"
     largest: int = 2**28
 
     def __post_init__(self) -> None:
         require_count("largest", self.largest)
-
-    @property
-    def name(self) -> str:
-        """The method's name."""
-        return "rayleigh-sommerfeld"
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate where neighbouring source samples differ by less than half a turn."""

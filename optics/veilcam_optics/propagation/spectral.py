@@ -72,16 +72,7 @@ class Spectrum:
             # A shift of the window by any length, whole samples or not, is a ramp of phase.
             ramp_y = _ramp(self.fy, v[0] - y[0], dtype)
             ramp_x = _ramp(self.fx, u[0] - x[0], dtype)
-            kernel = transfer * ramp_y[:, None] * ramp_x
-
-            def propagate(field: Tensor) -> Tensor:
-                check_field(field, source, dtype)
-                if not field.numel():  # which the FFT refuses
-                    return field.new_zeros(*field.shape[:-2], *target.shape)
-                arrived: Tensor = torch.fft.ifft2(torch.fft.fft2(field, s=lengths) * kernel)
-                return arrived[..., : target.rows, : target.columns]
-
-            return propagate
+            return convolved(source, target, transfer * ramp_y[:, None] * ramp_x)
 
         # Another pitch: evaluate the Fourier series at the target's points (matrix DFT).
         rows = _ramp(self.fy, v[:, None] - y[0], dtype) / lengths[0]
@@ -95,6 +86,20 @@ class Spectrum:
             return arrived
 
         return propagate_scaled
+
+
+def convolved(source: Grid, target: Grid, spectrum: Tensor) -> Propagation:
+    """Return the convolution with a kernel of this spectrum, from the first target sample on."""
+    lengths = spectrum.shape
+
+    def propagate(field: Tensor) -> Tensor:
+        check_field(field, source, spectrum.dtype)
+        if not field.numel():  # which the FFT refuses
+            return field.new_zeros(*field.shape[:-2], *target.shape)
+        arrived: Tensor = torch.fft.ifft2(torch.fft.fft2(field, s=lengths) * spectrum)
+        return arrived[..., : target.rows, : target.columns]
+
+    return propagate
 
 
 def _ramp(frequencies: Tensor, shift: Tensor, dtype: torch.dtype) -> Tensor:

@@ -133,8 +133,7 @@ class _Reading(nn.Module):
 
     def forward(self, weights: Tensor, y: slice, x: slice) -> Tensor:
         """Transfer as (offsets ``y``, offsets ``x``)."""
-        transfer: Tensor = self.rows[y] @ torch.cat([group(weights, x) for group in self._groups])
-        return transfer
+        return self.rows[y] @ torch.cat([group(weights, x) for group in self._groups])
 
 
 class TransferOperator(nn.Module):

@@ -50,6 +50,7 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
         summary="A privacy camera without a lens.",
         version=__version__,
         lifespan=lifespan,
+        exception_handlers=problems.HANDLERS,
         # Served by a route of our own, which wants a scope like every other.
         openapi_url=None,
         # Interactive pages load scripts from elsewhere; a camera calls nobody.
@@ -70,7 +71,6 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
     app.state.idempotency = IdempotencyKeys()
     for routes in _ROUTES:
         app.include_router(routes.router)
-    problems.install(app)
     app.add_middleware(
         RequestContext,
         admission=admission,

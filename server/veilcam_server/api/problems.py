@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from http import HTTPStatus
+from typing import Any
 
-from fastapi import FastAPI, Request
+from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
@@ -140,20 +141,11 @@ def example_of(code: str) -> dict[str, object]:
     return example
 
 
-def install(app: FastAPI) -> None:
-    """Answer every known error of ``app`` with a problem."""
-    app.add_exception_handler(HTTPException, _on_http)
-    app.add_exception_handler(RequestValidationError, _on_invalid)
-    app.add_exception_handler(ProblemError, _on_error)
-
-
-async def _on_error(request: Request, error: Exception) -> Response:
-    assert isinstance(error, ProblemError)  # noqa: S101 - that is what it is registered for
+async def _on_error(request: Request, error: ProblemError) -> Response:
     return error_response(request.scope, error)
 
 
-async def _on_http(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)  # noqa: S101 - as above
+async def _on_http(request: Request, error: HTTPException) -> Response:
     kind = _OF_HTTP.get(error.status_code, BadRequestError)
     detail = str(error.detail)
     if detail == HTTPStatus(error.status_code).phrase:
@@ -161,8 +153,7 @@ async def _on_http(request: Request, error: Exception) -> Response:
     return problem_response(request.scope, kind, detail, headers=error.headers)
 
 
-async def _on_invalid(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
+async def _on_invalid(request: Request, error: RequestValidationError) -> Response:
     # Only where and why: what was sent stays out of answers and logs.
     errors = tuple(
         FieldError(location=".".join(str(part) for part in item["loc"]), message=str(item["msg"]))
@@ -170,3 +161,11 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
     )
     detail = "; ".join(f"{item.location}: {item.message}" for item in errors)
     return problem_response(request.scope, InvalidRequestError, detail, errors=errors)
+
+
+HANDLERS: dict[int | type[Exception], Callable[[Request, Any], Coroutine[Any, Any, Response]]] = {
+    HTTPException: _on_http,
+    RequestValidationError: _on_invalid,
+    ProblemError: _on_error,
+}
+"""Answers to every known error, for the application."""

@@ -51,14 +51,11 @@ class KeyringStore:
     """
 
     def __init__(self, directory: Path, configured: Path, digest: str) -> None:
-        self._directory, self._configured, self._digest = directory, configured, digest
+        self._directory, self._given = directory, configured
+        self.configured = digest
+        """Digest of the bundle that the daemon was started with."""
         for left in directory.glob(f"{_TEMPORARY}*"):
             left.unlink(missing_ok=True)
-
-    @property
-    def configured(self) -> str:
-        """Digest of the bundle that the daemon was started with."""
-        return self._digest
 
     def candidates(self) -> tuple[str, ...]:
         """Which one to use, and what else if that cannot be used; the configured one comes last.
@@ -66,20 +63,20 @@ class KeyringStore:
         What was activated holds until the daemon is started with another bundle.
         """
         chosen = self._read()
-        if chosen is None or chosen.configured != self._digest:
-            return (self._digest,)
-        return tuple(dict.fromkeys((chosen.active, chosen.before, self._digest)))
+        if chosen is None or chosen.configured != self.configured:
+            return (self.configured,)
+        return tuple(dict.fromkeys((chosen.active, chosen.before, self.configured)))
 
     def digests(self) -> tuple[str, ...]:
         """All of them, the configured one first."""
         names = {path.stem for path in self._directory.glob(f"*{_SUFFIX}")}
-        installed = sorted(name for name in names - {self._digest} if _DIGEST.fullmatch(name))
-        return (self._digest, *installed)
+        installed = sorted(name for name in names - {self.configured} if _DIGEST.fullmatch(name))
+        return (self.configured, *installed)
 
     def path(self, digest: str) -> Path:
         """Where a bundle is; raises :class:`UnknownKeyringError`."""
-        if digest == self._digest:
-            return self._configured
+        if digest == self.configured:
+            return self._given
         path = self._path(digest)
         if not (_DIGEST.fullmatch(digest) and path.is_file()):
             raise UnknownKeyringError
@@ -105,7 +102,7 @@ class KeyringStore:
 
     def install(self, temporary: Path, digest: str) -> None:
         """Move a whole and checked file into its place; raises :class:`KeyringStoreError`."""
-        if digest == self._digest:
+        if digest == self.configured:
             return
         with _durable():
             with temporary.open("rb") as stream:
@@ -122,7 +119,7 @@ class KeyringStore:
             KeyringStoreError: the disk refuses.
         """
         path = self.path(digest)
-        if digest in (active, self._digest):
+        if digest in (active, self.configured):
             raise KeyringInUseError
         with _durable():
             path.unlink()
@@ -136,7 +133,7 @@ class KeyringStore:
         Raises:
             KeyringStoreError: the disk refuses.
         """
-        record = _Active(active=digest, before=before, configured=self._digest)
+        record = _Active(active=digest, before=before, configured=self.configured)
         with _durable():
             descriptor, name = self._temporary()
             with os.fdopen(descriptor, "wb") as stream:

@@ -164,8 +164,7 @@ def align(
         columns[4] = (strayed(straight, 1.0, size) - straight) * gains * _PERCENT
         for index, row in enumerate(strayed(straight, stray, size)):
             columns[5 + index, index] = row
-        flat: Values = columns.reshape(len(values), -1).T
-        return flat
+        return columns.reshape(len(values), -1).T
 
     found = least_squares(
         residuals,

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from veilcam_client.cli.format import table
@@ -21,7 +20,6 @@ PAPER, INK, FAINT, MEASURED, FITTED = "#0f1216", "#e8e6e1", "#7d8790", "#7fd1ae"
 def write_picture(path: Path, found: Calibrated) -> None:
     """Draw what was measured; raises ``OSError``."""
     figure = Figure(figsize=(12, 9.6), facecolor=PAPER, dpi=120)
-    FigureCanvasAgg(figure)
     curves = figure.add_gridspec(
         2, 2, left=0.06, right=0.97, top=0.87, bottom=0.42, hspace=0.42, wspace=0.16
     )

@@ -39,8 +39,7 @@ class Response:
 
     def light(self, weights: Values) -> Values:
         """What the fit expects."""
-        light: Values = _light(weights, self.scale, self.gamma, self.floor)
-        return light
+        return _light(weights, self.scale, self.gamma, self.floor)
 
 
 def climb(rig: Rig, *, black_level: float) -> Staircase:
@@ -78,8 +77,7 @@ def fit_response(
         expected = _light(weights, scale, gamma, level)
         if floor is not None:
             expected = expected - scale * floor**2
-        difference: Values = expected - (light - offset) / top
-        return difference
+        return expected - (light - offset) / top
 
     start, lowest, highest = [1.0, 1.0], [0.01, 0.1], [4.0, 10.0]
     if floor is None:
@@ -109,11 +107,9 @@ def uncertainties(jacobian: Values, residuals: Values) -> Values:
     freedom = max(1, len(residuals) - jacobian.shape[1])
     variance = float(np.sum(residuals**2)) / freedom
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
-    spread: Values = np.sqrt(np.diag(covariance))
-    return spread
+    return np.sqrt(np.diag(covariance))
 
 
 def _light(weights: Values, scale: float, gamma: float, floor: float) -> Values:
     """Sub-pixels that all show one amplitude let its square through."""
-    light: Values = scale * (floor + (1 - floor) * weights**gamma) ** 2
-    return light
+    return scale * (floor + (1 - floor) * weights**gamma) ** 2

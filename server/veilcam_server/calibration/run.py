@@ -46,24 +46,20 @@ class Run:
         self._lock = threading.RLock()
         self._cancelled = threading.Event()
         self._confirmed: queue.SimpleQueue[None] = queue.SimpleQueue()
-        self._state = CalibrationRun(
+        self.state = CalibrationRun(
             stage="measuring", scene=None, instruction=None, exposures=0, total=total, detail=None
         )
-
-    @property
-    def state(self) -> CalibrationRun:
         """How far it is."""
-        return self._state
 
     def confirm(self, scene: SceneName) -> CalibrationRun:
         """Go on, as a scene is set; raises :class:`SceneNotWantedError` if it is another one."""
         with self._lock:
-            wanted = self._state.scene if self._state.stage == "waiting" else None
+            wanted = self.state.scene if self.state.stage == "waiting" else None
             if scene != wanted:
                 raise SceneNotWantedError(scene, wanted)
             self.enter("measuring", scene)
         self._confirmed.put(None)
-        return self._state
+        return self.state
 
     def wait_for(self, scene: CalibrationScene) -> None:
         """Wait until a scene is confirmed.
@@ -85,10 +81,10 @@ class Run:
     def advance(self) -> None:
         """One more exposure was taken; raises :class:`CancelledError` if it is to end."""
         with self._lock:
-            exposures = self._state.exposures + 1
-            self._state = self._state.model_copy(update={"exposures": exposures})
+            exposures = self.state.exposures + 1
+            self.state = self.state.model_copy(update={"exposures": exposures})
             if exposures % self._every == 0:
-                self._report(self._state)
+                self._report(self.state)
         self.check()
 
     def cancel(self) -> None:
@@ -111,7 +107,7 @@ class Run:
     ) -> None:
         """Begin another stage, and report it."""
         with self._lock:
-            self._state = self._state.model_copy(
+            self.state = self.state.model_copy(
                 update={
                     "stage": stage,
                     "scene": scene,
@@ -119,4 +115,4 @@ class Run:
                     "detail": detail,
                 }
             )
-            self._report(self._state)
+            self._report(self.state)

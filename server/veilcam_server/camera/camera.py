@@ -18,11 +18,17 @@ from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import State
-from veilcam_server.camera.capture import Captured, Fence, Lateness, check_exposure
+from veilcam_server.camera.capture import (
+    Captured,
+    Fence,
+    Lateness,
+    check_exposure,
+    due_in,
+    reusable,
+)
 from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.camera.rotation import due_in, reusable
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device
@@ -69,7 +75,9 @@ class MaskedCamera:
         calibration: SignedCalibration | None = None,
     ) -> None:
         self._health = Health(fence.settle + fence.timeout + _MARGIN)
-        self._bare, self._preparation = stamped(device, self._health), preparation
+        self._bare = stamped(device, self._health)
+        self.preparation = preparation
+        """What makes epochs ready."""
         self._device = calibrated(self._bare, calibration)
         self._shape, self._fence = shape, fence
         self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
@@ -90,11 +98,6 @@ class MaskedCamera:
     def healthy(self) -> bool:
         """Whether panel and camera still answer."""
         return self._health.healthy()
-
-    @property
-    def preparation(self) -> Preparation:
-        """What makes epochs ready."""
-        return self._preparation
 
     @property
     def policy(self) -> RotationPolicy:
@@ -121,9 +124,9 @@ class MaskedCamera:
             epoch=epoch,
             captures=captures,
             preparation=PreparationStatus(
-                ready=self._preparation.ready,
-                prepared=self._preparation.count,
-                last_s=self._preparation.took,
+                ready=self.preparation.ready,
+                prepared=self.preparation.count,
+                last_s=self.preparation.took,
                 late=self.lateness.late,
                 reused=self.lateness.reused,
             ),
@@ -131,11 +134,11 @@ class MaskedCamera:
 
     def first_of(self, source: MaskSource) -> Prepared:
         """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
-        return self._preparation.first_of(source)
+        return self.preparation.first_of(source)
 
     def await_next(self) -> None:
         """Wait until no mask is being prepared."""
-        self._preparation.wait()
+        self.preparation.wait()
 
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
@@ -199,7 +202,7 @@ class MaskedCamera:
         with self._lock:
             self._device = calibrated(self._bare, calibration)
             self._fence = Fence(settle, self._fence.timeout)
-            self._preparation.serve(source)
+            self.preparation.serve(source)
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -240,7 +243,7 @@ class MaskedCamera:
     def rotate_if_due(self) -> None:
         """Show another mask if the policy wants it and one is ready; raises as :meth:`rotate`."""
         with self._lock:
-            if self.due_in() <= 0 and not self._preparation.under_way:
+            if self.due_in() <= 0 and not self.preparation.under_way:
                 self._rotate()
 
     def capture(self) -> Captured:
@@ -305,7 +308,7 @@ class MaskedCamera:
                 return
             self._panel.end()
             with ExitStack() as stack:
-                stack.callback(self._preparation.close)
+                stack.callback(self.preparation.close)
                 self._device.close()
 
     def _take_back(self) -> None:
@@ -314,14 +317,14 @@ class MaskedCamera:
                 return
             self._self_test.void(self._device, self._fence)
             try:
-                self._panel.show(self._preparation.take())
+                self._panel.show(self.preparation.take())
             finally:
                 self._panel.strand()
 
     def _may_reuse(self) -> bool:
         """Whether a mask that is due may serve this capture, too."""
         active = self._panel.active
-        if active is None or not self._preparation.under_way:
+        if active is None or not self.preparation.under_way:
             return False
         return active.reuse(reusable(self._policy), self.lateness)
 
@@ -330,7 +333,7 @@ class MaskedCamera:
         if self._panel.active is not None:
             self._require_another()
         # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
-        self._panel.show(self._preparation.take())
+        self._panel.show(self.preparation.take())
 
     @property
     def _stopping(self) -> bool:
@@ -343,7 +346,7 @@ class MaskedCamera:
             raise CalibratingError
 
     def _require_another(self) -> None:
-        if not self._preparation.renewable:
+        if not self.preparation.renewable:
             raise RotationImpossibleError(
                 "the bundle holds one pair only: serve a bundle with two or more to change masks"
             )

@@ -10,6 +10,7 @@ from datetime import datetime
 import numpy as np
 
 from veilcam_client.wire.captures import Replay
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 from veilcam_server.devices.base import Exposure, Reading
 from veilcam_server.errors import FenceError
 from veilcam_server.masks.source import Mask, Reader
@@ -57,6 +58,27 @@ def check_exposure(
         )
     if not bool(np.isfinite(exposure.embedding).all()):
         raise FenceError("the sensor gave a reading that is not finite: try again")
+
+
+def due_in(policy: RotationPolicy, *, shown_for: float, captures: int, chance: float) -> float:
+    """Return how long the present mask may stay [s]: 0 when it must change, inf for ever.
+
+    Args:
+        policy: what was asked for.
+        shown_for: how long the mask has been on the panel [s].
+        captures: how many were taken under it.
+        chance: drawn for this showing, uniform over [0, 1): how much of the jitter it gets.
+    """
+    if isinstance(policy, EverySeconds):
+        return max(0.0, policy.seconds - chance * policy.jitter - shown_for)
+    if isinstance(policy, EveryCaptures):
+        return 0.0 if captures >= policy.captures else math.inf
+    return math.inf
+
+
+def reusable(policy: RotationPolicy) -> int:
+    """Return how many captures a mask may serve when it is due and the next is not ready."""
+    return 0 if isinstance(policy, RotationOff) else policy.reuse
 
 
 _RANDOM = secrets.SystemRandom()

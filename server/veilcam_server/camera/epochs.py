@@ -7,21 +7,12 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
 from veilcam_server.errors import EpochError, NotReadyError, StartError
 from veilcam_server.masks.source import Mask, MaskSource
-
-
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """``name`` goes over the wire, ``counter`` grows for ever and stays here."""
-
-    counter: int
-    name: str
 
 
 class EpochStore:
@@ -118,7 +109,8 @@ LONGEST = 60.0
 class Prepared:
     """An epoch that is durable, its mask, and what reads behind it."""
 
-    epoch: Epoch
+    epoch: str
+    """Its name, which goes over the wire; the counter grows for ever and stays here."""
     mask: Mask = field(repr=False)
 
 
@@ -137,7 +129,10 @@ class Preparation:
         self._source, self._epochs = source, epochs
         self._thread = ThreadPoolExecutor(1, "preparation")
         self._next: Future[Prepared] | None = None
-        self._count, self._took = 0, 0.0
+        self.count = 0
+        """How many epochs were prepared."""
+        self.took = 0.0
+        """How long the last preparation took [s]; 0 before the first."""
 
     @property
     def renewable(self) -> bool:
@@ -156,20 +151,11 @@ class Preparation:
         future = self._next
         return future is not None and future.done() and not future.exception()
 
-    @property
-    def count(self) -> int:
-        """How many epochs were prepared."""
-        return self._count
-
-    @property
-    def took(self) -> float:
-        """How long the last preparation took [s]; 0 before the first."""
-        return self._took
-
-    def begin(self) -> None:
-        """Start to prepare the next epoch, if none is prepared or under way."""
+    def begin(self) -> Future[Prepared]:
+        """Start to prepare the next epoch, if none is prepared or under way, and return it."""
         if self._next is None:
             self._next = self._thread.submit(self._prepare, self._source)
+        return self._next
 
     def wait(self) -> None:
         """Wait until none is under way, whatever came of it."""
@@ -183,20 +169,12 @@ class Preparation:
             NotReadyError: it takes too long.
             EpochError: it could not be made durable.
         """
-        self.begin()
-        assert self._next is not None  # noqa: S101 - it has just begun
-        try:
-            prepared = self._next.result(LONGEST)
-        except FutureTimeoutError:
-            if self._next.done():
-                self._next = None
-                raise
-            raise NotReadyError("the next mask is still being prepared: try again") from None
-        except BaseException:
-            self._next = None
-            raise
+        future = self.begin()
+        wait([future], LONGEST)
+        if not future.done():
+            raise NotReadyError("the next mask is still being prepared: try again")
         self._next = None
-        return prepared
+        return future.result()
 
     def first_of(self, source: MaskSource) -> Prepared:
         """Prepare an epoch of another source, while this one goes on; any thread may ask.
@@ -207,7 +185,7 @@ class Preparation:
         """
         try:
             return self._thread.submit(self._prepare, source).result(LONGEST)
-        except FutureTimeoutError:
+        except TimeoutError:
             raise NotReadyError("the first mask is still being prepared: try again") from None
 
     def serve(self, source: MaskSource) -> None:
@@ -226,8 +204,7 @@ class Preparation:
     def _prepare(self, source: MaskSource) -> Prepared:
         begun = time.perf_counter()
         counter = self._epochs.next()
-        epoch = Epoch(counter, source.name(counter))
-        prepared = Prepared(epoch, source.make(counter, self._epochs.mark))
-        self._took = time.perf_counter() - begun
-        self._count += 1
+        prepared = Prepared(source.name(counter), source.make(counter, self._epochs.mark))
+        self.took = time.perf_counter() - begun
+        self.count += 1
         return prepared

@@ -35,16 +35,12 @@ class MaskedPanel:
         self, display: Display, preparation: Preparation, self_test: SelfTestStatus
     ) -> None:
         self._display, self._preparation, self._self_test = display, preparation, self_test
-        self._active: ActiveMask | None = None
+        self.active: ActiveMask | None = None
+        """The mask that is shown; None: there is none."""
         self._state: State = "starting"
         self._detail: str | None = None
         self.publish: Publish = _ignore
         """Takes every new epoch and state."""
-
-    @property
-    def active(self) -> ActiveMask | None:
-        """The mask that is shown; None: there is none."""
-        return self._active
 
     @property
     def state(self) -> tuple[State, str | None]:
@@ -53,7 +49,7 @@ class MaskedPanel:
 
     def proven_for(self) -> float:
         """Seconds until the panel must be tested; 0: now, or again after a test that failed."""
-        return 0.0 if self._active is None else self._self_test.holds_for()
+        return 0.0 if self.active is None else self._self_test.holds_for()
 
     def show(self, prepared: Prepared, source: MaskSource | None = None) -> None:
         """Show a mask, after a test if that is due.
@@ -67,11 +63,11 @@ class MaskedPanel:
             EpochError: the mask could not be recorded; nothing has changed.
             DisplayError: the panel did not take it.
         """
-        previous = self._active
+        previous = self.active
         self._preparation.record(prepared.mask)
         self._prove()
         # From here on no mask counts as shown until the panel has confirmed one.
-        self._active = None
+        self.active = None
         try:
             shown = self._display.show(prepared.mask.levels)
         except DeviceError as error:
@@ -80,13 +76,13 @@ class MaskedPanel:
         except BaseException:
             self._put_back(previous)
             raise
-        self._active = ActiveMask(
-            prepared.mask, prepared.epoch.name, shown.completed_at, shown.completed_at
+        self.active = ActiveMask(
+            prepared.mask, prepared.epoch, shown.completed_at, shown.completed_at
         )
         if source is not None:
             self._preparation.serve(source)
         self._enter("ready", None)
-        self.publish(partial(MaskChanged, epoch=prepared.epoch.name))
+        self.publish(partial(MaskChanged, epoch=prepared.epoch))
         self._prepare_next()
 
     def test(self) -> None:
@@ -95,14 +91,14 @@ class MaskedPanel:
         Raises:
             SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
         """
-        active = self._active
+        active = self.active
         if active is not None and self._self_test.holds_for() <= 0:
             self._prove()
             self._put_back(active)
 
     def suspend(self) -> None:
         """No mask counts as shown: somebody has the panel for a calibration."""
-        self._active = None
+        self.active = None
         self._enter("calibrating", "the camera is being calibrated")
 
     def strand(self) -> None:
@@ -114,14 +110,14 @@ class MaskedPanel:
 
     def end(self) -> None:
         """No mask counts as shown any more."""
-        self._active = None
+        self.active = None
         self._enter("stopping", "the daemon is stopping")
 
     def _prove(self) -> None:
         """Test the panel if that is due; it then shows opaque, also after a test that failed."""
         if self._self_test.holds_for() > 0:
             return
-        self._active = None
+        self.active = None
         if self._state in ("starting", "ready", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
@@ -143,7 +139,7 @@ class MaskedPanel:
                 pass
             else:
                 previous.completed_at = shown.completed_at
-                self._active = previous
+                self.active = previous
                 # Should it not be recorded, another mask than the next is left out: no harm.
                 with suppress(EpochError):
                     self._preparation.record(previous.mask)

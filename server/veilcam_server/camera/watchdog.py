@@ -59,10 +59,7 @@ def stamped(device: Device, health: Health) -> Device:
 class _StampedDisplay:
     def __init__(self, display: Display, health: Health) -> None:
         self._display, self._health = display, health
-
-    @property
-    def name(self) -> str:
-        return self._display.name
+        self.name = display.name
 
     @property
     def resets(self) -> int:
@@ -84,14 +81,7 @@ class _StampedDisplay:
 class _StampedSensor:
     def __init__(self, sensor: Sensor, health: Health) -> None:
         self._sensor, self._health = sensor, health
-
-    @property
-    def name(self) -> str:
-        return self._sensor.name
-
-    @property
-    def full_scale(self) -> float:
-        return self._sensor.full_scale
+        self.name, self.full_scale = sensor.name, sensor.full_scale
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         with self._health.action():

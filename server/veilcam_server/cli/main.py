@@ -10,12 +10,7 @@ from typing import Annotated
 import typer
 
 from veilcam_client import VeilcamError
-from veilcam_server.cli import audit as audit_command
-from veilcam_server.cli import calibrate as calibration_command
-from veilcam_server.cli import doctor as doctor_command
-from veilcam_server.cli import serve as serve_command
-from veilcam_server.cli import tokens as token_command
-from veilcam_server.cli.serve import set_scene
+from veilcam_server.cli import audit, calibrate, doctor, serve, tokens
 from veilcam_server.cli.terminal import fail
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.errors import StartError
@@ -26,11 +21,11 @@ app = typer.Typer(
     # Local variables hold masks: they must not end up in a terminal.
     pretty_exceptions_enable=False,
 )
-app.command()(serve_command.serve)
-app.command()(doctor_command.doctor)
-app.add_typer(token_command.app, name="token")
-app.command("audit")(audit_command.audit)
-app.command()(calibration_command.calibrate)
+app.command()(serve.serve)
+app.command()(doctor.doctor)
+app.add_typer(tokens.app, name="token")
+app.command()(audit.audit)
+app.command()(calibrate.calibrate)
 
 
 @app.callback()
@@ -73,7 +68,7 @@ def show(
             fitting = [n for n, label in enumerate(digits.labels) if digit in (None, label)]
             index = secrets.choice(fitting)
         path = scene or default_state_dir() / SCENE_NAME
-        set_scene(path, digits, index)
+        serve.set_scene(path, digits, index)
         typer.echo(f"held up a {digits.labels[index]} (held-out digit {index}) in {path}")
     except StartError as error:
         fail(str(error))

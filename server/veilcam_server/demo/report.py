@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from veilcam_optics.camera.geometry import Camera
@@ -35,7 +34,6 @@ class Row:
 def write_report(path: Path, rows: Sequence[Row], camera: Camera, title: str, caption: str) -> None:
     """Draw ``rows`` one below the other and write the picture."""
     figure = Figure(figsize=(11, 1.35 + 2.05 * len(rows)), facecolor=PAPER, dpi=130)
-    FigureCanvasAgg(figure)
     height = float(figure.get_figheight())
     grid = figure.add_gridspec(
         len(rows),

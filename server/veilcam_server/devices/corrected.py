@@ -36,6 +36,9 @@ class CalibratedSensor:
     ) -> None:
         self._sensor, self._black_level, self._gain = sensor, black_level, gain
         self._stray_light = stray_light
+        self.name = sensor.name
+        self.full_scale = (sensor.full_scale - black_level) / gain
+        """Reading of saturated pixels."""
 
     @classmethod
     def of(cls, sensor: Sensor, record: CalibrationRecord) -> Self:
@@ -46,16 +49,6 @@ class CalibratedSensor:
             gain=record.gain.value,
             stray_light=record.stray_light.value,
         )
-
-    @property
-    def name(self) -> str:
-        """Of the sensor."""
-        return self._sensor.name
-
-    @property
-    def full_scale(self) -> float:
-        """Reading of saturated pixels."""
-        return (self._sensor.full_scale - self._black_level) / self._gain
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """As the sensor does."""

@@ -98,7 +98,9 @@ class IMX477:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._open_camera, self._mode, self._exposures = open_camera, mode, exposures
-        self._full_scale, self._most_failures, self._clock = full_scale, failures, clock
+        self._most_failures, self._clock = failures, clock
+        self.full_scale = full_scale
+        """Reading of saturated pixels at the exposure to begin with."""
         self._binning = Binning((mode.rows, mode.columns), shape)
         self._asked = exposures.start
         self._failures = 0
@@ -106,11 +108,6 @@ class IMX477:
         self._camera: Picamera | None = None
         self._format: RawFormat
         self._start()
-
-    @property
-    def full_scale(self) -> float:
-        """Reading of saturated pixels at the exposure to begin with."""
-        return self._full_scale
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """Wait for a frame that was exposed wholly after ``not_before``, and bin it.
@@ -178,7 +175,7 @@ class IMX477:
     def _exposure(self, frame: Frame, share: npt.NDArray[np.float64]) -> Exposure:
         integration = frame.exposure / _NANO
         scale = self._exposures.start / integration if integration > 0 else 1.0
-        embedding: Reading = (self._full_scale * scale * share).astype(np.float32)
+        embedding: Reading = (self.full_scale * scale * share).astype(np.float32)
         return Exposure(
             embedding,
             started_at=(frame.stamp - frame.exposure) / _NANO,

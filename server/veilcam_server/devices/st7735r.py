@@ -115,14 +115,10 @@ class ST7735R:
         lead = window.first_row - first * COLOURS
         self._window: npt.NDArray[np.uint8] = self._pixels[:, lead : lead + window.rows]
         self._ready = False
-        self._resets = 0
+        self.resets = 0
+        """How often the panel was set up."""
         with self._bus():
             self._initialise()
-
-    @property
-    def resets(self) -> int:
-        """How often the panel was set up."""
-        return self._resets
 
     def show(self, levels: Levels) -> Shown:
         """Write a mask to the window."""
@@ -175,7 +171,7 @@ class ST7735R:
             self._initialise()
 
     def _initialise(self) -> None:
-        self._resets += 1
+        self.resets += 1
         self._lines.reset(True)
         self._sleep(1e-4)
         self._lines.reset(False)

@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,6 @@ class Machine:
     """Who has a line; needs gpiod."""
     open_camera: Callable[[int], Any] = open_picamera2
     """Opens a camera; needs picamera2."""
-    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
 
     def path(self, path: Path | str) -> Path:
         """Return an absolute path as it is on this machine."""

@@ -52,8 +52,7 @@ class FreshReader:
         except OpticsError as error:
             raise SensorError(str(error)) from None
         assert released is not None  # noqa: S101 - 'none' is no form
-        array: Reading = released[0].numpy()
-        return array
+        return released[0].numpy()
 
 
 class FreshSource:

@@ -16,12 +16,13 @@ from veilcam_server.errors import (
     HostRefusedError,
     RateLimitError,
     TokenStoreError,
+    TooManyStreamsError,
     UnauthorizedError,
 )
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import ANYONE, Caller
 from veilcam_server.security.lease import Lease
-from veilcam_server.security.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 
@@ -42,7 +43,7 @@ class Admission:
         refused: what was asked without a valid token, or from another host or site.
         rate: how often one caller may ask.
         concurrency: how many requests of one caller may be under way.
-        streams: how many event streams may be open.
+        streams: how many event streams may be open, all callers together.
         lease: who holds the camera for a while.
         settings: of the daemon, for its diagnostics: without paths, addresses and labels.
     """
@@ -53,7 +54,9 @@ class Admission:
     refused: AuditLog | None = None
     rate: RateLimit = field(default_factory=lambda: RateLimit(1000.0, 1000))
     concurrency: ConcurrencyLimit = field(default_factory=lambda: ConcurrencyLimit(64))
-    streams: StreamLimit = field(default_factory=lambda: StreamLimit(64))
+    streams: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(64, TooManyStreamsError)
+    )
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
 
@@ -170,7 +173,7 @@ def open_admission(settings: Settings) -> Iterator[Admission]:
             refused,
             RateLimit(settings.rate_limit, settings.rate_burst),
             ConcurrencyLimit(settings.concurrency_limit),
-            StreamLimit(settings.stream_limit),
+            ConcurrencyLimit(settings.stream_limit, TooManyStreamsError),
             settings=settings.redacted(),
         )
     finally:

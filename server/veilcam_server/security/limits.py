@@ -8,7 +8,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from veilcam_server.errors import RateLimitError, TooManyRequestsError, TooManyStreamsError
+from veilcam_server.errors import ProblemError, RateLimitError, TooManyRequestsError
 
 REMEMBERED = 1024
 """Callers whose last requests are remembered."""
@@ -41,17 +41,24 @@ class RateLimit:
 
 
 class ConcurrencyLimit:
-    """So many requests of one caller may be under way at once."""
+    """So many requests or streams of one caller may be under way at once.
 
-    def __init__(self, limit: int) -> None:
-        self._limit = limit
+    Args:
+        limit: how many.
+        refusal: raised, with the limit, at one too many.
+    """
+
+    def __init__(
+        self, limit: int, refusal: Callable[[int], ProblemError] = TooManyRequestsError
+    ) -> None:
+        self._limit, self._refusal = limit, refusal
         self._under_way: Counter[str] = Counter()
 
     @contextmanager
     def held(self, caller: str) -> Iterator[None]:
-        """Count a request as under way; raises :class:`TooManyRequestsError`."""
+        """Count a request as under way; raises what this limit refuses with."""
         if self._under_way[caller] >= self._limit:
-            raise TooManyRequestsError(self._limit)
+            raise self._refusal(self._limit)
         self._under_way[caller] += 1
         try:
             yield
@@ -59,21 +66,3 @@ class ConcurrencyLimit:
             self._under_way[caller] -= 1
             if not self._under_way[caller]:
                 del self._under_way[caller]
-
-
-class StreamLimit:
-    """So many event streams may be open, all callers together."""
-
-    def __init__(self, limit: int) -> None:
-        self._limit, self._open = limit, 0
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """Count a stream as open; raises :class:`TooManyStreamsError`."""
-        if self._open >= self._limit:
-            raise TooManyStreamsError(self._limit)
-        self._open += 1
-        try:
-            yield
-        finally:
-            self._open -= 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import hmac
 import os
@@ -11,7 +10,7 @@ import secrets
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -189,7 +188,7 @@ class TokenStore:
     def _writing(self) -> Iterator[sqlite3.Connection]:
         # A connection of its own: it may come from any thread, and the reader sees a change.
         try:
-            with contextlib.closing(self._connect()) as database:
+            with closing(self._connect()) as database:
                 database.execute("BEGIN IMMEDIATE")
                 yield database
                 database.execute("COMMIT")
@@ -218,7 +217,7 @@ class TokenStore:
         if row.used == today:
             return
         # Once a day for each token; that it cannot be written is no reason to refuse a request.
-        with contextlib.suppress(TokenStoreError), self._writing() as database:
+        with suppress(TokenStoreError), self._writing() as database:
             database.execute("UPDATE token SET used = ? WHERE id = ?", (today, row.id))
         self._known[row.id] = replace(row, used=today)
 

@@ -39,27 +39,23 @@ class DeviceQueue:
         self.limit, self._publish = limit, publish
         self.lost: SensorLostError | None = None
         """Why the daemon has to be started again; None if it need not."""
-        self._waiting = 0
+        self.waiting = 0
+        """Requests admitted and not yet answered."""
         self._recent = 0.1
         """Smoothed time that the device takes for one request [s]."""
         self._thread = ThreadPoolExecutor(1, "device")
 
-    @property
-    def waiting(self) -> int:
-        """Requests admitted and not yet answered."""
-        return self._waiting
-
     @contextmanager
     def admitted(self) -> Iterator[None]:
         """Take a place in the queue; raises :class:`QueueFullError` if there is none."""
-        if self._waiting >= self.limit:
-            wait = max(1, math.ceil(self._waiting * self._recent))
+        if self.waiting >= self.limit:
+            wait = max(1, math.ceil(self.waiting * self._recent))
             raise QueueFullError(self.limit, wait)
-        self._waiting += 1
+        self.waiting += 1
         try:
             yield
         finally:
-            self._waiting -= 1
+            self.waiting -= 1
 
     async def run(
         self, work: Callable[[], ResultT], *, counted: bool = True, told: bool = True

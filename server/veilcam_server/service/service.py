@@ -92,7 +92,9 @@ class Service:
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
     ) -> None:
-        self._camera, self._identity, self._form = camera, identity, form
+        self._camera, self._identity = camera, identity
+        self.release = form
+        """In which form embeddings leave."""
         self._keyrings, self._scenes = keyrings, scenes
         self._events, self.history = EventPublisher(heartbeat), History()
         publish = self._events.publish
@@ -168,17 +170,12 @@ class Service:
             experiment=self._identity.experiment,
             uptime_s=time.monotonic() - self._since,
             captures=self.history.events["capture"],
-            release=self._form,
+            release=self.release,
             device=self._identity.device,
             bundle=self._identity.bundle,
             rotation=self.rotation(),
             queue=Queue(waiting=self._queue.waiting, limit=self._queue.limit),
         )
-
-    @property
-    def release(self) -> Release:
-        """In which form embeddings leave."""
-        return self._form
 
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
@@ -298,12 +295,12 @@ class Service:
         return await self._queue.run(work)
 
     def _require_released(self) -> Form:
-        if self._form == "none":
+        if self.release == "none":
             raise WithheldError(
                 "this daemon releases no embeddings: ask for a classification, "
                 "or start it with --release"
             )
-        return self._form
+        return self.release
 
     def _taken(self, captured: Captured) -> str:
         name = secrets.token_hex(8)

@@ -262,7 +262,8 @@ def test_waits_are_fully_jittered_and_bounded() -> None:
     low = RetryPolicy(retries=9, uniform=lambda lower, _: lower)
     assert [high.delay(attempt, error) for attempt in range(6)] == [0.25, 0.5, 1, 2, 4, 4]
     assert low.delay(3, error) == 0
-    assert high.delay(9, error) is None
+    with pytest.raises(ConnectError):
+        high.delay(9, error)
     assert len({RetryPolicy().delay(0, error) for _ in range(20)}) == 20
 
 

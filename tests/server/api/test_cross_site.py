@@ -14,9 +14,10 @@ from starlette.types import Message
 
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
+from veilcam_server.errors import TooManyStreamsError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
-from veilcam_server.security.limits import StreamLimit
+from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_server.security.tokens import TokenStore
 from veilcam_training.bundle import Bundle, write_bundle
 
@@ -60,7 +61,9 @@ def admission(tmp_path: Path) -> Iterator[Admission]:
     store = TokenStore(tmp_path / "tokens")
     done, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
     # A stream that is let in would not end: it is let in if it is refused for its number.
-    yield Admission(store, audit=done, refused=refused, streams=StreamLimit(0))
+    yield Admission(
+        store, audit=done, refused=refused, streams=ConcurrencyLimit(0, TooManyStreamsError)
+    )
     store.close()
     refused.close()
     done.close()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
-from veilcam_server.camera.rotation import due_in
+from veilcam_server.camera.capture import due_in
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import (
     CalibratingError,

@@ -95,13 +95,13 @@ def test_the_first_mask_is_tested_recorded_shown_and_told(rig: Rig) -> None:
     showing = rig.panel.active
     assert showing is not None
     assert showing.mask is first.mask
-    assert showing.epoch == first.epoch.name
+    assert showing.epoch == first.epoch
     assert showing.since == showing.completed_at
     assert rig.shows(first)
     assert rig.test.runs == 1
     assert rig.states == [TESTED, READY]
     assert rig.panel.state == READY
-    assert rig.masks == [first.epoch.name]
+    assert rig.masks == [first.epoch]
     assert rig.panel.proven_for() == EVERY
     assert rig.preparing
 
@@ -211,7 +211,7 @@ def test_a_failed_write_puts_the_mask_before_back_and_records_it(rig: Rig) -> No
         rig.show()
     assert rig.panel.active is showing
     assert rig.shows(first)
-    assert rig.masks == [first.epoch.name]
+    assert rig.masks == [first.epoch]
     assert rig.states == [TESTED, READY]
     assert rig.preparing
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
-from veilcam_server.camera.rotation import due_in, reusable
+from veilcam_server.camera.capture import due_in, reusable
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from veilcam_server.api.routes import events
 from veilcam_server.errors import RateLimitError, TooManyRequestsError, TooManyStreamsError
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
-from veilcam_server.security.limits import ConcurrencyLimit, RateLimit, StreamLimit
+from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 
@@ -267,13 +267,15 @@ async def test_so_many_requests_at_once(running: Running, store: TokenStore, ben
 
 
 async def test_so_many_event_streams(running: Running) -> None:
-    async with running(admission=Admission(streams=StreamLimit(0))) as client:
+    async with running(
+        admission=Admission(streams=ConcurrencyLimit(0, TooManyStreamsError))
+    ) as client:
         refused = await client.get("/v1/events")
     assert refused.json()["code"] == "too_many_streams"
-    limit = StreamLimit(1)
-    with limit.held(), pytest.raises(Exception, match="1 event streams are open"):
-        limit.held().__enter__()
-    with limit.held():
+    limit = ConcurrencyLimit(1, TooManyStreamsError)
+    with limit.held("all"), pytest.raises(Exception, match="1 event streams are open"):
+        limit.held("all").__enter__()
+    with limit.held("all"):
         pass
 
 
@@ -311,9 +313,9 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
         with pytest.raises(TooManyRequestsError):
             stack.enter_context(admission.concurrency.held("a"))
         for _ in range(4):
-            stack.enter_context(admission.streams.held())
+            stack.enter_context(admission.streams.held("all"))
         with pytest.raises(TooManyStreamsError):
-            stack.enter_context(admission.streams.held())
+            stack.enter_context(admission.streams.held("all"))
 
 
 # The audit log.

@@ -25,7 +25,7 @@ router = APIRouter(prefix="/v1/events", redirect_slashes=False)
 
 
 async def _stream_place(admission: AdmissionDep) -> AsyncIterator[None]:
-    with admission.streams.held():
+    with admission.streams.held("all callers together"):
         yield
 
 

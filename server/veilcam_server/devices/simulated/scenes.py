@@ -118,13 +118,9 @@ class Scenes:
         """Of every scene."""
         self._place, self._free = 0, len(self._deck)
         self._shown = deque([_Shown(0, self._deck[0], -math.inf)], maxlen=REMEMBERED)
-        self._seen = 0
-        self._lock = threading.Lock()
-
-    @property
-    def seen(self) -> int:
+        self.seen = 0
         """Number of the scene that the last exposure saw."""
-        return self._seen
+        self._lock = threading.Lock()
 
     def hold(self, picture: torch.Tensor | Picture | None) -> int:
         """Hold a picture up, which stays until another one is; None takes it away.
@@ -173,7 +169,7 @@ class Scenes:
                     f"the scene changed more than {REMEMBERED - 1} times during one exposure: "
                     "change it less often"
                 )
-            self._seen = shown.number
+            self.seen = shown.number
         return shown.scene.read()
 
     def read(self) -> npt.NDArray[np.float32]:
