@@ -29,6 +29,7 @@ def run(command: str, *arguments: str, without: Iterable[str]) -> subprocess.Com
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "arguments", "missing", "extra"),
     [
@@ -57,6 +58,7 @@ def test_the_client_needs_none() -> None:
     assert "classify" in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [each for each in SCRIPTS if each != "veilcam"])
 def test_a_command_that_has_its_extra_runs(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -69,6 +71,7 @@ def test_a_command_that_has_its_extra_runs(
     assert "Usage" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "sqlite3"])
 def test_what_no_extra_brings_is_a_defect_that_is_not_hidden(missing: str) -> None:
     done = run("veilcamd", "--help", without=[missing])

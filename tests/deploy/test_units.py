@@ -95,6 +95,7 @@ print(torch.nn.Conv2d(1, 8, 5)(torch.ones(1, 1, 24, 32)).shape)
 """
 
 
+@pytest.mark.slow
 def test_classifiers_run_without_memory_that_is_both_written_and_executed() -> None:
     command = [sys.executable, "-c", CONVOLVE]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -30,6 +30,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     return made
 
 
+@pytest.mark.slow
 def test_mutated_bundles_do_no_harm(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     result = subprocess.run(

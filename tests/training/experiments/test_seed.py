@@ -70,6 +70,7 @@ def same(one: Bundle, other: Bundle) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_two_runs_without_a_seed_have_different_masks(
     capsys: pytest.CaptureFixture[str], make: Make, name: str
@@ -84,6 +85,7 @@ def test_two_runs_without_a_seed_have_different_masks(
     assert same(one, make(*COMMANDS[name], "--seed", seeds(one)[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_run_without_a_seed_is_taken_up_with_its_own(
     monkeypatch: pytest.MonkeyPatch, make: Make, tmp_path: Path, name: str

@@ -155,6 +155,7 @@ def members(digit_folder: Path, work: Path, importable: None) -> dict[int, Seen]
     return dict(LocalExecutor(2).run(take_part, tasks))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUIET)
 def test_two_processes_do_what_one_does(
     source: Source, members: dict[int, Seen], name: str
@@ -220,6 +221,7 @@ def test_shares_make_up_the_batch_and_streams_differ() -> None:
     assert len({derive(0, "noise", 1, *rank.purpose) for rank in ranks}) == 3
 
 
+@pytest.mark.slow
 def test_torchrun(digit_folder: Path, tmp_path: Path) -> None:
     out, binaries = tmp_path / "a.veilcam", Path(sys.executable).parent
     launch = (binaries / "torchrun", "--standalone", "--nproc-per-node", 2, "--no-python")
