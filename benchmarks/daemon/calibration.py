@@ -31,15 +31,12 @@ from matplotlib.figure import Figure
 
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.keys.masks import Secret
-from veilcam_server.calibration import (
-    Budget,
-    Calibrated,
-    CalibrationScene,
-    Geometry,
-    calibrate,
-    correction,
-)
+from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.plot import write_picture
+from veilcam_server.calibration.procedure import Calibrated, calibrate
+from veilcam_server.calibration.record import correction
+from veilcam_server.calibration.rig import Geometry
+from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.base import Device, Reading
 from veilcam_server.devices.corrected import CalibratedSensor

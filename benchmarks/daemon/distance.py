@@ -22,8 +22,8 @@ from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import plan
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
-from veilcam_server.calibration import Geometry
 from veilcam_server.calibration.alignment import Sight, align
+from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.targets import lamp, white
 from veilcam_server.devices.simulated.device import TOLERANCE
 

@@ -196,8 +196,12 @@ def _serve(
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
             server = _Server(config, service, listening)
-            what = settings.device if settings.replay is None else "replay"
-            log.info("start", urls=urls, device=what, auth=settings.auth)
+            log.info(
+                "start",
+                urls=urls,
+                device=settings.device if settings.replay is None else "replay",
+                auth=settings.auth,
+            )
             if settings.auth == "none":
                 log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
             server.run([listener.socket for listener in listeners])

@@ -52,9 +52,8 @@ def problems(*codes: str) -> dict[int | str, dict[str, object]]:
     wanted = (*ALWAYS, *codes)
     answers: dict[int | str, dict[str, object]] = {}
     for status in sorted({PROBLEMS[code].status for code in wanted}):
-        names = ", ".join(code for code in wanted if PROBLEMS[code].status == status)
         answers[status] = {
-            "description": names,
+            "description": ", ".join(code for code in wanted if PROBLEMS[code].status == status),
             # The model itself, and an example of each code, are added to the whole document.
             "content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": f"{REF_PREFIX}Problem"}}},
         }

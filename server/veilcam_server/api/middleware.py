@@ -87,8 +87,11 @@ class RequestContext:
             )
             if status:
                 raise
-            detail = "the daemon has a defect: its log tells more under this request id"
-            response = problem_response(scope, DefectError, detail)
+            response = problem_response(
+                scope,
+                DefectError,
+                "the daemon has a defect: its log tells more under this request id",
+            )
             await response(scope, receive, send_with_id)
         finally:
             log.info(

@@ -74,8 +74,7 @@ def _add_examples(operation: dict[str, Any]) -> None:
     for body in bodies:
         for media_type, content in body.get("content", {}).items():
             if media_type == PROBLEM_MEDIA_TYPE:
-                codes = body["description"].split(", ")
-                examples = {code: example_of(code) for code in codes}
+                examples = {code: example_of(code) for code in body["description"].split(", ")}
             elif media_type in _TEXTS:
                 content["example"] = _TEXTS[media_type]
                 continue

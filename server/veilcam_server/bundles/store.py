@@ -70,8 +70,8 @@ class KeyringStore:
     def digests(self) -> tuple[str, ...]:
         """All of them, the configured one first."""
         names = {path.stem for path in self._directory.glob(f"*{_SUFFIX}")}
-        installed = sorted(name for name in names - {self.configured} if _DIGEST.fullmatch(name))
-        return (self.configured, *installed)
+        installed = (name for name in names - {self.configured} if _DIGEST.fullmatch(name))
+        return (self.configured, *sorted(installed))
 
     def path(self, digest: str) -> Path:
         """Where a bundle is; raises :class:`UnknownKeyringError`."""

@@ -152,8 +152,7 @@ def align(
         check()
         predicted = optics.predict(torch.tensor(values[:4] * _UNITS)).numpy()
         seen = strayed(predicted, values[4] * _PERCENT, size)
-        difference: Values = (values[5:, None] * seen - observed).ravel()
-        return difference
+        return np.ravel(values[5:, None] * seen - observed)
 
     def jacobian(values: Values) -> Values:
         predicted, slopes = optics.linearise(torch.tensor(values[:4] * _UNITS))

@@ -141,7 +141,11 @@ class _Fit:
             dead_rows=lines.dead_rows,
             dead_columns=lines.dead_columns,
         )
-        added = [_added(sight) for sight in sights] if dead else sights
+        added = (
+            [replace(each, readings=each.readings - each.readings[0]) for each in sights]
+            if dead
+            else sights
+        )
         alignment = self._align(levels, added, known, coarse)
         alignment = self._align(levels, added, alignment.calibration, every)
         for _ in range(_ROUNDS if dead else 0):
@@ -216,8 +220,3 @@ class _Fit:
                     "check that card and lamp were where they should be, and no other light was on"
                 )
         return predicted, tuple(errors.tolist())
-
-
-def _added(sight: Sight) -> Sight:
-    """What patterns add to the first one, the opaque panel."""
-    return replace(sight, readings=sight.readings - sight.readings[0])

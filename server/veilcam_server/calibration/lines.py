@@ -57,8 +57,7 @@ def measure_lines(rig: Rig, geometry: Geometry, image: Values, operator: Transfe
         for line in range(count):
             opened = np.zeros((rows, columns), np.uint8)
             opened.swapaxes(0, axis)[line] = top
-            weights = torch.from_numpy(opened / top)
-            expected = float((scene @ operator(weights)).mean())
+            expected = float((scene @ operator(torch.from_numpy(opened / top))).mean())
             shares[line] = (rig.read(opened).mean() - floor) / expected
         typical = float(np.median(shares))
         if not typical > 0:

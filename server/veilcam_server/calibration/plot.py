@@ -97,8 +97,7 @@ def _staircase(axes: Axes, found: Calibrated) -> None:
 
 def _lines(axes: Axes, title: str, shares: Values) -> None:
     dead = shares < 0.5
-    name = f"{title}: {dead.sum()} dead" if dead.any() else f"{title}: all obey"
-    _styled(axes, name)
+    _styled(axes, f"{title}: {dead.sum()} dead" if dead.any() else f"{title}: all obey")
     axes.bar(np.arange(len(shares)), shares, color=np.where(dead, FITTED, MEASURED), width=0.8)
     axes.axhline(0.5, color=INK, lw=0.8, ls=":")
     axes.set_ylim(min(0.0, float(shares.min())), 1.15 * float(shares.max()))
@@ -117,16 +116,14 @@ def _table(axes: Axes, record: CalibrationRecord) -> None:
     rows = [("", "value", "uncertainty", "residual"), *table(record)]
     for number, row in enumerate(rows):
         height = 1.04 - number * 1.06 / len(rows)
-        colour = FAINT if number == 0 else INK
         for place, text in zip((0.0, 0.6, 0.82, 1.0), row, strict=True):
-            align = "left" if place == 0 else "right"
             axes.text(
                 place,
                 height,
                 text,
-                color=colour,
+                color=FAINT if number == 0 else INK,
                 fontsize=8.5,
-                ha=align,
+                ha="left" if place == 0 else "right",
                 va="top",
                 transform=axes.transAxes,
             )

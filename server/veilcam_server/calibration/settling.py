@@ -53,8 +53,9 @@ def measure_settling(rig: Rig, *, longest: float, samples: int) -> Settling:
                     raise CalibrationError(
                         "the panel shows nothing of what it is told: check its power and wiring"
                     )
-                share = (seen.mean - begin) / (end - begin)
-                moments.append(Moment(seen.started, seen.ended, share))
+                moments.append(
+                    Moment(seen.started, seen.ended, (seen.mean - begin) / (end - begin))
+                )
         low, high = (max(ends) for ends in zip(*(_ends(each) for each in steps), strict=True))
         if high == np.inf:
             raise CalibrationError(

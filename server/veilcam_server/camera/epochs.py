@@ -9,7 +9,6 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
 
 from veilcam_server.errors import EpochError, NotReadyError, StartError
 from veilcam_server.masks.source import Mask, MaskSource
@@ -63,8 +62,7 @@ class EpochStore:
         Raises:
             EpochError: it could not be made durable.
         """
-        row = self._commit("UPDATE epoch SET counter = counter + 1 RETURNING counter", ())
-        return row[0][0]
+        return self._commit("UPDATE epoch SET counter = counter + 1 RETURNING counter", ())[0][0]
 
     @property
     def mark(self) -> str:
@@ -80,12 +78,6 @@ class EpochStore:
     def close(self) -> None:
         """Close the file."""
         self._database.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _commit(self, statement: str, values: tuple[str, ...]) -> list[tuple[int, ...]]:
         try:

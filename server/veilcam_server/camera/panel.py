@@ -39,7 +39,7 @@ class MaskedPanel:
         """The mask that is shown; None: there is none."""
         self._state: State = "starting"
         self._detail: str | None = None
-        self.publish: Publish = _ignore
+        self.publish: Publish = lambda _: None
         """Takes every new epoch and state."""
 
     @property
@@ -165,7 +165,3 @@ class MaskedPanel:
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
             self.publish(partial(StateChanged, state=state, detail=detail))
-
-
-def _ignore(_: object) -> None:
-    """Nobody listens."""

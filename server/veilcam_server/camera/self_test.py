@@ -16,8 +16,6 @@ from veilcam_server.camera.capture import Fence, check_exposure
 from veilcam_server.devices.base import Device, Levels
 from veilcam_server.errors import SelfTestError, UndecidedError
 
-CAPTURES = 9
-"""Of one test; each takes the time to settle and an exposure."""
 _DARK = 5e-4
 """Mean reading through the open window, over that of saturated pixels, too low to tell anything."""
 _OPAQUE = 0.5

@@ -79,8 +79,13 @@ def _measure(
     service: CalibrationService, settings: Settings, bundle: Bundle, console: Console, repeats: int
 ) -> Calibrated:
     """Measure what the settings name, with a person for the scenes that are not simulated."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    progress = Progress(*columns, TimeRemainingColumn(), console=console)
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )
     task = progress.add_task("")
 
     def report(state: CalibrationRun) -> None:

@@ -31,7 +31,8 @@ def doctor(
     """
     # Imported late: --help need not wait for torch.
     from veilcam_server.devices.errors import DeviceError  # noqa: PLC0415
-    from veilcam_server.doctor import Machine, examine  # noqa: PLC0415
+    from veilcam_server.doctor.checkup import examine  # noqa: PLC0415
+    from veilcam_server.doctor.machine import Machine  # noqa: PLC0415
 
     try:
         findings = list(examine(Machine(), settings))

@@ -115,8 +115,7 @@ def demo(
         wrong_classifier=wrong_classifier,
     )
     try:
-        tally = demonstrate(plan, Console())
-        typer.echo(tally.summary())
+        typer.echo(demonstrate(plan, Console()).summary())
     except (StartError, VeilcamError) as error:
         fail(str(error))
     except KeyboardInterrupt:

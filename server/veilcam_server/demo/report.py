@@ -72,8 +72,7 @@ def draw_mask(levels: npt.NDArray[np.uint8], camera: Camera) -> npt.NDArray[np.f
     for axis, cell, part in zip(lit, CELL, share, strict=True):
         margin = round(cell * (1 - part) / 2)
         axis[margin : cell - margin] = 1
-    weights = levels / (panel.levels - 1)
-    tiled = np.kron(weights, np.outer(lit[0], lit[1]))
+    tiled = np.kron(levels / (panel.levels - 1), np.outer(lit[0], lit[1]))
     cycle = panel.filter_cycle
     rows = np.arange(len(levels)) + camera.window.first_row
     colours = FILTERS[np.array(cycle)[rows % len(cycle)]] if cycle else np.ones((len(levels), 3))

@@ -140,8 +140,9 @@ def _classify(
             mask = masks[answer.epoch]
             tally.samples.append(_sample(answer, mask, truth, elapsed))
             if mask not in report and len(report) < REPORT_ROWS:
-                levels = observer.levels(mask)
-                report[mask] = Row(image, levels, embedding, dict(answer.scores), truth)
+                report[mask] = Row(
+                    image, observer.levels(mask), embedding, dict(answer.scores), truth
+                )
             progress.update(task, advance=1, accuracy=f"accuracy {tally.accuracy:.3f}")
     return tally, list(report.values())
 

@@ -7,7 +7,7 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceError
@@ -26,6 +26,7 @@ LEAST_ROOM = 200 * 2**20
 
 
 Outcome = Literal["ok", "bad", "skipped"]
+"""All is well; the daemon cannot serve as it should; or something else must be well first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,21 +37,6 @@ class Finding:
     outcome: Outcome
     found: str
     remedy: str | None = None
-
-    @classmethod
-    def ok(cls, name: str, found: str) -> Self:
-        """All is well."""
-        return cls(name, "ok", found)
-
-    @classmethod
-    def bad(cls, name: str, found: str, remedy: str) -> Self:
-        """The daemon cannot serve, or not as it should."""
-        return cls(name, "bad", found, remedy)
-
-    @classmethod
-    def skipped(cls, name: str, why: str) -> Self:
-        """It cannot be checked before something else is well."""
-        return cls(name, "skipped", why)
 
 
 Probe = tuple[str, Callable[[], Iterable[Finding]]]
@@ -103,15 +89,18 @@ def _guarded(name: str, probe: Callable[[], Iterable[Finding]]) -> list[Finding]
         return list(probe())
     except Exception as error:
         found = " ".join(f"{type(error).__name__}: {error}".split())
-        return [Finding.bad(name, f"the check failed, {found}", "put right what the error names")]
+        return [
+            Finding(name, "bad", f"the check failed, {found}", "put right what the error names")
+        ]
 
 
 def _model(machine: Machine) -> Finding:
     model = machine.text("/proc/device-tree/model")
     if model is not None and model.startswith("Raspberry Pi"):
-        return Finding.ok("board", model)
-    return Finding.bad(
+        return Finding("board", "ok", model)
+    return Finding(
         "board",
+        "bad",
         model or "no Raspberry Pi",
         "run the daemon on a Raspberry Pi, or try it here with 'veilcamd serve --simulate'",
     )
@@ -121,8 +110,8 @@ def _package(machine: Machine, name: str) -> Finding:
     try:
         machine.load(name)
     except DeviceError as error:
-        return Finding.bad(name, *_halves(error))
-    return Finding.ok(name, "installed")
+        return Finding(name, "bad", *_halves(error))
+    return Finding(name, "ok", "installed")
 
 
 def _spi(machine: Machine, wiring: Wiring) -> Finding:
@@ -130,27 +119,29 @@ def _spi(machine: Machine, wiring: Wiring) -> Finding:
     if not node.exists():
         texts = (machine.text(f"/boot{folder}/config.txt") or "" for folder in ("/firmware", ""))
         on = any(re.search(r"^\s*dtparam=spi=on\s*$", text, re.MULTILINE) for text in texts)
-        return Finding.bad(
+        return Finding(
             "panel bus",
+            "bad",
             f"there is no {wiring.spi}",
             "SPI is switched on in config.txt: restart, or give another --spi"
             if on
             else "sudo raspi-config nonint do_spi 0, then restart",
         )
     if not machine.may_write(node):
-        return Finding.bad("panel bus", f"{wiring.spi} is not yours to open", _join("spi"))
-    return Finding.ok("panel bus", str(wiring.spi))
+        return Finding("panel bus", "bad", f"{wiring.spi} is not yours to open", _join("spi"))
+    return Finding("panel bus", "ok", str(wiring.spi))
 
 
 def _clock_of_bus(wiring: Wiring, fastest: int) -> Finding:
     found = f"{wiring.spi_hz:,} Hz"
     if wiring.spi_hz > fastest and not wiring.allow_fast_spi:
-        return Finding.bad(
+        return Finding(
             "bus clock",
+            "bad",
             f"{found}, too fast for the panel",
             f"give --spi-hz {fastest} or less, or --allow-fast-spi",
         )
-    return Finding.ok("bus clock", found)
+    return Finding("bus clock", "ok", found)
 
 
 def _needed(wiring: Wiring, name: str, what: str) -> Finding:
@@ -158,39 +149,41 @@ def _needed(wiring: Wiring, name: str, what: str) -> Finding:
     words, value = name.replace("_", " "), getattr(wiring, name)
     if value is None:
         option, variable = f"--{name.replace('_', '-')}", f"VEILCAM_{name.upper()}"
-        return Finding.bad(words, "not known", f"give {option} (or {variable}) {what}")
-    return Finding.ok(words, str(value))
+        return Finding(words, "bad", "not known", f"give {option} (or {variable}) {what}")
+    return Finding(words, "ok", str(value))
 
 
 def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Finding]:
     lines = (("line of D/C", wiring.data_line), ("line of RESET", wiring.reset_line))
     names = ["GPIO chip", *(name for name, _ in lines)]
     if "gpiod" not in usable:
-        yield from (Finding.skipped(name, "needs gpiod") for name in names)
+        yield from (Finding(name, "skipped", "needs gpiod") for name in names)
         return
     chips = machine.chips()
     wanted = GPIO_CHIPS if wiring.gpio_chip is None else (wiring.gpio_chip,)
     label = next((label for label in wanted if label in chips), None)
     if label is None:
-        yield Finding.bad(
+        yield Finding(
             "GPIO chip",
+            "bad",
             f"no {' or '.join(wanted)}; there is {', '.join(chips) or 'none that you may open'}",
             "give --gpio-chip the label of yours" if chips else _join("gpio"),
         )
-        yield from (Finding.skipped(name, "needs the GPIO chip") for name in names[1:])
+        yield from (Finding(name, "skipped", "needs the GPIO chip") for name in names[1:])
         return
-    yield Finding.ok("GPIO chip", f"{label}, {chips[label]}")
+    yield Finding("GPIO chip", "ok", f"{label}, {chips[label]}")
     for name, line in lines:
         try:
             user = machine.line_user(chips[label], line)
         except (OSError, ValueError) as error:
-            yield Finding.bad(name, f"line {line}: {error}", "give a line that the chip has")
+            yield Finding(name, "bad", f"line {line}: {error}", "give a line that the chip has")
             continue
         if user is None:
-            yield Finding.ok(name, f"{line}, free")
+            yield Finding(name, "ok", f"{line}, free")
         else:
-            yield Finding.bad(
+            yield Finding(
                 name,
+                "bad",
                 f"{line}, used by {user}",
                 "end what uses it (a running veilcamd, or an overlay in config.txt), or wire "
                 "another line",
@@ -200,98 +193,102 @@ def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Findi
 def _frame_memory(machine: Machine) -> Finding:
     heaps = sorted(machine.path("/dev/dma_heap").glob("*"))
     if not heaps:
-        return Finding.bad(
-            "frame memory", "there is no /dev/dma_heap", "use a current Raspberry Pi OS"
+        return Finding(
+            "frame memory", "bad", "there is no /dev/dma_heap", "use a current Raspberry Pi OS"
         )
     if not any(machine.may_write(heap) for heap in heaps):
-        return Finding.bad("frame memory", "/dev/dma_heap is not yours to open", _join("video"))
-    return Finding.ok("frame memory", "/dev/dma_heap")
+        return Finding("frame memory", "bad", "/dev/dma_heap is not yours to open", _join("video"))
+    return Finding("frame memory", "ok", "/dev/dma_heap")
 
 
 def _camera(machine: Machine, wiring: Wiring, sensor: SensorDriver, usable: Set[str]) -> Finding:
     if not set(sensor.packages) <= usable:
-        return Finding.skipped("camera", f"needs {' and '.join(sensor.packages)}")
+        return Finding("camera", "skipped", f"needs {' and '.join(sensor.packages)}")
     try:
         camera = machine.open_camera(wiring.camera_number)
     except DeviceError as error:
-        return Finding.bad("camera", *_halves(error))
+        return Finding("camera", "bad", *_halves(error))
     try:
         model = str(camera.camera_properties.get("Model", "unknown"))
     finally:
         camera.close()
     if sensor.model not in model:
-        return Finding.bad("camera", model, f"connect {sensor.product}")
-    return Finding.ok("camera", f"{model}, number {wiring.camera_number}")
+        return Finding("camera", "bad", model, f"connect {sensor.product}")
+    return Finding("camera", "ok", f"{model}, number {wiring.camera_number}")
 
 
 def _state_dir(machine: Machine, directory: Path) -> Finding:
     path = machine.path(directory)
     if not path.exists():
         if machine.may_write(_nearest(path)):
-            return Finding.ok("state directory", f"{directory}, made at the first start")
-        return Finding.bad(
+            return Finding("state directory", "ok", f"{directory}, made at the first start")
+        return Finding(
             "state directory",
+            "bad",
             f"there is no {directory}, and you may not make it",
             f"sudo install -d -m 700 -o $USER {directory}, or give another --state-dir",
         )
     if not (path.is_dir() and machine.may_write(path)):
-        return Finding.bad(
+        return Finding(
             "state directory",
+            "bad",
             f"{directory} cannot be written",
             f"sudo chown $USER {directory}, or give another --state-dir",
         )
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
-        return Finding.bad(
+        return Finding(
             "state directory",
+            "bad",
             f"{directory}: others may look ({mode:04o})",
             f"chmod 700 {directory}",
         )
-    return Finding.ok("state directory", str(directory))
+    return Finding("state directory", "ok", str(directory))
 
 
 def _room(machine: Machine, directory: Path) -> Finding:
     free = machine.free(_nearest(machine.path(directory)))
     found = f"{free / 2**20:,.0f} MiB free"
     if free < LEAST_ROOM:
-        return Finding.bad("disk", found, "make room: without it no mask can be shown")
-    return Finding.ok("disk", found)
+        return Finding("disk", "bad", found, "make room: without it no mask can be shown")
+    return Finding("disk", "ok", found)
 
 
 def _bundle(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
     if settings.bundle is None:
-        yield Finding.bad("bundle", "none named", "give --bundle, or VEILCAM_BUNDLE")
-        yield Finding.skipped("mask secret", "needs the bundle")
+        yield Finding("bundle", "bad", "none named", "give --bundle, or VEILCAM_BUNDLE")
+        yield Finding("mask secret", "skipped", "needs the bundle")
         return
     try:
         bundle = read_bundle(settings.bundle)
     except BundleError as error:
         found, remedy = _halves(error, settings.bundle)
-        yield Finding.bad("bundle", f"{settings.bundle}: {found}", remedy)
-        yield Finding.skipped("mask secret", "needs the bundle")
+        yield Finding("bundle", "bad", f"{settings.bundle}: {found}", remedy)
+        yield Finding("mask secret", "skipped", "needs the bundle")
         return
-    yield Finding.ok("bundle", f"{settings.bundle}: {bundle.task}, {bundle.mode}")
+    yield Finding("bundle", "ok", f"{settings.bundle}: {bundle.task}, {bundle.mode}")
     if bundle.mode != "fresh":
-        yield Finding.ok("mask secret", "none needed: the bundle holds pairs")
+        yield Finding("mask secret", "ok", "none needed: the bundle holds pairs")
         return
     sealed = Path("/etc/credstore.encrypted/veilcam.mask-key")
     if settings.mask_secret is None and machine.path(sealed).exists():
-        yield Finding.ok("mask secret", f"{sealed}, given by systemd")
+        yield Finding("mask secret", "ok", f"{sealed}, given by systemd")
         return
     try:
         find_secret(settings.mask_secret)
     except StartError as error:
-        yield Finding.bad("mask secret", *_halves(error))
+        yield Finding("mask secret", "bad", *_halves(error))
     else:
-        yield Finding.ok("mask secret", f"{settings.mask_secret or 'credential'}, yours alone")
+        yield Finding("mask secret", "ok", f"{settings.mask_secret or 'credential'}, yours alone")
 
 
 def _wall_clock(machine: Machine) -> Finding:
     told = machine.run("timedatectl", "show", "--property=NTPSynchronized", "--value")
     if told == "yes":
-        return Finding.ok("wall clock", "synchronised")
-    return Finding.bad(
+        return Finding("wall clock", "ok", "synchronised")
+    return Finding(
         "wall clock",
+        "bad",
         "not synchronised" if told == "no" else "timedatectl does not say",
         "sudo timedatectl set-ntp true; a lost state directory is safe with the right time only",
     )
@@ -300,12 +297,15 @@ def _wall_clock(machine: Machine) -> Finding:
 def _systemd(machine: Machine) -> Finding:
     told = re.match(r"systemd (\d+)", machine.run("systemctl", "--version") or "")
     if told is None:
-        return Finding.bad(
-            "systemd", "not there", "use a system with systemd, or start the daemon by other means"
+        return Finding(
+            "systemd",
+            "bad",
+            "not there",
+            "use a system with systemd, or start the daemon by other means",
         )
     if int(told[1]) < LEAST_SYSTEMD:
-        return Finding.bad("systemd", told[1], f"update the system: {LEAST_SYSTEMD} or later")
-    return Finding.ok("systemd", told[1])
+        return Finding("systemd", "bad", told[1], f"update the system: {LEAST_SYSTEMD} or later")
+    return Finding("systemd", "ok", told[1])
 
 
 def _halves(error: Exception, path: Path | None = None) -> tuple[str, str]:

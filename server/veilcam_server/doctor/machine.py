@@ -15,10 +15,6 @@ from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.spi import gpio_chips, line_user
 
 
-def _may_write(path: Path) -> bool:
-    return os.access(path, os.R_OK | os.W_OK)
-
-
 def _run(*command: str) -> str | None:
     """What a program prints; None if it is not there or fails."""
     if shutil.which(command[0]) is None:
@@ -32,10 +28,6 @@ def _run(*command: str) -> str | None:
     return done.stdout.strip()
 
 
-def _free(path: Path) -> int:
-    return shutil.disk_usage(path).free
-
-
 @dataclass(frozen=True, slots=True)
 class Machine:
     """Where a doctor looks."""
@@ -43,11 +35,11 @@ class Machine:
     root: Path = Path("/")
     load: Callable[[str], object] = import_extra
     """Imports a package; raises :class:`DeviceMissingError`."""
-    may_write: Callable[[Path], bool] = _may_write
+    may_write: Callable[[Path], bool] = lambda path: os.access(path, os.R_OK | os.W_OK)
     """Whether this user may read and write a file."""
     run: Callable[..., str | None] = _run
     """What a program prints; None if it is not there or fails."""
-    free: Callable[[Path], int] = _free
+    free: Callable[[Path], int] = lambda path: shutil.disk_usage(path).free
     """Room on the disk of a directory [bytes]."""
     chips: Callable[[], Mapping[str, Path]] = gpio_chips
     """GPIO chips by label; needs gpiod."""

@@ -33,8 +33,9 @@ class FreshReader:
     def classify(self, embedding: Reading) -> Prediction:
         """Decode and classify one embedding."""
         with torch.inference_mode():
-            readings = torch.from_numpy(embedding)[None]
-            inputs = classifier_inputs(self.decoder, readings, self.fresh.features)
+            inputs = classifier_inputs(
+                self.decoder, torch.from_numpy(embedding)[None], self.fresh.features
+            )
         return self.classifier.classify(inputs)
 
     def release(self, embedding: Reading, form: Form) -> Reading:

@@ -223,8 +223,7 @@ class TokenStore:
 
     def _now(self) -> float:
         """The wall clock, but never less than it was plus the time since then."""
-        floor = self._seen + self._monotonic() - self._since
-        now = max(self._wall(), floor)
+        now = max(self._wall(), self._seen + self._monotonic() - self._since)
         self._seen, self._since = now, self._monotonic()
         return now
 

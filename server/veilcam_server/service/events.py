@@ -131,14 +131,11 @@ log = structlog.get_logger()
 
 
 class EventPublisher:
-    """Publishes what happens to whoever subscribed. Lives on one event loop, while it is open.
+    """Publishes what happens to whoever subscribed. Lives on one event loop, while it is open."""
 
-    Args:
-        heartbeat: longest silence of an event stream [s].
-    """
-
-    def __init__(self, heartbeat: float) -> None:
-        self._log, self._heartbeat = EventLog(), heartbeat
+    def __init__(self) -> None:
+        self.log = EventLog()
+        """What was published last, for event streams."""
         self._subscribers: list[Callable[[Event], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = 0
@@ -167,16 +164,8 @@ class EventPublisher:
         elif loop is not None:
             loop.call_soon_threadsafe(self._deliver, make)
 
-    def follow(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
-        """Events after ``last_event_id``; None is a heartbeat."""
-        return self._log.follow(last_event_id, self._heartbeat)
-
-    def end_streams(self) -> None:
-        """End all event streams."""
-        self._log.close()
-
     def _deliver(self, make: Callable[..., Event]) -> None:
-        event = self._log.publish(make)
+        event = self.log.publish(make)
         for take in self._subscribers:
             take(event)
 

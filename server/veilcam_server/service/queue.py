@@ -49,8 +49,7 @@ class DeviceQueue:
     def admitted(self) -> Iterator[None]:
         """Take a place in the queue; raises :class:`QueueFullError` if there is none."""
         if self.waiting >= self.limit:
-            wait = max(1, math.ceil(self.waiting * self._recent))
-            raise QueueFullError(self.limit, wait)
+            raise QueueFullError(self.limit, max(1, math.ceil(self.waiting * self._recent)))
         self.waiting += 1
         try:
             yield

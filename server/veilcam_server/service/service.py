@@ -92,11 +92,11 @@ class Service:
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
     ) -> None:
-        self._camera, self._identity = camera, identity
+        self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self.release = form
         """In which form embeddings leave."""
         self._keyrings, self._scenes = keyrings, scenes
-        self._events, self.history = EventPublisher(heartbeat), History()
+        self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
         self._queue = DeviceQueue(queue_limit, publish)
         self._scheduler = Scheduler(camera, self._queue)
@@ -145,7 +145,7 @@ class Service:
 
     def end_streams(self) -> None:
         """End all event streams, so that the server need not wait for who listens to them."""
-        self._events.end_streams()
+        self._events.log.close()
 
     @property
     def keyrings(self) -> Keyrings:
@@ -272,7 +272,7 @@ class Service:
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
-        return self._events.follow(last_event_id)
+        return self._events.log.follow(last_event_id, self._heartbeat)
 
     @contextmanager
     def _admitted(self) -> Iterator[None]:
@@ -323,5 +323,4 @@ def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
 
 
 def _released(captured: Captured, form: Form) -> Embedding:
-    values = captured.reader.release(captured.embedding, form)
-    return Embedding.from_array(values, form=form)
+    return Embedding.from_array(captured.reader.release(captured.embedding, form), form=form)

@@ -147,7 +147,7 @@ async def test_the_change_is_an_event(bench: Bench, data: bytes) -> None:
             yield data[1000:]
 
         keyring = await service.keyrings.install(chunks())
-        start = f"{service._events._log._boot}-0"
+        start = f"{service._events.log._boot}-0"
         await service.activate_keyring(keyring.digest)
         heard = []
         async for event in service.events(start):

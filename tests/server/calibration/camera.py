@@ -10,8 +10,10 @@ from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_server.calibration import Budget, Calibrated, CalibrationScene, Geometry, calibrate
-from veilcam_server.calibration.rig import Patterns
+from veilcam_server.calibration.measurements import Budget
+from veilcam_server.calibration.procedure import Calibrated, calibrate
+from veilcam_server.calibration.rig import Geometry, Patterns
+from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
 

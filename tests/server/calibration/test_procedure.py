@@ -10,8 +10,9 @@ import torch
 
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
-from veilcam_server.calibration import CalibrationScene, correction
+from veilcam_server.calibration.record import correction
 from veilcam_server.calibration.settling import SETTLED
+from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.devices.corrected import CalibratedSensor
 from veilcam_server.errors import CalibrationError
 

@@ -12,16 +12,17 @@ import pytest
 
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_server.calibration import (
-    Geometry,
+from veilcam_server.calibration.loading import open_calibration, settle_time
+from veilcam_server.calibration.record import (
+    KEY_NAME,
+    RECORD_NAME,
     SigningKey,
     correction,
     read_record,
     sign_record,
     write_record,
 )
-from veilcam_server.calibration.loading import open_calibration, settle_time
-from veilcam_server.calibration.record import KEY_NAME, RECORD_NAME
+from veilcam_server.calibration.rig import Geometry
 from veilcam_server.devices.base import Device, Exposure
 from veilcam_server.devices.corrected import CalibratedSensor, calibrated
 from veilcam_server.errors import CalibrationError, StartError

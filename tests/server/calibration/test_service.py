@@ -22,11 +22,12 @@ from veilcam_client.wire.calibration import (
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Scope
-from veilcam_server.calibration import Budget, Calibrated, CalibrationScene
 from veilcam_server.calibration.loading import open_calibration
+from veilcam_server.calibration.measurements import Budget
+from veilcam_server.calibration.procedure import Calibrated
 from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.calibration.service import CalibrationService
-from veilcam_server.calibration.targets import dark, lamp, white
+from veilcam_server.calibration.targets import CalibrationScene, dark, lamp, white
 from veilcam_server.devices import Device, DisplayError
 from veilcam_server.errors import CalibrationError, SceneNotWantedError
 from veilcam_server.security.admission import Admission

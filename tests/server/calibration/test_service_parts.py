@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from veilcam_client.wire.calibration import CalibrationRun
-from veilcam_server.calibration import Calibrated, SigningKey, read_record
 from veilcam_server.calibration import service as calibration_service
+from veilcam_server.calibration.procedure import Calibrated
+from veilcam_server.calibration.record import SigningKey, read_record
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import dark, white
 from veilcam_server.devices.base import Device

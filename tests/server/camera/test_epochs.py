@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -20,33 +21,33 @@ def no_clock() -> float:
 
 
 def test_the_counter_goes_on_after_a_restart(tmp_path: Path) -> None:
-    with EpochStore(tmp_path, no_clock) as store:
+    with closing(EpochStore(tmp_path, no_clock)) as store:
         first = [store.next() for _ in range(3)]
-    with EpochStore(tmp_path, no_clock) as store:
+    with closing(EpochStore(tmp_path, no_clock)) as store:
         assert store.next() == first[-1] + 1 == 4
 
 
 def test_a_lost_state_directory_brings_no_epoch_back(tmp_path: Path) -> None:
-    with EpochStore(tmp_path / "old", lambda: 1000.0) as store:
+    with closing(EpochStore(tmp_path / "old", lambda: 1000.0)) as store:
         last = [store.next() for _ in range(100)][-1]
-    with EpochStore(tmp_path / "new", lambda: 1000.5) as store:
+    with closing(EpochStore(tmp_path / "new", lambda: 1000.5)) as store:
         assert store.next() > last
     # A clock that stands or goes back is no harm while the directory is there.
-    with EpochStore(tmp_path / "old", lambda: 900.0) as store:
+    with closing(EpochStore(tmp_path / "old", lambda: 900.0)) as store:
         assert store.next() == last + 1
 
 
 def test_the_clock_of_this_machine_is_the_one_that_counts(tmp_path: Path) -> None:
     before = 1e6 * time.time()
-    with EpochStore(tmp_path) as store:
+    with closing(EpochStore(tmp_path)) as store:
         assert before <= store.next() <= 1e6 * time.time() + 1
 
 
 def test_the_mark_of_the_mask_shown_last_is_kept(tmp_path: Path) -> None:
-    with EpochStore(tmp_path) as store:
+    with closing(EpochStore(tmp_path)) as store:
         assert store.mark == ""
         store.mark = "a1"
-    with EpochStore(tmp_path) as store:
+    with closing(EpochStore(tmp_path)) as store:
         assert store.mark == "a1"
 
 
@@ -63,18 +64,18 @@ def test_the_counter_survives_a_process_that_is_killed(tmp_path: Path) -> None:
         [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert killed.returncode == -9
-    with EpochStore(tmp_path, no_clock) as store:
+    with closing(EpochStore(tmp_path, no_clock)) as store:
         assert store.next() == int(killed.stdout.split()[-1]) + 1
 
 
 def test_every_commit_is_flushed_to_the_disk(tmp_path: Path) -> None:
-    with EpochStore(tmp_path) as store:
+    with closing(EpochStore(tmp_path)) as store:
         assert store._database.execute("PRAGMA synchronous").fetchone() == (2,)
         assert store._database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
 def test_two_daemons_cannot_share_a_state_directory(tmp_path: Path) -> None:
-    with EpochStore(tmp_path), pytest.raises(StartError, match="another veilcamd uses"):
+    with closing(EpochStore(tmp_path)), pytest.raises(StartError, match="another veilcamd uses"):
         EpochStore(tmp_path)
 
 
@@ -94,22 +95,22 @@ def test_a_directory_that_cannot_be_one_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_state_directory_is_private(tmp_path: Path) -> None:
-    with EpochStore(tmp_path / "new"):
+    with closing(EpochStore(tmp_path / "new")):
         assert (tmp_path / "new").stat().st_mode & 0o777 == 0o700
 
 
 def test_a_state_directory_is_made_where_none_is(tmp_path: Path) -> None:
-    with EpochStore(tmp_path / "var" / "lib" / "veilcam"):
+    with closing(EpochStore(tmp_path / "var" / "lib" / "veilcam")):
         assert (tmp_path / "var" / "lib" / "veilcam" / "epochs.sqlite3").is_file()
 
 
 def test_the_clock_counts_in_microseconds(tmp_path: Path) -> None:
-    with EpochStore(tmp_path, lambda: 1.8e9 + 0.25) as store:
+    with closing(EpochStore(tmp_path, lambda: 1.8e9 + 0.25)) as store:
         assert [store.next(), store.next()] == [1_800_000_000_250_001, 1_800_000_000_250_002]
 
 
 def test_one_thread_prepares_epochs_and_another_shows_them(tmp_path: Path) -> None:
-    with EpochStore(tmp_path, no_clock) as store, ThreadPoolExecutor(1) as other:
+    with closing(EpochStore(tmp_path, no_clock)) as store, ThreadPoolExecutor(1) as other:
         assert other.submit(store.next).result() == 1
         store.mark = "a1"
         assert other.submit(lambda: store.mark).result() == "a1"
@@ -117,7 +118,7 @@ def test_one_thread_prepares_epochs_and_another_shows_them(tmp_path: Path) -> No
 
 
 def test_a_mark_is_written_where_it_is_another_one_alone(tmp_path: Path) -> None:
-    with EpochStore(tmp_path, no_clock) as store:
+    with closing(EpochStore(tmp_path, no_clock)) as store:
         store.mark = "a1"
         writes = store._database.total_changes
         store.mark = "a1"
@@ -129,12 +130,12 @@ def test_a_mark_is_written_where_it_is_another_one_alone(tmp_path: Path) -> None
 def test_a_store_that_was_closed_lets_go_of_the_directory(tmp_path: Path) -> None:
     store = EpochStore(tmp_path, no_clock)
     store.close()
-    with EpochStore(tmp_path, no_clock) as again:
+    with closing(EpochStore(tmp_path, no_clock)) as again:
         assert again.next() == 1
 
 
 def test_what_cannot_be_recorded_is_an_error_and_not_an_epoch(tmp_path: Path) -> None:
-    with EpochStore(tmp_path, no_clock) as store:
+    with closing(EpochStore(tmp_path, no_clock)) as store:
         store.next()
         store.mark = "a1"
         store._database.execute("PRAGMA query_only = ON")
@@ -148,7 +149,7 @@ def test_what_cannot_be_recorded_is_an_error_and_not_an_epoch(tmp_path: Path) ->
 
 
 def test_nothing_but_a_counter_and_a_mark_is_stored(tmp_path: Path) -> None:
-    with EpochStore(tmp_path, no_clock) as store:
+    with closing(EpochStore(tmp_path, no_clock)) as store:
         store.next()
         store.mark = "a1"
     database = sqlite3.connect(tmp_path / "epochs.sqlite3")

@@ -188,7 +188,7 @@ def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
     stopping.join(20)
     assert not stopping.is_alive()
     assert not bench.display.shown[-1].any()
-    with EpochStore(bench.state_dir):  # it is free again
+    with contextlib.closing(EpochStore(bench.state_dir)):  # it is free again
         pass
 
 

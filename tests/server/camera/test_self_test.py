@@ -20,7 +20,7 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
-from veilcam_server.camera.self_test import CAPTURES, OpticalSelfTest
+from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.base import Exposure, Levels, Sensor
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
@@ -39,6 +39,8 @@ pytestmark = pytest.mark.numerical
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
 FENCE = Fence(settle=0.05)
 FINER = 2
+CAPTURES = 9
+"""Of one test."""
 MODE = SensorMode(FINER * 12, FINER * 16, line_time=0.0, frame_duration=0.0)
 RNG = np.random.default_rng(3)
 PICTURE = RNG.random(SCENE.shape, np.float32)

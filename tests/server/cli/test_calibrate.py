@@ -20,18 +20,13 @@ from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
 from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.decoding import AS_DRAWN, read_frame
 from veilcam_optics.keys.masks import Secret
-from veilcam_server.calibration import (
-    Calibrated,
-    CalibrationScene,
-    Geometry,
-    SigningKey,
-    correction,
-    read_record,
-)
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.loading import open_calibration
+from veilcam_server.calibration.procedure import Calibrated
+from veilcam_server.calibration.record import SigningKey, correction, read_record
+from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.service import CalibrationService
-from veilcam_server.calibration.targets import dark, lamp, white
+from veilcam_server.calibration.targets import CalibrationScene, dark, lamp, white
 from veilcam_server.cli import calibration_session
 from veilcam_server.cli.calibration_session import calibrate_device
 from veilcam_server.cli.main import app

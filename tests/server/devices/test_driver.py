@@ -12,7 +12,8 @@ import pytest
 from veilcam_server.daemon import build_service
 from veilcam_server.devices import DeviceMissingError
 from veilcam_server.devices.registry import DISPLAYS, SENSORS, drivers, open_device
-from veilcam_server.doctor import Machine, examine
+from veilcam_server.doctor.checkup import examine
+from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import StartError
 from veilcam_server.settings import DoctorSettings, Settings, Wiring
 

@@ -13,11 +13,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_server import doctor as package
 from veilcam_server.cli.main import app
 from veilcam_server.devices import DeviceMissingError
 from veilcam_server.devices.extras import import_extra
-from veilcam_server.doctor import Finding, Machine, examine
+from veilcam_server.doctor import machine as machines
+from veilcam_server.doctor.checkup import Finding, examine
+from veilcam_server.doctor.machine import Machine
 from veilcam_server.settings import DoctorSettings
 
 runner = CliRunner()
@@ -326,7 +327,7 @@ def test_the_command_here_says_what_to_do_and_fails(tmp_path: Path) -> None:
 def test_the_command_ends_well_where_all_is_well(
     bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(package, "Machine", lambda: bed.machine)
+    monkeypatch.setattr(machines, "Machine", lambda: bed.machine)
     options = ["--state-dir", str(plan.state_dir), "--bundle", str(plan.bundle)]
     result = runner.invoke(app, ["doctor", "--panel-tab", "green", *options])
     assert result.exit_code == 0, result.stdout

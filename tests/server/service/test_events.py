@@ -133,7 +133,7 @@ async def test_the_service_tells_what_it_does(bench: Bench) -> None:
 
 
 async def test_subscribers_hear_what_is_published_from_whatever_thread() -> None:
-    publisher = EventPublisher(1.0)
+    publisher = EventPublisher()
     heard: list[Event] = []
     publisher.subscribe(heard.append)
     publisher.publish(partial(MaskChanged, epoch="before"))
@@ -143,7 +143,7 @@ async def test_subscribers_hear_what_is_published_from_whatever_thread() -> None
         assert names(heard) == ["a"]
         await asyncio.to_thread(publisher.publish, partial(MaskChanged, epoch="b"))
         assert names(heard) == ["a", "b"]
-        followed = await take(publisher.follow(heard[0].id), 1)
+        followed = await take(publisher.log.follow(heard[0].id, 1.0), 1)
     publisher.publish(partial(MaskChanged, epoch="after"))
     assert names(heard) == ["a", "b"]
     assert names(followed) == ["b"]

@@ -188,7 +188,7 @@ async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
             await asyncio.sleep(0.02)
         assert (await client.post("/v1/captures")).status_code == 200
         service = client._transport.app.state.service  # type: ignore[attr-defined]
-        kinds = [event.kind for event in service._events._log._events]
+        kinds = [event.kind for event in service._events.log._events]
     # What was asked for failed; what was tried again in the background only says when it is back.
     assert kinds.count("fault") == 1
     assert kinds.count("state") == 3

@@ -34,8 +34,9 @@ async def take(
             admission.lease.require(holder)
             name = secrets.token_hex(16)
         admission.lease.take(name, question.owner, question.seconds)
-        secret = name if admission.tokens is None else None
-        return NewLease(**_response(admission, name), secret=secret)
+        return NewLease(
+            **_response(admission, name), secret=name if admission.tokens is None else None
+        )
 
     return await once(work)
 

@@ -194,8 +194,7 @@ class PanelEmulator:
             refreshed = first + np.ceil((turn.at - first) / scan) * scan
         since = at - refreshed
         turned = np.clip(since / settle, 0, 1) if settle > 0 else (since >= 0).astype(float)
-        change = turn.after - turn.before
-        return turn.before + change * turned.astype(np.float32)
+        return turn.before + (turn.after - turn.before) * turned.astype(np.float32)
 
     def _reset(self) -> None:
         self._asleep, self._on, self._inverted = True, False, False
@@ -239,8 +238,9 @@ class PanelEmulator:
         whole = len(received) // 2 * 2
         for begin in range(0, whole, 2):
             if self._parameters < 2:
-                end = int.from_bytes(received[begin : begin + 2], "big")
-                self._window[self._command][self._parameters] = end
+                self._window[self._command][self._parameters] = int.from_bytes(
+                    received[begin : begin + 2], "big"
+                )
                 self._parameters += 1
         self._pending = received[whole:]
 
@@ -253,8 +253,7 @@ class PanelEmulator:
         rest = joined[whole:]
         self._store(pixels)
         if self._bits == 12 and rest.size == 2:
-            padded = np.append(rest, np.uint8(0))
-            self._store(_decode(padded, 12)[:1])
+            self._store(_decode(np.append(rest, np.uint8(0)), 12)[:1])
             # Its second half waits for the third byte, and is stored then, in its own place.
             self._pointer -= 1
         self._pending = rest.tobytes()
