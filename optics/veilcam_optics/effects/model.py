@@ -99,6 +99,7 @@ class Model:
         wavelengths: int | None = None,
         layers: int | None = None,
         zones: int | None = None,
+        dtype: torch.dtype | None = None,
     ) -> Model:
         """The same model computed otherwise; None keeps what is there."""
         sampling = self.sampling
@@ -111,6 +112,7 @@ class Model:
                 wavelengths=wavelengths or sampling.wavelengths,
                 layers=layers or sampling.layers,
                 zones=zones or sampling.zones,
+                dtype=dtype or sampling.dtype,
             ),
         )
 

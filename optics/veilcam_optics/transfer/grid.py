@@ -21,6 +21,7 @@ from veilcam_optics.propagation.psf import AT_INFINITY, PointSpread
 from veilcam_optics.propagation.sampling import (
     Grid,
     as_float,
+    axis,
     coverage,
     covering_grid,
     fast_length,
@@ -263,8 +264,8 @@ class GridLight:
         complex_dtype = complex_type(self.dtype)
         side = self.scene.pixel_at_sensor(self.camera)
         # Inverted, as through a pinhole: the first scene pixel lands at the far end.
-        image = -_centres(scene_count, side, self.device)
-        pixels = _centres(count, extent / count, self.device)
+        image = -axis(scene_count, side, device=self.device)
+        pixels = axis(count, extent / count, device=self.device)
         first = -(samples - 1) / 2 * as_float(self.grid.pitch_y)
         ramp_in = unit_phasor(-TURN * frequency[:, None] * image, complex_dtype)
         ramp_out = unit_phasor(TURN * (pixels[:, None] - first) * frequency, complex_dtype)
@@ -301,11 +302,6 @@ def _sensor_grid(camera: Camera, scene: Scene, pitch: float) -> Grid:
         camera.sensor.width + scene.columns * side + margin,
         pitch,
     )
-
-
-def _centres(count: int, pitch: float, device: torch.device) -> Tensor:
-    index = torch.arange(count, dtype=torch.float64, device=device)
-    return (index - (count - 1) / 2) * pitch
 
 
 def _apertures(centres: tuple[float, ...], width: float, samples: int, pitch: float) -> Tensor:
