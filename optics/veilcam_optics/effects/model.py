@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -115,6 +115,11 @@ class Model:
                 dtype=dtype or sampling.dtype,
             ),
         )
+
+    def with_samples(self, of: str, count: int) -> Model:
+        """The same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
+        samples: dict[str, Any] = {of: count}
+        return replace(self, sampling=replace(self.sampling, **samples))
 
     @property
     def approximation(self) -> Approximation:

@@ -160,18 +160,9 @@ class ErrorModel:
 
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
-        finest = self._samples(name, _FINEST[name])
-        return relative(self._samples(name, count), finest)
-
-    def _samples(self, name: str, count: int) -> Tensor:
-        """Transfer at the kept offsets with so many samples of spectrum or depth."""
-        changed = (
-            self._near.with_sampling(wavelengths=count)
-            if name == "wavelengths"
-            else self._near.with_sampling(layers=count)
-        )
         # Of all channels: their errors partly average out in a gray reading.
-        return self._probe.transfer(changed)
+        finest = self._probe.transfer(self._near.with_samples(name, _FINEST[name]))
+        return relative(self._probe.transfer(self._near.with_samples(name, count)), finest)
 
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
@@ -258,18 +249,13 @@ class ErrorModel:
         sensor, panel = camera.sensor, camera.panel
         cell = sample_pitch(camera, oversampling)
         image = scene.pixel_at_sensor(camera)
-        mask = Grid(
+        height, width = camera.lit_sides(scene)
+        mask = Grid.square(
             math.ceil(camera.window.rows * panel.pitch_y / cell),
             math.ceil(camera.window.columns * panel.pitch_x / cell),
             cell,
-            cell,
         )
-        target = Grid(
-            math.ceil((sensor.height + scene.rows * image) / cell),
-            math.ceil((sensor.width + scene.columns * image) / cell),
-            cell,
-            cell,
-        )
+        target = Grid.square(math.ceil(height / cell), math.ceil(width / cell), cell)
         propagator = AngularSpectrum(padding="reach")
         if not all(
             propagator.supports(mask, target, camera.distance, wavelength)

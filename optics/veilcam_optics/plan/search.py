@@ -196,14 +196,6 @@ def _reaches(
     return _worth_it(options, tolerance)
 
 
-def _with_samples(model: Model, name: str, count: int) -> Model:
-    if name == "zones":
-        return model.with_sampling(zones=count)
-    if name == "layers":
-        return model.with_sampling(layers=count)
-    return model.with_sampling(wavelengths=count)
-
-
 def _field(
     error_model: ErrorModel, model: Model, errors: Mapping[str, float]
 ) -> list[list[Option]]:
@@ -226,7 +218,7 @@ def _field(
             left = (
                 error_model.off_axis(count) if name == "zones" else error_model.sampled(name, count)
             )
-            options.append(Option(partial(_with_samples, name=name, count=count), left))
+            options.append(Option(partial(Model.with_samples, of=name, count=count), left))
         sampling.append(_worth_it(options, error_model.tolerance))
     if Bayer.name in errors:
         options = [Option(Bayer().without, errors[Bayer.name]), Option(_same, 0.0)]

@@ -294,14 +294,10 @@ class GridLight:
 
 def _sensor_grid(camera: Camera, scene: Scene, pitch: float) -> Grid:
     """What covers the sensor plus the scene's geometric image."""
-    side = scene.pixel_at_sensor(camera)
+    height, width = camera.lit_sides(scene)
     # The margin holds the ripple at the edges of the Fourier series away from the sensor.
     margin = 8 * pitch
-    return covering_grid(
-        camera.sensor.height + scene.rows * side + margin,
-        camera.sensor.width + scene.columns * side + margin,
-        pitch,
-    )
+    return covering_grid(height + margin, width + margin, pitch)
 
 
 def _apertures(centres: tuple[float, ...], width: float, samples: int, pitch: float) -> Tensor:
