@@ -142,10 +142,7 @@ def read_recording(path: Path) -> Recording:
 def _take(camera: Recordable, *, labels: bool) -> Recorded:
     if not labels:
         return Recorded(capture=camera.capture())
-    return _split(camera.classify(include_embedding=True))
-
-
-def _split(answer: Classification) -> Recorded:
+    answer = camera.classify(include_embedding=True)
     if answer.embedding is None:
         raise RecordingError("the daemon left the embedding out: update it")
     return Recorded(

@@ -57,12 +57,8 @@ class TransferJob:
 
     def grid(self, oversampling: int) -> Grid:
         """Cells that cover the sensor and the scene's image around it."""
-        image = self.scene.pixel_at_sensor(self.camera)
-        return covering_grid(
-            self.camera.sensor.height + self.scene.rows * image,
-            self.camera.sensor.width + self.scene.columns * image,
-            sample_pitch(self.camera, oversampling),
-        )
+        height, width = self.camera.lit_sides(self.scene)
+        return covering_grid(height, width, sample_pitch(self.camera, oversampling))
 
     def units(self, dtype: torch.dtype) -> Tensor:
         """Every scene of a single lit pixel, (pixels, rows, columns)."""

@@ -10,7 +10,7 @@ from scipy.signal import max_len_seq
 from torch import Tensor
 
 from veilcam_optics.errors import invalid, require_count, require_positive
-from veilcam_optics.propagation.sampling import Grid, as_float, coverage
+from veilcam_optics.propagation.sampling import Grid, as_float, tiled
 
 
 def mls_cells(order: int = 6, repeats: int = 2) -> Tensor:
@@ -76,13 +76,13 @@ def lay_cells(cells: Tensor, feature: float, grid: Grid) -> Tensor:
         OpticsError: If ``feature`` is not positive.
     """
     require_positive("feature", feature, "m")
-
-    def shares(count: int, samples: int, pitch: float, centre: float) -> Tensor:
-        low = (torch.arange(count, dtype=torch.float64) - count / 2) * feature
-        return coverage(low, low + feature, samples, pitch, centre)
-
-    rows = shares(cells.shape[0], grid.rows, as_float(grid.pitch_y), as_float(grid.centre_y))
-    columns = shares(cells.shape[1], grid.columns, as_float(grid.pitch_x), as_float(grid.centre_x))
+    rows, columns = (
+        tiled(count, feature, samples, as_float(pitch), as_float(centre))
+        for count, samples, pitch, centre in (
+            (cells.shape[0], grid.rows, grid.pitch_y, grid.centre_y),
+            (cells.shape[1], grid.columns, grid.pitch_x, grid.centre_x),
+        )
+    )
     return rows.mT @ cells.double() @ columns
 
 

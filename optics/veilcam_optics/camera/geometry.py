@@ -153,6 +153,14 @@ class Camera:
             (column - middle) * self.panel.pitch_x for column in range(self.window.columns)
         )
 
+    def lit_sides(self, scene: Scene) -> tuple[float, float]:
+        """Height and width of the sensor and the scene's geometric image around it [m]."""
+        image = scene.pixel_at_sensor(self)
+        return (
+            self.sensor.height + scene.rows * image,
+            self.sensor.width + scene.columns * image,
+        )
+
     def row_amplitudes(self, channel: int) -> tuple[float, ...]:
         """Amplitude, in [0, 1], that each mask row's filter passes of channel 0 R, 1 G or 2 B."""
         cycle, first = self.panel.filter_cycle, self.window.first_row

@@ -15,15 +15,13 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 import torch
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from scipy.special import ndtri
 from torch import Tensor
 
 from veilcam_optics.decoding import Decoder, SceneFrame
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.epoch_names import EpochNames
-from veilcam_optics.keys.masks import KeyStream, Secret, epoch_levels
+from veilcam_optics.keys.masks import KeyStream, Secret, derived_key, epoch_levels
 
 CONTEXT = b"veilcam release rotation, version 1"
 
@@ -86,8 +84,7 @@ class Whitening:
 
 def _rotation(levels: npt.NDArray[np.uint8], size: int) -> Tensor:
     """Orthogonal (size, size), float64, uniform over all of them under the mask's key."""
-    derivation = HKDF(algorithm=SHA256(), length=32, salt=None, info=CONTEXT)
-    stream = KeyStream(derivation.derive(np.ascontiguousarray(levels).tobytes()))
+    stream = KeyStream(derived_key(np.ascontiguousarray(levels).tobytes(), CONTEXT))
     words = stream.read(8 * size * size).view("<u8") >> np.uint64(11)
     normal = ndtri((words + 0.5) * 2.0**-53).reshape(size, size)
     orthogonal, triangular = torch.linalg.qr(torch.from_numpy(normal))

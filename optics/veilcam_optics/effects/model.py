@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -99,6 +99,7 @@ class Model:
         wavelengths: int | None = None,
         layers: int | None = None,
         zones: int | None = None,
+        dtype: torch.dtype | None = None,
     ) -> Model:
         """The same model computed otherwise; None keeps what is there."""
         sampling = self.sampling
@@ -111,8 +112,14 @@ class Model:
                 wavelengths=wavelengths or sampling.wavelengths,
                 layers=layers or sampling.layers,
                 zones=zones or sampling.zones,
+                dtype=dtype or sampling.dtype,
             ),
         )
+
+    def with_samples(self, of: str, count: int) -> Model:
+        """The same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
+        samples: dict[str, Any] = {of: count}
+        return replace(self, sampling=replace(self.sampling, **samples))
 
     @property
     def approximation(self) -> Approximation:

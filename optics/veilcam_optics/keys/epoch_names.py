@@ -10,11 +10,9 @@ import re
 import struct
 
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from veilcam_optics.errors import invalid
-from veilcam_optics.keys.masks import Secret
+from veilcam_optics.keys.masks import Secret, derived_key
 
 CONTEXT = b"veilcam epoch names, version 1"
 
@@ -29,7 +27,7 @@ class EpochNames:
 
     def __init__(self, secret: Secret, device: str) -> None:
         info = CONTEXT + struct.pack(">B", len(device.encode())) + device.encode()
-        key = HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(secret.reveal())
+        key = derived_key(secret.reveal(), info)
         # One block, never the same twice: the mode that has no other use is the right one here.
         self._cipher = Cipher(algorithms.AES(key), modes.ECB())  # noqa: S305
 

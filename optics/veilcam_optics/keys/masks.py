@@ -238,7 +238,12 @@ def epoch_key(
             distribution.curve.tobytes(),
         )
     )
-    return HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(secret.reveal())
+    return derived_key(secret.reveal(), info)
+
+
+def derived_key(material: bytes, info: bytes) -> bytes:
+    """HKDF-SHA256 (RFC 5869) without salt, 32 bytes; ``info`` keeps the uses of a key apart."""
+    return HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(material)
 
 
 def epoch_levels(

@@ -16,6 +16,7 @@ from veilcam_optics.effects.composition import beams
 from veilcam_optics.effects.light import zones
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
+from veilcam_optics.simulation.rotated_mask import covered_sides
 from veilcam_optics.transfer.grid import sample_pitch
 
 _PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
@@ -78,14 +79,9 @@ def pairs(model: Model) -> tuple[int, int, int]:
 
 def nodes(model: Model) -> tuple[int, int]:
     """Integration nodes along y and x."""
-    image = model.scene.pixel_at_sensor(actual_camera(model))
-    sensor, scene = model.camera.sensor, model.scene
-    step = model.sampling.step
+    height, width = actual_camera(model).lit_sides(model.scene)
     # Python's integers do not overflow where a scene a mile wide meets a step of a picometre.
-    return (
-        math.ceil((sensor.height + scene.rows * image) / step),
-        math.ceil((sensor.width + scene.columns * image) / step),
-    )
+    return math.ceil(height / model.sampling.step), math.ceil(width / model.sampling.step)
 
 
 def cost(model: Model, batch: int) -> Cost:
@@ -132,19 +128,12 @@ def cost(model: Model, batch: int) -> Cost:
 
 def _grid_cost(model: Model, batch: int) -> Cost:
     """One propagation per sample of light and channel, one convolution per scene and channel."""
-    sensor, scene, dtype = model.camera.sensor, model.scene, model.sampling.dtype
+    scene, conditions, dtype = model.scene, model.conditions, model.sampling.dtype
     pitch = sample_pitch(model.camera, model.sampling.oversampling)
-    image = scene.pixel_at_sensor(actual_camera(model))
-    rows, columns = model.camera.mask_shape
-    panel = model.camera.panel
-    angle, conditions = model.conditions.rotation, model.conditions
-    height, width = rows * panel.pitch_y, columns * panel.pitch_x
-    sine, cosine = abs(math.sin(angle)), abs(math.cos(angle))
-    mask = (
-        height * cosine + width * sine + 2 * abs(conditions.shift_y),
-        height * sine + width * cosine + 2 * abs(conditions.shift_x),
+    mask = covered_sides(
+        model.camera, conditions.rotation, shift_y=conditions.shift_y, shift_x=conditions.shift_x
     )
-    target = (sensor.height + scene.rows * image, sensor.width + scene.columns * image)
+    target = actual_camera(model).lit_sides(scene)
     padded = [math.ceil((a + b) / pitch) for a, b in zip(mask, target, strict=True)]
     cells = float(padded[0]) * padded[1]
     lights = len(CHANNELS) * max(1, len(beams(model)) // len(CHANNELS))

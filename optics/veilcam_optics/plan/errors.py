@@ -22,8 +22,8 @@ from veilcam_optics.transfer.grid import sample_pitch
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
-_FLOAT32_ERROR = 5e-7
-"""Of a transfer matrix in float32, measured: kernels are made in float64 and then cast."""
+ROUNDING = {torch.float32: 5e-7, torch.float64: 0.0}
+"""Relative L2 of a transfer matrix's number format, measured: kernels are cast from float64."""
 
 _LEAST_TOLERANCE = 1e-5
 """Below it nothing is sampled any finer: no plan will get there."""
@@ -71,8 +71,9 @@ class ErrorModel:
         """Whether fringes are sampled; else shadows are all that is known."""
         if not self.resolved:
             model = replace(model, sampling=replace(model.sampling, diffraction=False))
-        self._full = self.interferences(model)
-        self.model = self._full.model
+        self.full = self.interferences(model)
+        """With every effect on."""
+        self.model = self.full.model
 
     def interferences(self, model: Model) -> Interferences:
         """Errors of every reach, growing until farther pairs no longer count.
@@ -115,11 +116,6 @@ class ErrorModel:
         return Interferences(errors, collected(used, total, (1, 2)), used)
 
     @cached_property
-    def full(self) -> Interferences:
-        """With every effect on."""
-        return self._full
-
-    @cached_property
     def ideal_filters(self) -> Interferences:
         """As :attr:`full`, with filters that leak nothing."""
         panel = replace(self.model.camera.panel, filter_leakage=0.0, filter_amplitudes=())
@@ -152,7 +148,7 @@ class ErrorModel:
 
     def interference(self) -> float:
         """Relative L2 when no two sub-pixels interfere."""
-        return float(self._full.errors[0, 0])
+        return float(self.full.errors[0, 0])
 
     def rotated(self, *, first_order: bool = False) -> float:
         """Relative L2 of ignoring the mask's rotation, or of counting it to first order."""
@@ -164,18 +160,9 @@ class ErrorModel:
 
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
-        finest = self._samples(name, _FINEST[name])
-        return relative(self._samples(name, count), finest)
-
-    def _samples(self, name: str, count: int) -> Tensor:
-        """Transfer at the kept offsets with so many samples of spectrum or depth."""
-        changed = (
-            self._near.with_sampling(wavelengths=count)
-            if name == "wavelengths"
-            else self._near.with_sampling(layers=count)
-        )
         # Of all channels: their errors partly average out in a gray reading.
-        return self._probe.transfer(changed)
+        finest = self._probe.transfer(self._near.with_samples(name, _FINEST[name]))
+        return relative(self._probe.transfer(self._near.with_samples(name, count)), finest)
 
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
@@ -256,29 +243,19 @@ class ErrorModel:
             step = wanted
         return step, error
 
-    @staticmethod
-    def rounding(model: Model) -> float:
-        """Relative L2 of the number format."""
-        return _FLOAT32_ERROR if model.sampling.dtype == torch.float32 else 0.0
-
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
         camera, scene = actual_camera(self.model), self.model.scene
         sensor, panel = camera.sensor, camera.panel
         cell = sample_pitch(camera, oversampling)
         image = scene.pixel_at_sensor(camera)
-        mask = Grid(
+        height, width = camera.lit_sides(scene)
+        mask = Grid.square(
             math.ceil(camera.window.rows * panel.pitch_y / cell),
             math.ceil(camera.window.columns * panel.pitch_x / cell),
             cell,
-            cell,
         )
-        target = Grid(
-            math.ceil((sensor.height + scene.rows * image) / cell),
-            math.ceil((sensor.width + scene.columns * image) / cell),
-            cell,
-            cell,
-        )
+        target = Grid.square(math.ceil(height / cell), math.ceil(width / cell), cell)
         propagator = AngularSpectrum(padding="reach")
         if not all(
             propagator.supports(mask, target, camera.distance, wavelength)

@@ -17,7 +17,7 @@ from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
-from veilcam_optics.plan.errors import ErrorModel, Interferences
+from veilcam_optics.plan.errors import ROUNDING, ErrorModel, Interferences
 from veilcam_optics.transfer.operator import Reach
 
 MAX_NUMBERS = 1.5e8
@@ -138,7 +138,7 @@ def _matrices(
         field.append([ignored, Option(_same, error_model.rotated(first_order=True))])
     for base, leaked, interferences in filters:
         reaches = _reaches(base, interferences, errors, error_model.tolerance)
-        for chosen in product(reaches, *field, _formats(error_model, model)):
+        for chosen in product(reaches, *field, _formats(error_model)):
             yield _apply(base, leaked, chosen)
 
 
@@ -192,20 +192,8 @@ def _reaches(
     for _, error, reach in sorted(by_work, key=lambda item: (item[0], item[1])):
         if error < least:
             least = error
-            options.append(Option(partial(_with_reach, reach=reach), error))
+            options.append(Option(partial(Model.with_sampling, reach=reach), error))
     return _worth_it(options, tolerance)
-
-
-def _with_reach(model: Model, reach: Reach) -> Model:
-    return model.with_sampling(reach=reach)
-
-
-def _with_samples(model: Model, name: str, count: int) -> Model:
-    if name == "zones":
-        return model.with_sampling(zones=count)
-    if name == "layers":
-        return model.with_sampling(layers=count)
-    return model.with_sampling(wavelengths=count)
 
 
 def _field(
@@ -230,7 +218,7 @@ def _field(
             left = (
                 error_model.off_axis(count) if name == "zones" else error_model.sampled(name, count)
             )
-            options.append(Option(partial(_with_samples, name=name, count=count), left))
+            options.append(Option(partial(Model.with_samples, of=name, count=count), left))
         sampling.append(_worth_it(options, error_model.tolerance))
     if Bayer.name in errors:
         options = [Option(Bayer().without, errors[Bayer.name]), Option(_same, 0.0)]
@@ -238,14 +226,10 @@ def _field(
     return sampling
 
 
-def _formats(error_model: ErrorModel, model: Model) -> list[Option]:
+def _formats(error_model: ErrorModel) -> list[Option]:
     """Number formats, by what rounding costs in accuracy."""
-    options = []
-    for dtype in (torch.float32, torch.float64):
-        error = error_model.rounding(_with_dtype(model, dtype))
-        options.append(Option(partial(_with_dtype, dtype=dtype), error))
+    options = [
+        Option(partial(Model.with_sampling, dtype=dtype), ROUNDING[dtype])
+        for dtype in (torch.float32, torch.float64)
+    ]
     return _worth_it(options, error_model.tolerance)
-
-
-def _with_dtype(model: Model, dtype: torch.dtype) -> Model:
-    return replace(model, sampling=replace(model.sampling, dtype=dtype))

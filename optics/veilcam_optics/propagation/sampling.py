@@ -115,6 +115,12 @@ def coverage(low: Tensor, high: Tensor, count: int, pitch: float, centre: float 
     return (upper - lower).clamp(min=0) / pitch
 
 
+def tiled(count: int, side: float, cells: int, pitch: float, centre: float = 0.0) -> Tensor:
+    """Return the :func:`coverage` of ``count`` intervals of length ``side`` [m] around zero."""
+    low = (torch.arange(count, dtype=torch.float64) - count / 2) * side
+    return coverage(low, low + side, cells, pitch, centre)
+
+
 def fast_length(least: int) -> int:
     """Return the smallest length >= ``least`` with no prime factor above 5: a fast FFT."""
     require_count("least", least)

@@ -20,7 +20,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import TURN, unit_phasor
-from veilcam_optics.propagation.sampling import Grid, area_average, coverage, fast_length
+from veilcam_optics.propagation.sampling import Grid, area_average, fast_length, tiled
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import SENSOR_PIXELS_PER_SAMPLE, GridLight, sample_pitch
 
@@ -92,9 +92,12 @@ class Algorithm1:
             raise invalid("pictures.shape", tuple(pictures.shape), "", f"(..., {self.scene.shape})")
         inverted = pictures.flip(-2, -1)
         if self.resampling == "area":
-            rows = self._shares(self.scene.rows, self.grid.rows).to(pictures)
-            columns = self._shares(self.scene.columns, self.grid.columns).to(pictures)
-            return rows @ inverted @ columns.mT
+            side, pitch = self.scene.pixel_at_sensor(self.camera), float(self.grid.pitch_y)
+            rows, columns = (
+                tiled(pixels, side, samples, pitch).to(pictures)
+                for pixels, samples in zip(self.scene.shape, self.grid.shape, strict=True)
+            )
+            return rows.mT @ inverted @ columns
         rows_wanted, columns_wanted = self._object_samples()
         resized = _bilinear(inverted, rows_wanted, columns_wanted)
         top = (self.grid.rows - rows_wanted) // 2
@@ -154,12 +157,6 @@ class Algorithm1:
         """Samples (rows, columns) that the scene's image covers."""
         side = self.scene.pixel_at_sensor(self.camera) / float(self.grid.pitch_y)
         return max(1, round(self.scene.rows * side)), max(1, round(self.scene.columns * side))
-
-    def _shares(self, pixels: int, samples: int) -> Tensor:
-        """Share of each sample that each scene pixel's image covers, (samples, pixels)."""
-        side = self.scene.pixel_at_sensor(self.camera)
-        low = (torch.arange(pixels, dtype=torch.float64) - pixels / 2) * side
-        return coverage(low, low + side, samples, float(self.grid.pitch_y)).mT
 
 
 def _bilinear(values: Tensor, rows: int, columns: int) -> Tensor:

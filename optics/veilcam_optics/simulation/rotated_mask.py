@@ -36,13 +36,9 @@ class RotatedMask:
         dtype: torch.dtype,
     ) -> None:
         panel, (rows, columns) = camera.panel, camera.mask_shape
-        height, width = rows * panel.pitch_y, columns * panel.pitch_x
         sine, cosine = math.sin(rotation), math.cos(rotation)
-        self.grid = covering_grid(
-            height * abs(cosine) + width * abs(sine) + 2 * abs(shift_y),
-            height * abs(sine) + width * abs(cosine) + 2 * abs(shift_x),
-            pitch,
-        )
+        sides = covered_sides(camera, rotation, shift_y=shift_y, shift_x=shift_x)
+        self.grid = covering_grid(*sides, pitch)
         cells = self.grid.rows * self.grid.columns
         y, x = (
             values - shift
@@ -76,6 +72,19 @@ class RotatedMask:
         """Amplitudes on ``grid`` of ``weights``, the mask's; differentiable."""
         amplitudes: Tensor = self._matrix @ weights.reshape(-1, 1)
         return amplitudes.reshape(self.grid.shape)
+
+
+def covered_sides(
+    camera: Camera, rotation: float, *, shift_y: float, shift_x: float
+) -> tuple[float, float]:
+    """Height and width of what holds the turned and shifted mask, centred on the axis [m]."""
+    height = camera.window.rows * camera.panel.pitch_y
+    width = camera.window.columns * camera.panel.pitch_x
+    sine, cosine = abs(math.sin(rotation)), abs(math.cos(rotation))
+    return (
+        height * cosine + width * sine + 2 * abs(shift_y),
+        height * sine + width * cosine + 2 * abs(shift_x),
+    )
 
 
 def _aperture(position: Tensor, count: int, pitch: float, width: float) -> tuple[Tensor, Tensor]:

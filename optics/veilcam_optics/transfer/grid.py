@@ -21,6 +21,7 @@ from veilcam_optics.propagation.psf import AT_INFINITY, PointSpread
 from veilcam_optics.propagation.sampling import (
     Grid,
     as_float,
+    axis,
     coverage,
     covering_grid,
     fast_length,
@@ -263,8 +264,8 @@ class GridLight:
         complex_dtype = complex_type(self.dtype)
         side = self.scene.pixel_at_sensor(self.camera)
         # Inverted, as through a pinhole: the first scene pixel lands at the far end.
-        image = -_centres(scene_count, side, self.device)
-        pixels = _centres(count, extent / count, self.device)
+        image = -axis(scene_count, side, device=self.device)
+        pixels = axis(count, extent / count, device=self.device)
         first = -(samples - 1) / 2 * as_float(self.grid.pitch_y)
         ramp_in = unit_phasor(-TURN * frequency[:, None] * image, complex_dtype)
         ramp_out = unit_phasor(TURN * (pixels[:, None] - first) * frequency, complex_dtype)
@@ -293,19 +294,10 @@ class GridLight:
 
 def _sensor_grid(camera: Camera, scene: Scene, pitch: float) -> Grid:
     """What covers the sensor plus the scene's geometric image."""
-    side = scene.pixel_at_sensor(camera)
+    height, width = camera.lit_sides(scene)
     # The margin holds the ripple at the edges of the Fourier series away from the sensor.
     margin = 8 * pitch
-    return covering_grid(
-        camera.sensor.height + scene.rows * side + margin,
-        camera.sensor.width + scene.columns * side + margin,
-        pitch,
-    )
-
-
-def _centres(count: int, pitch: float, device: torch.device) -> Tensor:
-    index = torch.arange(count, dtype=torch.float64, device=device)
-    return (index - (count - 1) / 2) * pitch
+    return covering_grid(height + margin, width + margin, pitch)
 
 
 def _apertures(centres: tuple[float, ...], width: float, samples: int, pitch: float) -> Tensor:

@@ -123,11 +123,8 @@ def reference_transfer(
     check_weights(weights, camera)
     require_count("oversampling", oversampling)
     pitch = sample_pitch(camera, oversampling)
-    image = scene.pixel_at_sensor(camera)
-    shape = (
-        math.ceil((camera.sensor.height + scene.rows * image) / pitch),
-        math.ceil((camera.sensor.width + scene.columns * image) / pitch),
-    )
+    height, width = camera.lit_sides(scene)
+    shape = (math.ceil(height / pitch), math.ceil(width / pitch))
     row_boxes, column_boxes = _boxes(camera, scene, embedding, shape, pitch)
     outputs = [[channel] for channel in range(3)] if colour else [[0, 1, 2]]
     shares = (1.0, 1.0, 1.0) if colour else camera.sensor.channel_weights
