@@ -23,7 +23,7 @@ SUBJECTS = (
     ),
     Subject(
         "rotation",
-        ("server/veilcam_server/camera/rotation.py",),
+        ("server/veilcam_server/camera/capture.py",),
         ("tests/server/camera/test_rotation.py", "tests/server/camera/test_camera.py"),
     ),
     Subject(
