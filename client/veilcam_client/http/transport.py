@@ -88,14 +88,6 @@ class Options:
         object.__setattr__(self, "base", base)
         object.__setattr__(self, "socket", socket)
 
-    def transport(self) -> httpx.HTTPTransport:
-        """A transport of one's own; raises ValueError for a ``ca_file`` that cannot be used."""
-        return httpx.HTTPTransport(uds=self.socket, verify=self.credentials.trusted())
-
-    def async_transport(self) -> httpx.AsyncHTTPTransport:
-        """:meth:`transport` for asyncio."""
-        return httpx.AsyncHTTPTransport(uds=self.socket, verify=self.credentials.trusted())
-
     def timeout(self, *, stream: bool = False) -> httpx.Timeout:
         """Limits of one request."""
         read = STREAM_SILENCE if stream else self.read_timeout
@@ -129,7 +121,10 @@ class Transport:
         self._sleep = sleep
         self._owned = client is None
         # trust_env off: a proxy meant for the web must not see a camera on this machine.
-        self._client = client or httpx.Client(transport=options.transport(), trust_env=False)
+        self._client = client or httpx.Client(
+            transport=httpx.HTTPTransport(uds=options.socket, verify=options.credentials.trusted()),
+            trust_env=False,
+        )
 
     def send(self, call: Call[AnswerT]) -> AnswerT:
         """Send, retry as the policy says, and return the answer."""
@@ -197,7 +192,10 @@ class AsyncTransport:
         self.options = options
         self._owned = client is None
         self._client = client or httpx.AsyncClient(
-            transport=options.async_transport(), trust_env=False
+            transport=httpx.AsyncHTTPTransport(
+                uds=options.socket, verify=options.credentials.trusted()
+            ),
+            trust_env=False,
         )
 
     async def send(self, call: Call[AnswerT]) -> AnswerT:

@@ -29,6 +29,7 @@ _OURS = {
     "Algorithm 1": ("#8c510a", "p"),
     PLAN: ("#111111", "*"),
 }
+_LABELS = {PLAN: "the plan's own choice, by tolerance"}
 _PEERS = (
     ("#d1495b", "X"),
     ("#e76f2e", "P"),
@@ -86,7 +87,7 @@ def _panel(axes: Axes, result: Result) -> None:
             some.sort(key=lambda p: p.seconds)
             # One point's label stands for the method in the legend, whichever precision is there.
             _series(axes, some, colour, marker, filled=filled)
-        axes.plot([], [], marker, color=colour, markersize=8, label=_name(own[0]))
+        axes.plot([], [], marker, color=colour, markersize=8, label=_LABELS.get(method, method))
     for point in points:
         if point.method == PLAN:
             axes.annotate(
@@ -156,7 +157,3 @@ def _styles(points: Sequence[Point]) -> dict[str, tuple[str, str]]:
             own = _OURS.get(point.method) if point.source == OURS else None
             styles[point.method] = own or next(peers)
     return styles
-
-
-def _name(point: Point) -> str:
-    return "the plan's own choice, by tolerance" if point.method == PLAN else point.method

@@ -61,7 +61,8 @@ def run(jobs: Sequence[Job], *, quick: bool, out: Path, threads: int) -> None:
     console = Console()
     torch.set_num_threads(threads)
     out.mkdir(parents=True, exist_ok=True)
-    with _progress(console) as progress:
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as progress:
         results = [_measured(job, progress, budget=0.05 if quick else 2.0) for job in jobs]
     for result in results:
         console.print(table(result))
@@ -86,14 +87,3 @@ def _measured(job: Job, progress: Progress, *, budget: float) -> Result:
         progress.advance(bar)
     progress.update(bar, description=job.name)
     return Result(job.name, job.title, points, job.skipped)
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-    )

@@ -29,6 +29,9 @@ _WEIGHTS = 4000
 MAX_VALUES = 1_200_000
 """Largest number of field values of one axis: 20 MB, and half a second."""
 
+_Down = tuple[Tensor, Tensor, Tensor]
+"""Upper rows of the pairs that pass light, what their filters pass, and their kernels."""
+
 
 class Probe:
     """Masks and offsets at which models are compared.
@@ -44,7 +47,7 @@ class Probe:
         generator = torch.Generator().manual_seed(0)
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
         scene, embedding = model.scene, model.embedding
-        self._kept: dict[object, tuple[list[Tensor], list[Tensor]]] = {}
+        self._kept: dict[object, tuple[list[_Down], list[Tensor]]] = {}
         self.kept_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
         self.kept_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
 
@@ -171,16 +174,13 @@ class Probe:
         stretch: tuple[float, float],
     ) -> None:
         """Add one beam's light to every shell."""
-        rows, columns = model.camera.mask_shape
-        amplitudes = torch.tensor(model.camera.row_amplitudes(beam.channel), dtype=torch.float64)
+        columns = weights.shape[-1]
         share = beam.share * model.camera.sensor.channel_weights[beam.channel]
         kernels = self._kernels(model, beam, stretch, (shells.shape[0], shells.shape[1]))
-        for dr, down in enumerate(kernels[0]):
-            product = amplitudes[: rows - dr] * amplitudes[dr:]
-            first = product.nonzero().flatten()
+        for dr, (first, passed, down) in enumerate(kernels[0]):
             if not len(first):
                 continue
-            scaled = down * (product[first] * share)
+            scaled = down * (passed * share)
             one, other = weights[:, first], weights[:, first + dr]
             for dc, across in enumerate(kernels[1]):
                 width = columns - dc
@@ -192,7 +192,7 @@ class Probe:
 
     def _kernels(
         self, model: Model, beam: Beam, stretch: tuple[float, float], near: tuple[int, int]
-    ) -> tuple[list[Tensor], list[Tensor]]:
+    ) -> tuple[list[_Down], list[Tensor]]:
         """Kernels of rows 0, 1, ... apart and of columns apart, kept: masks do not change them."""
         key = (
             actual_camera(model),
@@ -214,8 +214,9 @@ class Probe:
             fields_x = x.fields(beam.wavelength * stretch[1])
             down = []
             for dr in range(near[0]):
-                first = (amplitudes[: rows - dr] * amplitudes[dr:]).nonzero().flatten()
-                down.append(y.kernel(fields_y, first, first + dr))
+                product = amplitudes[: rows - dr] * amplitudes[dr:]
+                first = product.nonzero().flatten()
+                down.append((first, product[first], y.kernel(fields_y, first, first + dr)))
             across = [
                 x.kernel(fields_x, torch.arange(columns - dc), torch.arange(dc, columns))
                 for dc in range(near[1])

@@ -1,13 +1,11 @@
-"""Point spread functions of any mask: real or complex, one wavelength or a spectrum."""
+"""Point spread functions of any mask, real or complex, at one wavelength."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import invalid
 from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.base import check_field
 from veilcam_optics.propagation.illumination import plane_wave, spherical_wave
@@ -85,21 +83,3 @@ class PointSpread:
         """
         arrived = self.field(transmittance)
         return arrived.real.square() + arrived.imag.square()
-
-
-def mix(spreads: Sequence[Tensor], powers: Sequence[float]) -> Tensor:
-    """Return the PSF of a spectrum: the PSFs of its wavelengths in proportion to their power.
-
-    Args:
-        spreads: One PSF per wavelength, all of one shape.
-        powers: Power or sensor response of each wavelength; only their ratios count.
-
-    Raises:
-        OpticsError: If the counts differ, a power is negative, or all are zero.
-    """
-    if len(spreads) != len(powers):
-        raise invalid("powers", f"{len(powers)} numbers", "", f"one per PSF, {len(spreads)}")
-    total = sum(powers)
-    if min(powers, default=0.0) < 0 or total <= 0:
-        raise OpticsError("powers must be at least 0 and not all zero")
-    return torch.stack([s * (p / total) for s, p in zip(spreads, powers, strict=True)]).sum(0)

@@ -30,7 +30,7 @@ from veilcam_optics.apertures import (
 )
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation import AngularSpectrum
-from veilcam_optics.propagation.psf import PointSpread, mix
+from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid
 
 WAVELENGTH = 550e-9
@@ -178,16 +178,6 @@ def test_contour_mask_makes_its_pattern() -> None:
         both = torch.stack([got.flatten(), pattern.flatten()])
         correlations.append(float(torch.corrcoef(both)[0, 1]))
     assert correlations[1] > max(0.8, correlations[0])
-
-
-def test_spectrum_of_two_wavelengths_is_their_weighted_sum() -> None:
-    one, two = torch.full((3, 3), 1.0), torch.full((3, 3), 5.0)
-    assert torch.allclose(mix([one, two], [3.0, 1.0]), torch.full((3, 3), 2.0))
-    with pytest.raises(OpticsError, match="one per PSF"):
-        mix([one], [1.0, 1.0])
-    for powers in ([0.0, 0.0], [1.0, -2.0]):
-        with pytest.raises(OpticsError, match="at least 0"):
-            mix([one, two], powers)
 
 
 @pytest.fixture
