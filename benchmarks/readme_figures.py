@@ -174,7 +174,7 @@ TIMES: Figures = {
 CALIBRATED: Figures = {
     f"{knob}_{when}{figure}": ("daemon-calibration", f"{words}: {what}, decoded {said}", pattern)
     for knob, words in {
-        "drawn": "as drawn",
+        "drawn": "nominal",
         "shift_y_150um": "mask 150 um off",
         "dead_lines": "a row and a column stuck open",
         "everything": "shift, rotation, distance, gamma, floor and a dead row at once",
@@ -188,7 +188,7 @@ CALIBRATED: Figures = {
         ("", "digits read right", "{:.1%}"),
         ("_unexplained", "error of the scene", "{:.2f}"),
     )
-    for when, said in {"before": "as drawn", "after": "as calibrated"}.items()
+    for when, said in {"before": "as nominal", "after": "as calibrated"}.items()
 }
 
 SERVED: Figures = {

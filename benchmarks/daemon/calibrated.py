@@ -35,7 +35,7 @@ BUILT = {
     "contrast_floor": 0.08,
     "dead_rows": [20],
     "dead_columns": [8],
-    "dead_level": 63,
+    "dead_transmittance": 1.0,
 }
 """Several things wrong at once; a row and a column are stuck open."""
 
@@ -64,7 +64,7 @@ def main(
         built.write_text(json.dumps(BUILT))
         write_scene(scene, digits.images[0])
         options = (
-            *("--mask-secret", str(secret), "--as-built", str(built), "--scene-api"),
+            *("--mask-secret", str(secret), "--imperfections", str(built), "--scene-api"),
             *("--settle", "0.02", "--exposure", "0.001"),
         )
         values = {}

@@ -8,7 +8,7 @@ where RECORD is ``benchmarks/results/daemon-calibration.json``.
 
 The bundle of fresh masks that comes along, held-out digits, a new mask for every five of them.
 What is read came through bytes on the bus, the panel's memory, light that takes another route than
-decoders, 12-bit frames and binning. The same readings are decoded twice: for the camera as drawn,
+decoders, 12-bit frames and binning. The same readings are decoded twice: for the nominal camera
 and for the camera as ``calibrate`` found it, with the black level and gain that it found. Where a
 calibration is refused, there is no "after".
 """
@@ -29,12 +29,12 @@ import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from veilcam_optics.camera import imperfections as optical
+from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.plot import write_picture
 from veilcam_server.calibration.procedure import Calibrated, calibrate
-from veilcam_server.calibration.record import correction
+from veilcam_server.calibration.record import imperfections_of
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.demo_data import FRESH, load_digits
@@ -65,7 +65,7 @@ class Knob:
 
 
 KNOBS: Mapping[str, Knob] = {
-    "drawn": Knob("as drawn"),
+    "drawn": Knob("nominal"),
     "shift_y_37um": Knob("mask 37 um (1/2 row) off along y", {"shift_y": 36.5e-6}),
     "shift_y_150um": Knob("mask 150 um (2 rows) off along y", {"shift_y": 150e-6}),
     "shift_x_55um": Knob("mask 55 um (1/4 column) off along x", {"shift_x": 55e-6}),
@@ -77,7 +77,7 @@ KNOBS: Mapping[str, Knob] = {
     "floor_0.15": Knob("contrast floor 0.15", {"contrast_floor": 0.15}),
     "dead_lines": Knob(
         "a row and a column stuck open",
-        hardware={"dead_rows": (20,), "dead_columns": (8,), "dead_level": 63},
+        {"dead_rows": (20,), "dead_columns": (8,), "dead_transmittance": 1.0},
     ),
     "dark_light": Knob("exposed for 0.7 of the light", hardware={"full_scale": 0.7}),
     "everything": Knob(
@@ -89,8 +89,9 @@ KNOBS: Mapping[str, Knob] = {
             "distance_error": 100e-6,
             "gamma": 1.4,
             "contrast_floor": 0.08,
+            "dead_rows": (20,),
+            "dead_transmittance": 0.08,
         },
-        {"dead_rows": (20,)},
     ),
     "leakage_0.2": Knob("filters leak 20 % of the amplitude", leakage=0.2),
     "stray_0.1": Knob("10 % stray light", {"stray_light": 0.1}),
@@ -111,8 +112,9 @@ BADLY_BUILT = Knob(
         "distance_error": 120e-6,
         "gamma": 1.3,
         "contrast_floor": 0.08,
+        "dead_rows": (20,),
+        "dead_transmittance": 1.0,
     },
-    {"dead_rows": (20,), "dead_level": 63},
 )
 
 
@@ -188,9 +190,7 @@ class Bench:
         brighter = hardware.pop("full_scale", 1.0)
         panel = replace(bundle.camera.panel, filter_leakage=knob.leakage)
         camera = replace(bundle.camera, panel=panel)
-        light = planned_light(
-            camera, bundle.scene, bundle.embedding, optical.Conditions(**knob.optical)
-        )
+        light = planned_light(camera, bundle.scene, bundle.embedding, Imperfections(**knob.optical))
         with torch.no_grad():
             opened = light.response(torch.ones(camera.mask_shape))
             white = light.collect(torch.ones((1, *bundle.scene.shape)), opened)
@@ -228,7 +228,7 @@ class Bench:
         )
 
     def read(self, masks: int, found: Calibrated | None) -> tuple[Tally, Tally | None]:
-        """Read digits behind fresh masks, decoded as drawn and as found."""
+        """Read digits behind fresh masks, decoded as nominal and as found."""
         digits, random = load_digits(), np.random.default_rng(7)
         secret = Secret(random.bytes(32))
         drawn = FreshSource(self.bundle, secret)
@@ -237,7 +237,7 @@ class Bench:
         built, after = None, None
         if found is not None:
             record = found.record
-            built = FreshSource(self.bundle, secret, calibration=correction(record))
+            built = FreshSource(self.bundle, secret, imperfections=imperfections_of(record))
             after = Tally()
             settle = record.settling_s.value + record.settling_s.uncertainty
         chosen = iter(random.choice(len(digits), masks * PER_MASK, replace=False))
@@ -356,7 +356,7 @@ def chart(
     left.invert_yaxis()
     left.tick_params(axis="y", length=0)
     right.tick_params(axis="y", length=0)
-    left.plot([], [], "o", color="#d9622b", mfc="white", mew=2, label="decoded as drawn")
+    left.plot([], [], "o", color="#d9622b", mfc="white", mew=2, label="decoded as nominal")
     left.plot([], [], "o", color="#1b7f5c", label="decoded as calibrated")
     figure.legend(loc="upper right", ncols=2, frameon=False)
     figure.text(0.02, 0.955, "One knob turned at a time", fontsize=13, weight="bold")

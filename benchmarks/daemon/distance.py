@@ -2,7 +2,7 @@
 
     python -m benchmarks.daemon.distance --figures benchmarks/results/daemon-calibration.json
 
-A small camera as drawn, without noise: white card and lamp behind six random patterns, the light
+A small nominal camera, without noise: white card and lamp behind six random patterns, the light
 once off grids that get finer, once by the operator that is fitted; then the fit of a calibration.
 """
 
@@ -17,7 +17,7 @@ from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.decoding import AS_DRAWN
+from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import plan
 from veilcam_optics.simulation.operator import LightOperator
@@ -35,7 +35,7 @@ FINER = (1, 2, 4)
 
 
 def distance(model: Model, weights: torch.Tensor) -> float:
-    """What the fit makes of the sensor's distance, which is as drawn [um]."""
+    """What the fit makes of the sensor's distance, which is nominal [um]."""
     light, sights = LightOperator(model), []
     with torch.no_grad():
         responses = [light.response(each.float()) for each in weights]
@@ -43,8 +43,8 @@ def distance(model: Model, weights: torch.Tensor) -> float:
             image = torch.from_numpy(scene.image)[None]
             seen = torch.cat([light.collect(image, response) for response in responses])
             sights.append(Sight(scene.image.astype(np.float64), seen.double().numpy()))
-    found = align(GEOMETRY, weights, sights, AS_DRAWN, reach=Reach())
-    return 1e6 * found.calibration.distance_error
+    found = align(GEOMETRY, weights, sights, NOMINAL, reach=Reach())
+    return 1e6 * found.imperfections.distance_error
 
 
 def main(

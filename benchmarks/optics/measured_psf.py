@@ -23,14 +23,21 @@ from torch import Tensor
 
 from veilcam_optics.apertures import measured_psf
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.simulation.operator import LightOperator
 
 PANEL = Conditions(
-    shift_y=3e-5, shift_x=-2e-5, rotation=2e-3, distance_error=3e-5, gamma=1.1, contrast_floor=0.03
+    imperfections=Imperfections(
+        shift_y=3e-5,
+        shift_x=-2e-5,
+        rotation=2e-3,
+        distance_error=3e-5,
+        gamma=1.1,
+        contrast_floor=0.03,
+    )
 )
 """What is wrong with it."""
 OVERSAMPLING = 2.0

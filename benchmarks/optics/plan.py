@@ -35,7 +35,13 @@ from rich.table import Table
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
+from veilcam_optics.camera.imperfections import (
+    IDEAL,
+    NOMINAL,
+    Conditions,
+    Imperfections,
+    half_field,
+)
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
@@ -119,17 +125,22 @@ def _some_conditions(generator: random.Random, camera: Camera, scene: Scene) -> 
         lambda c: replace(c, bandwidth=(generator.uniform(5e-9, 60e-9),) * 3),
         lambda c: replace(c, depth_range=generator.uniform(0.01, 0.4) * scene.distance),
         lambda c: replace(c, off_axis=half_field(scene)),
-        lambda c: replace(c, gamma=generator.uniform(0.8, 1.3)),
-        lambda c: replace(c, contrast_floor=_log_uniform(generator, 1e-3, 1e-1)),
+        lambda c: _with(c, gamma=generator.uniform(0.8, 1.3)),
+        lambda c: _with(c, contrast_floor=_log_uniform(generator, 1e-3, 1e-1)),
         lambda c: replace(c, levels=generator.choice([8, 16, 64, 256])),
-        lambda c: replace(c, shift_y=_log_uniform(generator, 1e-8, 5e-5), shift_x=1e-6),
-        lambda c: replace(c, distance_error=camera.distance * _log_uniform(generator, 1e-5, 2e-2)),
-        lambda c: replace(c, stray_light=_log_uniform(generator, 1e-4, 1e-1)),
+        lambda c: _with(c, shift_y=_log_uniform(generator, 1e-8, 5e-5), shift_x=1e-6),
+        lambda c: _with(c, distance_error=camera.distance * _log_uniform(generator, 1e-5, 2e-2)),
+        lambda c: _with(c, stray_light=_log_uniform(generator, 1e-4, 1e-1)),
         lambda c: replace(c, bayer=True),
     ]
     for change in generator.sample(changes, generator.randint(1, 3)):
         conditions = change(conditions)
     return conditions
+
+
+def _with(conditions: Conditions, **changes: float) -> Conditions:
+    imperfections = replace(conditions.imperfections, **changes)  # type: ignore[arg-type]
+    return replace(conditions, imperfections=imperfections)
 
 
 def _log_uniform(generator: random.Random, low: float, high: float) -> float:
@@ -388,14 +399,16 @@ def everything() -> Conditions:
         bandwidth=(40e-9,) * 3,
         depth_range=0.1,
         off_axis=half_field(Scene()),
-        gamma=1.1,
-        contrast_floor=0.03,
+        imperfections=Imperfections(
+            gamma=1.1,
+            contrast_floor=0.03,
+            shift_y=2e-5,
+            shift_x=1e-5,
+            rotation=2e-3,
+            distance_error=5e-5,
+            stray_light=0.02,
+        ),
         levels=64,
-        shift_y=2e-5,
-        shift_x=1e-5,
-        rotation=2e-3,
-        distance_error=5e-5,
-        stray_light=0.02,
         bayer=True,
         electrons=1e5,
         read_noise=20.0,
@@ -497,8 +510,9 @@ def describe(result: Result) -> str:
     sampling = chosen.model.sampling
     conditions = [
         name
-        for name in Conditions.__dataclass_fields__
-        if getattr(case.conditions, name) != getattr(IDEAL, name)
+        for given, usual in ((case.conditions, IDEAL), (case.conditions.imperfections, NOMINAL))
+        for name in given.__dataclass_fields__
+        if getattr(given, name) != getattr(usual, name)
     ]
     rival = result.rival.sampling if result.rival else None
     return (

@@ -9,7 +9,6 @@ its own way, none of which was drawn in training. Validation images, noise inclu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 from typing import Annotated
@@ -21,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
 from veilcam_training.config.recipes import Situation, find_recipe
 from veilcam_training.config.settings import Settings
@@ -39,40 +39,31 @@ ERRORS = PanelErrors(gamma=0.1, floor=0.05, shift=5e-5, distance=5e-5)
 PANELS = 20
 
 
-@dataclass(frozen=True)
-class Panel:
-    """What is wrong with one panel; all 0: nothing."""
-
-    gamma: float = 0.0
-    floor: float = 0.0
-    shift: tuple[float, float] = (0.0, 0.0)
-    distance: float = 0.0
-
-    def show(self, model: LenslessClassifier, images: Images, seed: int) -> float:
-        """Accuracy [percent] of ``model`` behind this panel."""
-        encoder = model.encoder
-        assert isinstance(encoder, Mask)
-        weights = to_weights(encoder.levels(), encoder.setup.camera.panel) ** (1 + self.gamma)
-        weights = self.floor + (1 - self.floor) * weights
-        operators = make_operators(encoder.setup, shift=self.shift, distance_error=self.distance)
-        shown = LenslessClassifier(
-            FixedEncoder(encoder.setup, [operator(weights) for operator in operators]),
-            model.layers,
-            model.snr_db,
-        )
-        shown.classifier.load_state_dict(plain(model.classifier).state_dict())
-        return 100 * evaluate(shown, images, seed, "panel").accuracy
+def accuracy(model: LenslessClassifier, built: Imperfections, images: Images, seed: int) -> float:
+    """Accuracy [percent] of ``model`` behind the panel of a camera as it was built."""
+    encoder = model.encoder
+    assert isinstance(encoder, Mask)
+    weights = built.shown(to_weights(encoder.levels(), encoder.setup.camera.panel))
+    operators = make_operators(encoder.setup, built)
+    shown = LenslessClassifier(
+        FixedEncoder(encoder.setup, [operator(weights) for operator in operators]),
+        model.layers,
+        model.snr_db,
+    )
+    shown.classifier.load_state_dict(plain(model.classifier).state_dict())
+    return 100 * evaluate(shown, images, seed, "panel").accuracy
 
 
-def draw_panels(count: int, seed: int) -> list[Panel]:
+def draw_panels(count: int, seed: int) -> list[Imperfections]:
     """Panels with errors up to :data:`ERRORS`."""
     draws = torch.rand(count, 5, generator=stream(seed, "panels"), dtype=torch.float64)
     return [
-        Panel(
-            ERRORS.gamma * (2 * gamma - 1),
-            ERRORS.floor * floor,
-            (ERRORS.shift * (2 * y - 1), ERRORS.shift * (2 * x - 1)),
-            ERRORS.distance * (2 * along - 1),
+        Imperfections(
+            gamma=1 + ERRORS.gamma * (2 * gamma - 1),
+            contrast_floor=ERRORS.floor * floor,
+            shift_y=ERRORS.shift * (2 * y - 1),
+            shift_x=ERRORS.shift * (2 * x - 1),
+            distance_error=ERRORS.distance * (2 * along - 1),
         )
         for gamma, floor, y, x, along in draws.tolist()
     ]
@@ -111,8 +102,8 @@ def main(
             recipe=recipe.model_copy(update={"panel_errors": errors}),
         )
         model = fitted(parts, settings, data, f"{name} panel")
-        ideal = Panel().show(model, parts.validation, seed)
-        wrong = [panel.show(model, parts.validation, seed) for panel in panels]
+        ideal = accuracy(model, NOMINAL, parts.validation, seed)
+        wrong = [accuracy(model, panel, parts.validation, seed) for panel in panels]
         table.add_row(f"an {name} panel", *(f"{v:.2f} %" for v in (ideal, mean(wrong), min(wrong))))
         values |= {
             f"panel_trained_{name}_shown_ideal": round(ideal, 2),

@@ -7,7 +7,7 @@ print(chosen.explain())
 """
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import Plan, plan
@@ -20,6 +20,7 @@ __all__ = [
     "Conditions",
     "Embedding",
     "GridLight",
+    "Imperfections",
     "OpticsError",
     "Panel",
     "Plan",

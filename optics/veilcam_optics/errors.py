@@ -28,3 +28,10 @@ def require_count(argument: str, value: int, least: int = 1) -> None:
     """Raise :class:`OpticsError` unless ``value`` is an integer of at least ``least``."""
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise invalid(argument, value, "", f"an integer >= {least}")
+
+
+def require_within(argument: str, value: float, unit: str, low: float, high: float) -> None:
+    """Raise :class:`OpticsError` unless ``value`` is finite and lies from ``low`` to ``high``."""
+    if not (math.isfinite(value) and low <= value <= high):
+        ends = f"a finite number of at least {low}" if high == math.inf else f"{low} to {high}"
+        raise invalid(argument, value, unit, "a finite number" if low == -math.inf else ends)

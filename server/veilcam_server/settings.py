@@ -129,8 +129,8 @@ class Settings(Wiring):
     """The camera may expose so many times shorter or longer; 1 for a fixed exposure."""
     snr_db: float = Field(default=40.0)
     """Simulated signal-to-noise ratio in dB."""
-    as_built: Path | None = None
-    """How the simulated camera departs from its drawing: a JSON file (docs/calibration.md)."""
+    imperfections: Path | None = None
+    """How the simulated camera departs from a nominal one: a JSON file (docs/calibration.md)."""
     capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
     """Longest wait for a reading in seconds."""
     self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
@@ -210,8 +210,8 @@ class Settings(Wiring):
             raise ValueError("only a simulated camera has --scenes: add --simulate")
         if self.device != "simulated" and self.scene_api:
             raise ValueError("--scene-api is for a simulated camera: add --simulate")
-        if self.device != "simulated" and self.as_built is not None:
-            raise ValueError("only a simulated camera is built --as-built: add --simulate")
+        if self.device != "simulated" and self.imperfections is not None:
+            raise ValueError("only a simulated camera is given --imperfections: add --simulate")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":

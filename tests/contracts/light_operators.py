@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.effects.composition import read
 from veilcam_optics.effects.model import Method
@@ -25,13 +25,15 @@ def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0
             bandwidth=(20e-9, 20e-9, 20e-9),
             depth_range=0.2 * scene.distance,
             off_axis=0.1,
-            gamma=1.1,
-            contrast_floor=0.02,
-            shift_y=setting.pitch / 3,
-            shift_x=-setting.pitch / 4,
-            rotation=rotation,
-            distance_error=0.01 * setting.distance,
-            stray_light=0.05,
+            imperfections=Imperfections(
+                gamma=1.1,
+                contrast_floor=0.02,
+                shift_y=setting.pitch / 3,
+                shift_x=-setting.pitch / 4,
+                rotation=rotation,
+                distance_error=0.01 * setting.distance,
+                stray_light=0.05,
+            ),
             bayer=True,
         ),
         Sampling(

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.sensor.noise import shot_noise
@@ -112,7 +112,9 @@ def test_made_once_or_anew_and_used_again(camera: Camera) -> None:
 
 def test_gradient_through_a_plan() -> None:
     camera = CAMERAS["filters"]
-    chosen = made(camera, 1e-2, Conditions(gamma=1.2, contrast_floor=0.05))
+    chosen = made(
+        camera, 1e-2, Conditions(imperfections=Imperfections(gamma=1.2, contrast_floor=0.05))
+    )
     dtype = chosen.model.sampling.dtype
     weights = some_weights(camera, dtype).requires_grad_()
     scenes = some_scenes(chosen.model.scene, dtype)

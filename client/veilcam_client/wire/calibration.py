@@ -42,7 +42,7 @@ class CalibrationRecord(Answer):
     exposure_s: float
     """That readings are given for [s]."""
     geometry: str = Field(pattern=r"^[0-9a-f]{64}$")
-    """SHA-256 digest of camera, scene and embedding as they were drawn."""
+    """SHA-256 digest of nominal camera, scene and embedding."""
     settling_s: Quantity
     """After a change, until readings stay within 2 % of the step [s]."""
     black_level: Quantity
@@ -68,7 +68,7 @@ class CalibrationRecord(Answer):
     rotation_rad: Quantity
     """Of the mask around the axis, from x towards y [rad]."""
     distance_error_m: Quantity
-    """How much farther from the mask the sensor is than drawn [m]."""
+    """How much farther from the mask the sensor is than nominal [m]."""
     stray_light: Quantity
     """Share of the light on the sensor that is spread evenly over it."""
     psf_residual: float = Field(ge=0, allow_inf_nan=False)
@@ -120,7 +120,7 @@ class CalibrationStatus(Answer):
     """What a camera knows of itself."""
 
     signed: SignedCalibration | None
-    """The record in use; None: the camera is taken to be as it was drawn."""
+    """The record in use; None: the camera is taken to be nominal."""
     run: CalibrationRun | None
     """The last calibration that was asked for; None since the daemon started."""
 

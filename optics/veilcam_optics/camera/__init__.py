@@ -1,1 +1,1 @@
-"""The camera itself: geometry, sensors, masks, and how it departs from its drawing."""
+"""The camera itself: geometry, sensors, masks, and its imperfections."""

@@ -1,20 +1,162 @@
-"""What a camera and a scene do beyond the ideal. Everything is absent by default."""
+"""Imperfections of a built camera, and conditions of light and sensor. All absent by default."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
-from veilcam_optics.camera.geometry import CHANNELS, Scene
-from veilcam_optics.errors import invalid
+import torch
+from pydantic import ConfigDict
+from torch import Tensor
+
+from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
+from veilcam_optics.camera.masks import respond
+from veilcam_optics.errors import invalid, require_within
+
+
+@dataclass(frozen=True, slots=True)
+class Spreads:
+    """How far built cameras may be from the nominal one. A zero: not at all.
+
+    Attributes:
+        shift: displacement of the mask along each axis, to either side [m].
+        distance: error of the sensor's distance, to either side [m].
+        gamma: largest departure of the exponent from 1, to either side; uniform.
+        contrast_floor: largest amplitude of a sub-pixel that is told to be dark; uniform.
+        normal: True if ``shift`` and ``distance`` are standard deviations of normal distributions,
+            False if they are the ends of uniform ones.
+    """
+
+    shift: float = 0.0
+    distance: float = 0.0
+    gamma: float = 0.0
+    contrast_floor: float = 0.0
+    normal: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Imperfections:
+    """How a camera as it was built departs from the nominal one.
+
+    Attributes:
+        shift_y: displacement of the mask along y [m].
+        shift_x: displacement of the mask along x [m].
+        rotation: of the mask around the axis, from x towards y [rad].
+        distance_error: how much farther than ``camera.distance`` the sensor is [m].
+        gamma: the panel shows the amplitude ``w^gamma``.
+        contrast_floor: amplitude of a sub-pixel that is told to be dark.
+        dead_rows: mask rows that do not obey, from 0.
+        dead_columns: mask columns that do not obey, from 0.
+        dead_transmittance: amplitude that those pass.
+        stray_light: share of the light on the sensor that is spread evenly over it.
+
+    Raises:
+        OpticsError: a number that no camera can have.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False
+    )
+
+    shift_y: float = 0.0
+    shift_x: float = 0.0
+    rotation: float = 0.0
+    distance_error: float = 0.0
+    gamma: float = 1.0
+    contrast_floor: float = 0.0
+    dead_rows: tuple[int, ...] = ()
+    dead_columns: tuple[int, ...] = ()
+    dead_transmittance: float = 0.0
+    stray_light: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit, low, high in (
+            ("shift_y", "m", -math.inf, math.inf),
+            ("shift_x", "m", -math.inf, math.inf),
+            ("rotation", "rad", -math.pi, math.pi),
+            ("distance_error", "m", -math.inf, math.inf),
+            ("gamma", "", 0.1, 10),
+            ("contrast_floor", "", 0, 0.99),
+            ("dead_transmittance", "", 0, 1),
+            ("stray_light", "", 0, 1),
+        ):
+            require_within(f"imperfections.{name}", getattr(self, name), unit, low, high)
+
+    @classmethod
+    def sample(cls, spreads: Spreads, generator: torch.Generator | None = None) -> Self:
+        """One camera drawn at random; what has no spread takes no random number.
+
+        Args:
+            spreads: how far it may be from the nominal one.
+            generator: None is torch's own.
+        """
+        y = x = along = 0.0
+        if spreads.shift or spreads.distance:
+            draws = torch.empty(3, dtype=torch.float64)
+            if spreads.normal:
+                draws.normal_(generator=generator)
+            else:
+                draws.uniform_(-1, 1, generator=generator)
+            y, x, along = draws.tolist()
+        gamma, floor = (
+            float(torch.rand((), generator=generator)) if largest else 0.0
+            for largest in (spreads.gamma, spreads.contrast_floor)
+        )
+        return cls(
+            shift_y=spreads.shift * y,
+            shift_x=spreads.shift * x,
+            distance_error=spreads.distance * along,
+            gamma=1 + spreads.gamma * (2 * gamma - 1),
+            contrast_floor=spreads.contrast_floor * floor,
+        )
+
+    def check(self, camera: Camera) -> None:
+        """Raise :class:`OpticsError` if ``camera`` cannot have them."""
+        if self.distance_error <= -camera.distance:
+            valid = f"more than minus the camera's distance, {-camera.distance:.3e} m"
+            raise invalid("imperfections.distance_error", self.distance_error, "m", valid)
+        self._check_lines(camera.mask_shape)
+
+    def actual(self, camera: Camera) -> Camera:
+        """The camera with the distance that it really has."""
+        return replace(camera, distance=camera.distance + self.distance_error)
+
+    def shown(self, weights: Tensor) -> Tensor:
+        """Amplitudes that the panel shows when it is told ``weights``, same shape; differentiable.
+
+        Args:
+            weights: amplitudes asked of the panel, (..., rows, columns), in [0, 1].
+
+        Raises:
+            OpticsError: a dead row or column that the mask does not have.
+        """
+        shown = respond(weights, gamma=self.gamma, contrast_floor=self.contrast_floor)
+        if not (self.dead_rows or self.dead_columns):
+            return shown
+        self._check_lines((weights.shape[-2], weights.shape[-1]))
+        shown = shown.clone()
+        shown[..., list(self.dead_rows), :] = self.dead_transmittance
+        shown[..., list(self.dead_columns)] = self.dead_transmittance
+        return shown
+
+    def _check_lines(self, shape: tuple[int, int]) -> None:
+        for name, count in zip(("dead_rows", "dead_columns"), shape, strict=True):
+            for line in getattr(self, name):
+                if not 0 <= line < count:
+                    raise invalid(f"imperfections.{name}", line, "", f"0 to {count - 1}")
+
+
+NOMINAL = Imperfections()
+"""A camera without any."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Departures from an ideal camera in front of a flat, still, monochromatic scene.
+    """Departures from a nominal camera in front of a flat, still, monochromatic scene.
 
-    A zero (an infinite ``snr_db``, a ``gamma`` of 1) means: not there. What is there is computed
-    only where a plan finds that it matters.
+    A zero (an infinite ``snr_db``) means: not there. What is there is computed only where a plan
+    finds that it matters.
 
     Attributes:
         bandwidth: full width at half maximum of the light of R, G and B [m]; a Gaussian spectrum.
@@ -22,14 +164,8 @@ class Conditions:
             distance [m].
         off_axis: angle between the axis and the scene's upper edge up to which the point spread
             function is let change and fade over the field [rad]; see :func:`half_field`.
-        gamma: the panel shows the amplitude ``w^gamma``.
-        contrast_floor: amplitude of a sub-pixel that is told to be dark.
+        imperfections: of the camera as it was built.
         levels: how many amplitudes the panel can show; 0 for any.
-        shift_y: displacement of the mask along y [m].
-        shift_x: displacement of the mask along x [m].
-        rotation: of the mask around the axis, from x towards y [rad].
-        distance_error: how much farther than ``camera.distance`` the sensor is [m].
-        stray_light: share of the light on the sensor that is spread evenly over it.
         bayer: every sensor pixel reads one colour (RGGB), and embedding pixels cut through them.
         snr_db: signal-to-noise ratio of shot noise in every embedding [dB], where photons are not
             counted; infinite for none.
@@ -45,14 +181,8 @@ class Conditions:
     bandwidth: tuple[float, float, float] = (0.0, 0.0, 0.0)
     depth_range: float = 0.0
     off_axis: float = 0.0
-    gamma: float = 1.0
-    contrast_floor: float = 0.0
+    imperfections: Imperfections = NOMINAL
     levels: int = 0
-    shift_y: float = 0.0
-    shift_x: float = 0.0
-    rotation: float = 0.0
-    distance_error: float = 0.0
-    stray_light: float = 0.0
     bayer: bool = False
     snr_db: float = math.inf
     electrons: float = 0.0
@@ -64,7 +194,7 @@ class Conditions:
 
     def __post_init__(self) -> None:
         for channel, width in zip(CHANNELS, self.bandwidth, strict=True):
-            _within(f"conditions.bandwidth[{channel}]", width, "m", 0, 1e-6)
+            require_within(f"conditions.bandwidth[{channel}]", width, "m", 0, 1e-6)
         for name, unit in (
             ("depth_range", "m"),
             ("electrons", "electrons"),
@@ -73,14 +203,8 @@ class Conditions:
             ("black_level", ""),
             ("adc_range", ""),
         ):
-            _within(f"conditions.{name}", getattr(self, name), unit, 0, math.inf)
-        for name, unit in (("shift_y", "m"), ("shift_x", "m"), ("distance_error", "m")):
-            _within(f"conditions.{name}", getattr(self, name), unit, -math.inf, math.inf)
-        _within("conditions.off_axis", self.off_axis, "rad", 0, 1.4)
-        _within("conditions.rotation", self.rotation, "rad", -math.pi, math.pi)
-        _within("conditions.contrast_floor", self.contrast_floor, "", 0, 0.99)
-        _within("conditions.stray_light", self.stray_light, "", 0, 1)
-        _within("conditions.gamma", self.gamma, "", 0.1, 10)
+            require_within(f"conditions.{name}", getattr(self, name), unit, 0, math.inf)
+        require_within("conditions.off_axis", self.off_axis, "rad", 0, 1.4)
         for name, low, high in (("levels", 2, 65536), ("adc_bits", 1, 24)):
             value = getattr(self, name)
             if value != 0 and not (type(value) is int and low <= value <= high):
@@ -103,12 +227,6 @@ class Conditions:
 def half_field(scene: Scene) -> float:
     """Angle between the axis and the upper edge of ``scene`` [rad]."""
     return math.atan(scene.height / 2 / scene.distance)
-
-
-def _within(argument: str, value: float, unit: str, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        ends = f"a finite number of at least {low}" if high == math.inf else f"{low} to {high}"
-        raise invalid(argument, value, unit, "a finite number" if low == -math.inf else ends)
 
 
 IDEAL = Conditions()

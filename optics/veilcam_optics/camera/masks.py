@@ -54,8 +54,9 @@ def respond(weights: Tensor, *, gamma: float = 1.0, contrast_floor: float = 0.0)
     """
     if gamma != 1:
         # The slope at zero may be infinite, and a weight without a slope never opens again: it
-        # is that of a small weight.
-        weights = (weights + (weights.clamp_min(1e-6) - weights).detach()) ** gamma
+        # is that of a small weight, while the amplitude is its own.
+        nearby = (weights + (weights.clamp_min(1e-6) - weights).detach()) ** gamma
+        weights = nearby + (weights.clamp_min(0) ** gamma - nearby).detach()
     if contrast_floor:
         weights = contrast_floor + (1 - contrast_floor) * weights
     return weights

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene
-from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.planning import explanation
@@ -64,14 +64,16 @@ def print_plan(
                 bandwidth=(bandwidth,) * 3,
                 depth_range=depth_range,
                 off_axis=off_axis,
-                gamma=gamma,
-                contrast_floor=contrast_floor,
+                imperfections=Imperfections(
+                    gamma=gamma,
+                    contrast_floor=contrast_floor,
+                    shift_y=shift_y,
+                    shift_x=shift_x,
+                    rotation=rotation,
+                    distance_error=distance_error,
+                    stray_light=stray_light,
+                ),
                 levels=levels,
-                shift_y=shift_y,
-                shift_x=shift_x,
-                rotation=rotation,
-                distance_error=distance_error,
-                stray_light=stray_light,
                 bayer=bayer,
                 snr_db=snr_db,
                 electrons=electrons,

@@ -5,16 +5,13 @@ of scenes, the linear minimum-mean-square-error estimate takes the mask out agai
 classifier serves all masks.
 """
 
-from veilcam_optics.decoding.calibration import AS_DRAWN, Calibration, with_dead_rows
 from veilcam_optics.decoding.decoder import Decoder, Precision, SceneDecoding
 from veilcam_optics.decoding.frame import SceneFrame, read_frame, write_frame
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
 from veilcam_optics.decoding.statistics import SceneStatistics, fit_statistics
 
 __all__ = [
-    "AS_DRAWN",
     "DEFAULT_NOISE",
-    "Calibration",
     "Decoder",
     "Precision",
     "ReadingNoise",
@@ -23,6 +20,5 @@ __all__ = [
     "SceneStatistics",
     "fit_statistics",
     "read_frame",
-    "with_dead_rows",
     "write_frame",
 ]

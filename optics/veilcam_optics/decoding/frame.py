@@ -17,15 +17,15 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.decoding.calibration import AS_DRAWN, Calibration
 from veilcam_optics.decoding.decoder import Precision, SceneDecoding
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.files import write_whole
 from veilcam_optics.keys.masks import Levels, MaskDistribution
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.operator import Reach, TransferOperator
 
 KEY = "veilcam"
 STATISTICS = ("mean", "basis", "residual")
@@ -42,7 +42,7 @@ class _Header(BaseModel):
     embedding: Embedding
     reach: Reach
     noise: ReadingNoise
-    calibration: Calibration = AS_DRAWN
+    calibration: Imperfections = NOMINAL
 
 
 @dataclass(frozen=True)
@@ -57,19 +57,24 @@ class SceneFrame:
     reach: Reach = field(default_factory=Reach)
     distribution: MaskDistribution | None = None
     """What masks are drawn from; None is uniform over all that the panel can show."""
-    calibration: Calibration = AS_DRAWN
-    """How the camera departs from its drawing."""
+    imperfections: Imperfections = NOMINAL
+    """Of the camera as it was built; whatever reads it takes out the stray light."""
 
     def shown(self, levels: Levels) -> Tensor:
         """Weights that the panel shows for ``levels``: what decoders are prepared for."""
-        return self.calibration.shown(to_weights(levels, self.camera.panel))
+        return self.imperfections.shown(to_weights(levels, self.camera.panel))
 
     def decoding(
         self, *, rank: int | None = None, precision: Precision = Precision.MIXED
     ) -> SceneDecoding:
         """What prepares decoders, with fewer components of the statistics if ``rank`` says so."""
-        operator = self.calibration.operator(
-            self.camera, self.scene, self.embedding, reach=self.reach, dtype=precision.products
+        operator = TransferOperator(
+            self.camera,
+            self.scene,
+            self.embedding,
+            reach=self.reach,
+            dtype=precision.products,
+            imperfections=self.imperfections,
         )
         statistics = self.statistics if rank is None else self.statistics.truncate(rank)
         return SceneDecoding(operator, statistics, self.noise, precision=precision)
@@ -139,7 +144,7 @@ def dump_frame(frame: SceneFrame) -> bytes:
         embedding=frame.embedding,
         reach=frame.reach,
         noise=frame.noise,
-        calibration=frame.calibration,
+        calibration=frame.imperfections,
     )
     statistics = frame.statistics.to(torch.float32)
     tensors = {name: getattr(statistics, name).contiguous() for name in STATISTICS}

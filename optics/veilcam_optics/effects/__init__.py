@@ -21,6 +21,7 @@ EFFECTS: tuple[Effect, ...] = (
     mask.Quantisation(),
     mask.Gamma(),
     mask.ContrastFloor(),
+    mask.DeadLines(),
     mask.MaskShift(),
     mask.MaskRotation(),
     mask.DistanceError(),

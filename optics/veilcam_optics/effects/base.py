@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.effects.model import Model
 from veilcam_optics.transfer.operator import Beam
 
@@ -139,3 +140,31 @@ class Effect:
     ) -> Tensor:
         """What the camera makes of embedding values, after the electrons."""
         return values
+
+
+class Imperfection(Effect):
+    """An effect of how the camera was built.
+
+    Attributes:
+        fields: of :class:`~veilcam_optics.camera.imperfections.Imperfections`, its own.
+    """
+
+    fields: tuple[str, ...]
+
+    def present(self, model: Model) -> bool:
+        """Where one of its fields is not nominal."""
+        imperfections = model.conditions.imperfections
+        return any(getattr(imperfections, name) != getattr(NOMINAL, name) for name in self.fields)
+
+    def without(self, model: Model) -> Model:
+        """The same model, nominal in its fields."""
+        conditions = model.conditions
+        nominal: dict[str, Any] = {name: getattr(NOMINAL, name) for name in self.fields}
+        imperfections = replace(conditions.imperfections, **nominal)
+        return replace(model, conditions=replace(conditions, imperfections=imperfections))
+
+    def shown(self, weights: Tensor, model: Model) -> Tensor:
+        """What a panel shows that is nominal in everything else."""
+        imperfections = model.conditions.imperfections
+        own: dict[str, Any] = {name: getattr(imperfections, name) for name in self.fields}
+        return replace(NOMINAL, **own).shown(weights)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.effects.base import Comparison, Effect
+from veilcam_optics.effects.base import Comparison, Effect, Imperfection
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.transfer.operator import Beam, Reach
@@ -256,20 +256,21 @@ class OffAxis(Effect):
         return (1 + y.square()[:, None] + x.square()).pow(-2)
 
 
-class StrayLight(Effect):
+class StrayLight(Imperfection):
     """Some light is scattered evenly over the sensor."""
 
     name = "stray light"
     absent = "no scattered light"
-    neutral = MappingProxyType({"stray_light": 0.0})
+    fields = ("stray_light",)
 
     def reason(self, model: Model) -> str:
         """Its share."""
-        return f"{100 * model.conditions.stray_light:.2g} % of the light is spread evenly"
+        share = model.conditions.imperfections.stray_light
+        return f"{100 * share:.2g} % of the light is spread evenly"
 
     def collected(self, values: Tensor, axes: tuple[int, ...], model: Model) -> Tensor:
         """Its share is the mean over the sensor."""
-        share = model.conditions.stray_light
+        share = model.conditions.imperfections.stray_light
         return (1 - share) * values + share * values.mean(axes, keepdim=True)
 
 

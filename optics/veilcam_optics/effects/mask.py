@@ -6,14 +6,12 @@ import math
 from dataclasses import replace
 from types import MappingProxyType
 
-import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_optics.camera.masks import quantise, respond
-from veilcam_optics.effects.base import Comparison, Effect
+from veilcam_optics.camera.masks import quantise
+from veilcam_optics.effects.base import Comparison, Effect, Imperfection
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer.operator import Variables
 
 
 class DeadSpace(Effect):
@@ -102,59 +100,72 @@ class Quantisation(Effect):
         return quantise(weights, replace(model.camera.panel, levels=model.conditions.levels))
 
 
-class Gamma(Effect):
+class Gamma(Imperfection):
     """The panel's response is a power of what it is told."""
 
     name = "mask gamma"
     absent = "linear panel"
-    neutral = MappingProxyType({"gamma": 1.0})
+    fields = ("gamma",)
 
     def reason(self, model: Model) -> str:
         """What half becomes."""
-        half = 0.5**model.conditions.gamma
+        half = 0.5**model.conditions.imperfections.gamma
         return f"an amplitude of 0.5 shows as {half:.3g}"
 
-    def shown(self, weights: Tensor, model: Model) -> Tensor:
-        """The power of what is asked for."""
-        return respond(weights, gamma=model.conditions.gamma)
 
-
-class ContrastFloor(Effect):
+class ContrastFloor(Imperfection):
     """A dark sub-pixel is not quite dark."""
 
     name = "contrast floor"
     absent = "dark sub-pixels are dark"
-    neutral = MappingProxyType({"contrast_floor": 0.0})
+    fields = ("contrast_floor",)
 
     def reason(self, model: Model) -> str:
         """Contrast ratio."""
-        return f"contrast 1 : {1 / model.conditions.contrast_floor**2:.3g}"
-
-    def shown(self, weights: Tensor, model: Model) -> Tensor:
-        """Lifted to the floor."""
-        return respond(weights, contrast_floor=model.conditions.contrast_floor)
+        return f"contrast 1 : {1 / model.conditions.imperfections.contrast_floor**2:.3g}"
 
 
-class MaskShift(Effect):
+class DeadLines(Imperfection):
+    """Rows and columns of the mask do not obey."""
+
+    name = "dead lines"
+    absent = "every line obeys"
+    fields = ("dead_rows", "dead_columns", "dead_transmittance")
+
+    def present(self, model: Model) -> bool:
+        """Where there are some."""
+        imperfections = model.conditions.imperfections
+        return bool(imperfections.dead_rows or imperfections.dead_columns)
+
+    def reason(self, model: Model) -> str:
+        """How many, and what they pass."""
+        imperfections = model.conditions.imperfections
+        rows, columns = len(imperfections.dead_rows), len(imperfections.dead_columns)
+        passed = imperfections.dead_transmittance
+        return f"{rows} rows and {columns} columns pass an amplitude of {passed:.3g}"
+
+
+class MaskShift(Imperfection):
     """The mask is not centred."""
 
     name = "mask shift"
     absent = "mask centred"
-    neutral = MappingProxyType({"shift_y": 0.0, "shift_x": 0.0})
+    fields = ("shift_y", "shift_x")
 
     def reason(self, model: Model) -> str:
         """How far."""
-        moved = math.hypot(model.conditions.shift_y, model.conditions.shift_x)
+        imperfections = model.conditions.imperfections
+        moved = math.hypot(imperfections.shift_y, imperfections.shift_x)
         return f"mask {moved * 1e6:.3g} um off the axis"
 
 
-class MaskRotation(Effect):
+class MaskRotation(Imperfection):
     """The mask is turned, so its field no longer separates into rows and columns."""
 
     name = "mask rotation"
     free = False
     absent = "mask straight"
-    neutral = MappingProxyType({"rotation": 0.0})
+    fields = ("rotation",)
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -162,7 +173,7 @@ class MaskRotation(Effect):
 
     def reason(self, model: Model) -> str:
         """How far the edge moves."""
-        angle, camera = model.conditions.rotation, model.camera
+        angle, camera = model.conditions.imperfections.rotation, model.camera
         half = (
             max(
                 camera.window.rows * camera.panel.pitch_y,
@@ -174,16 +185,16 @@ class MaskRotation(Effect):
         return f"turned by {1e3 * angle:.3g} mrad: its edge moves {moved * 1e6:.3g} um"
 
 
-class DistanceError(Effect):
+class DistanceError(Imperfection):
     """The sensor is not where it should be."""
 
     name = "distance error"
     absent = "sensor in place"
-    neutral = MappingProxyType({"distance_error": 0.0})
+    fields = ("distance_error",)
 
     def reason(self, model: Model) -> str:
         """How far off."""
-        error, distance = model.conditions.distance_error, model.camera.distance
+        error, distance = model.conditions.imperfections.distance_error, model.camera.distance
         return (
             f"sensor {error * 1e6:.3g} um too far, {100 * error / distance:.2g} % of its distance"
         )
@@ -191,16 +202,4 @@ class DistanceError(Effect):
 
 def actual_camera(model: Model) -> Camera:
     """The camera with the distance it really has."""
-    error = model.conditions.distance_error
-    if not error:
-        return model.camera
-    return replace(model.camera, distance=model.camera.distance + error)
-
-
-def shifted(model: Model) -> Variables:
-    """Where the mask really is, for the operator's kernels."""
-    conditions = model.conditions
-    return Variables(
-        shift_y=torch.tensor(conditions.shift_y, dtype=torch.float64),
-        shift_x=torch.tensor(conditions.shift_x, dtype=torch.float64),
-    )
+    return model.conditions.imperfections.actual(model.camera)

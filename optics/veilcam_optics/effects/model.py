@@ -87,9 +87,7 @@ class Model:
         if conditions.depth_range > scene.distance:
             valid = f"at most the scene's distance, {scene.distance:.3e} m"
             raise invalid("conditions.depth_range", conditions.depth_range, "m", valid)
-        if conditions.distance_error <= -camera.distance:
-            valid = f"more than minus the camera's distance, {-camera.distance:.3e} m"
-            raise invalid("conditions.distance_error", conditions.distance_error, "m", valid)
+        conditions.imperfections.check(camera)
 
     def with_sampling(
         self,

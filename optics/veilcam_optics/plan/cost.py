@@ -55,7 +55,7 @@ def pairs(model: Model) -> tuple[int, int, int]:
     far_rows = min(reach.rows, rows - 1) if model.sampling.diffraction else 0
     far_columns = min(reach.columns, columns - 1) if model.sampling.diffraction else 0
     row_pairs = products = groups = 0
-    rotated = model.conditions.rotation != 0
+    rotated = model.conditions.imperfections.rotation != 0
     shares = model.camera.sensor.channel_weights
     channels = [beam.channel for beam in beams(model)]
     for channel in range(len(CHANNELS)):
@@ -128,11 +128,9 @@ def cost(model: Model, batch: int) -> Cost:
 
 def _grid_cost(model: Model, batch: int) -> Cost:
     """One propagation per sample of light and channel, one convolution per scene and channel."""
-    scene, conditions, dtype = model.scene, model.conditions, model.sampling.dtype
+    scene, built, dtype = model.scene, model.conditions.imperfections, model.sampling.dtype
     pitch = sample_pitch(model.camera, model.sampling.oversampling)
-    mask = covered_sides(
-        model.camera, conditions.rotation, shift_y=conditions.shift_y, shift_x=conditions.shift_x
-    )
+    mask = covered_sides(model.camera, built.rotation, shift_y=built.shift_y, shift_x=built.shift_x)
     target = actual_camera(model).lit_sides(scene)
     padded = [math.ceil((a + b) / pitch) for a, b in zip(mask, target, strict=True)]
     cells = float(padded[0]) * padded[1]

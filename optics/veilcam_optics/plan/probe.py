@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.effects.composition import beams, collected, shown
-from veilcam_optics.effects.mask import actual_camera, shifted
+from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.operator import Beam, make_axes
@@ -57,12 +57,12 @@ class Probe:
         if beam.scene_distance is not None:
             scene = replace(scene, distance=beam.scene_distance)
         y, x = make_axes(
-            actual_camera(model),
+            model.camera,
             scene,
             model.embedding,
             step=model.sampling.step,
-            variables=shifted(model),
             approximation=model.approximation,
+            imperfections=model.conditions.imperfections,
         )
         y.offsets, x.offsets = y.offsets[self.kept_y], x.offsets[self.kept_x]
         return y, x
@@ -97,7 +97,7 @@ class Probe:
         by ``angle x_c``; the light of each sub-pixel moves with it. The second order of that stands
         for what the first leaves out. Interference is left out.
         """
-        angle, camera = model.conditions.rotation, actual_camera(model)
+        angle, camera = model.conditions.imperfections.rotation, actual_camera(model)
         channel = self.channels(model)[0]
         beam = next(b for b in beams(model) if b.channel == channel)
         middles: list[Tensor] = []
@@ -196,8 +196,8 @@ class Probe:
         """Kernels of rows 0, 1, ... apart and of columns apart, kept: masks do not change them."""
         key = (
             actual_camera(model),
-            model.conditions.shift_y,
-            model.conditions.shift_x,
+            model.conditions.imperfections.shift_y,
+            model.conditions.imperfections.shift_x,
             model.approximation,
             model.sampling.step,
             replace(beam, share=1.0),

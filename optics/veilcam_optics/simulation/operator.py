@@ -11,7 +11,7 @@ from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.effects import composition
 from veilcam_optics.effects.light import Zone, zones
-from veilcam_optics.effects.mask import actual_camera, shifted
+from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
 from veilcam_optics.errors import OpticsError, invalid
@@ -199,7 +199,7 @@ def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
 
 def _zone(model: Model, zone: Zone) -> TransferOperator:
     """The operator of one zone: that of a smaller scene, off the axis."""
-    camera, scene = actual_camera(model), model.scene
+    scene = model.scene
     part = replace(
         scene,
         rows=zone.rows.stop - zone.rows.start,
@@ -212,7 +212,7 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
     )
     area = part.rows * part.columns / (scene.rows * scene.columns)
     return TransferOperator(
-        camera,
+        model.camera,
         part,
         model.embedding,
         # Shadows do not interfere: their kernels would be zeros.
@@ -220,11 +220,10 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
         step=model.sampling.step,
         colour=model.conditions.bayer,
         dtype=model.sampling.dtype,
-        variables=shifted(model),
         centre=(centre_y, centre_x),
         beams=[replace(beam, share=beam.share * area) for beam in composition.beams(model, zone)],
         approximation=model.approximation,
-        rotation=model.conditions.rotation,
+        imperfections=model.conditions.imperfections,
     )
 
 
@@ -234,9 +233,9 @@ def _grids(model: Model) -> list[tuple[float, Zone, GridLight]]:
     mask = RotatedMask(
         model.camera,
         sample_pitch(model.camera, model.sampling.oversampling),
-        rotation=model.conditions.rotation,
-        shift_y=model.conditions.shift_y,
-        shift_x=model.conditions.shift_x,
+        rotation=model.conditions.imperfections.rotation,
+        shift_y=model.conditions.imperfections.shift_y,
+        shift_x=model.conditions.imperfections.shift_x,
         dtype=model.sampling.dtype,
     )
     for row in zones(model):

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import check_weights
 from veilcam_optics.errors import invalid, require_count, require_positive
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
@@ -39,7 +40,8 @@ class Reach:
 class Variables:
     """Tensors that take the place of the camera's numbers, so that gradients reach them.
 
-    Each is a float64 scalar (``wavelengths``: shape (3,)) in metres; None keeps the camera's value.
+    Each is a float64 scalar (``wavelengths``: shape (3,)) in metres (``rotation``: radians); None
+    keeps the value of the camera and its imperfections.
     """
 
     distance: Tensor | None = None
@@ -48,6 +50,7 @@ class Variables:
     pitch_x: Tensor | None = None
     shift_y: Tensor | None = None
     shift_x: Tensor | None = None
+    rotation: Tensor | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +143,7 @@ class TransferOperator(nn.Module):
     """``T(w)`` for one camera, scene and embedding; everything but ``w`` is computed once.
 
     Args:
-        camera: geometry, filters and wavelengths.
+        camera: geometry, filters and wavelengths; nominal.
         scene: flat object; a scene pixel needs to be no finer than the embedding can tell apart.
         embedding: shape of the embedding.
         reach: which pairs of sub-pixels interfere. With ideal colour filters, rows of one colour
@@ -152,11 +155,12 @@ class TransferOperator(nn.Module):
         beams: what each channel adds up; by default its one wavelength.
         approximation: what is left out.
         centre: where the middle of the scene is, from the optical axis along y and x [m].
-        rotation: angle by which the mask is turned around its middle, from x towards y [rad];
-            to first order, so small. A float64 scalar tensor lets gradients reach it.
+        imperfections: where mask and sensor really are. The rotation counts to first order, so it
+            has to be small. Weights are what the panel *shows*, and no stray light is added.
 
     Raises:
-        OpticsError: a negative reach or step, or beams that miss a channel.
+        OpticsError: a negative reach or step, beams that miss a channel, or imperfections that
+            this camera cannot have.
     """
 
     def __init__(
@@ -173,7 +177,7 @@ class TransferOperator(nn.Module):
         beams: Sequence[Beam] | None = None,
         approximation: Approximation = EXACT,
         centre: tuple[float, float] = (0.0, 0.0),
-        rotation: float | Tensor = 0.0,
+        imperfections: Imperfections = NOMINAL,
     ) -> None:
         super().__init__()
         require_count("reach.rows", reach.rows, least=0)
@@ -199,9 +203,11 @@ class TransferOperator(nn.Module):
                 variables=variables,
                 approximation=approximation,
                 centre=centre,
+                imperfections=imperfections,
             )
             for distance in {beam.scene_distance for beam in beams}
         }
+        rotation = imperfections.rotation if variables.rotation is None else variables.rotation
         readings: list[_Reading] = []
         groups: list[_Group] = []
         rows: list[Tensor] = []
@@ -316,9 +322,14 @@ def make_axes(
     variables: Variables = Variables(),
     approximation: Approximation = EXACT,
     centre: tuple[float, float] = (0.0, 0.0),
+    imperfections: Imperfections = NOMINAL,
 ) -> tuple[Axis, Axis]:
     """The two axes (y, x) of a camera, a scene and an embedding; arguments as for the operator."""
-    distance = camera.distance if variables.distance is None else variables.distance
+    imperfections.check(camera)
+    actual = imperfections.actual(camera).distance
+    distance = actual if variables.distance is None else variables.distance
+    shift_y = imperfections.shift_y if variables.shift_y is None else variables.shift_y
+    shift_x = imperfections.shift_x if variables.shift_x is None else variables.shift_x
     # A scene moved by s is a mask moved by -s d2/(d1+d2): shadows fall where they would have.
     share = distance / (scene.distance + distance)
     y = Axis(
@@ -331,7 +342,7 @@ def make_axes(
         apertures=camera.window.rows,
         pitch=camera.panel.pitch_y if variables.pitch_y is None else variables.pitch_y,
         width=camera.panel.aperture_y,
-        shift=(0.0 if variables.shift_y is None else variables.shift_y) - centre[0] * share,
+        shift=shift_y - centre[0] * share,
         step=step,
         approximation=approximation,
     )
@@ -345,7 +356,7 @@ def make_axes(
         apertures=camera.window.columns,
         pitch=camera.panel.pitch_x if variables.pitch_x is None else variables.pitch_x,
         width=camera.panel.aperture_x,
-        shift=(0.0 if variables.shift_x is None else variables.shift_x) - centre[1] * share,
+        shift=shift_x - centre[1] * share,
         step=step,
         approximation=approximation,
     )

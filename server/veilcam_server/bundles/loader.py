@@ -10,7 +10,7 @@ from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
-from veilcam_optics.decoding import AS_DRAWN, Calibration
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_server.bundles.store import KeyringStore
 from veilcam_server.errors import (
     KeyringInvalidError,
@@ -48,15 +48,15 @@ def bundle_info(bundle: Bundle) -> BundleInfo:
 
 
 def open_source(
-    settings: Settings, bundle: Bundle, calibration: Calibration = AS_DRAWN
+    settings: Settings, bundle: Bundle, imperfections: Imperfections = NOMINAL
 ) -> MaskSource:
     """Return what gives masks and their readers.
 
     Args:
         settings: checked.
         bundle: to serve.
-        calibration: what decoders are prepared for. Stored pairs have none: what they read was
-            learned for the camera as drawn.
+        imperfections: what decoders are prepared for. Stored pairs have none: what they read was
+            learned for the nominal camera.
 
     Raises:
         StartError: the bundle cannot be served as it is, or the secret is missing.
@@ -68,7 +68,7 @@ def open_source(
             device=settings.device_label,
             form=release_form(settings, bundle),
             wrong_decoder=settings.wrong_classifier,
-            calibration=calibration,
+            imperfections=imperfections,
         )
     for option, value in (
         ("--mask-secret", settings.mask_secret),

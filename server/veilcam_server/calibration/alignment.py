@@ -10,7 +10,7 @@ import torch
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from veilcam_optics.decoding import Calibration
+from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
 from veilcam_server.calibration.response import uncertainties
 from veilcam_server.calibration.rig import Geometry, Values
@@ -45,14 +45,13 @@ class Sight:
 class Alignment:
     """The fit; uncertainties are standard ones, in the order of :data:`NAMES`."""
 
-    calibration: Calibration
+    imperfections: Imperfections
     uncertainties: tuple[float, float, float, float]
     gains: tuple[float, ...]
     """Reading per predicted reading, of each sight."""
     gain_uncertainties: tuple[float, ...]
-    stray: float
-    """Share of the light on the sensor that is spread evenly over it."""
     stray_uncertainty: float
+    """Of the share of light that is spread evenly."""
     residuals: tuple[float, ...]
     """Of each sight: root mean square, relative to its readings."""
 
@@ -61,7 +60,7 @@ class Optics:
     """Predicted readings as a function of where the mask is; float64.
 
     Args:
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         weights: (patterns, rows, columns), amplitudes as the panel shows them.
         images: known scenes.
         reach: which sub-pixels interfere.
@@ -89,17 +88,20 @@ class Optics:
             step=_STEP,
             dtype=torch.float64,
             variables=Variables(
-                distance=camera.distance + place[3], shift_y=place[0], shift_x=place[1]
+                distance=camera.distance + place[3],
+                shift_y=place[0],
+                shift_x=place[1],
+                rotation=place[2],
             ),
-            rotation=place[2],
         )
         readings = [self._scenes @ operator(weights) for weights in self._weights]
         return torch.stack(readings, dim=1).flatten(1)
 
-    def readings(self, calibration: Calibration, stray: float) -> Values:
-        """(sights, patterns x embedding pixels), a share of the light being spread evenly."""
-        place = torch.tensor([getattr(calibration, name) for name in NAMES], dtype=torch.float64)
-        return strayed(self.predict(place).numpy(), stray, self._geometry.embedding.size)
+    def readings(self, found: Imperfections) -> Values:
+        """(sights, patterns x embedding pixels), stray light included."""
+        place = torch.tensor([getattr(found, name) for name in NAMES], dtype=torch.float64)
+        straight = self.predict(place).numpy()
+        return strayed(straight, found.stray_light, self._geometry.embedding.size)
 
     def linearise(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """Prediction and its derivatives, (sights, values) and (4, sights, values).
@@ -121,7 +123,7 @@ def align(
     geometry: Geometry,
     weights: Tensor,
     sights: Sequence[Sight],
-    start: Calibration,
+    start: Imperfections,
     *,
     reach: Reach,
     check: Callable[[], None] = lambda: None,
@@ -132,7 +134,7 @@ def align(
     ``s`` of it makes ``(1 - s) y + s mean(y)`` of a reading ``y``.
 
     Args:
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         weights: (patterns, rows, columns), amplitudes as the panel shows them.
         sights: the same patterns before several known scenes.
         start: where to begin, and what else is known.
@@ -178,12 +180,15 @@ def align(
     place = found.x[:4] * _UNITS
     spread_y, spread_x, spread_angle, spread_distance = (spread[:4] * _UNITS).tolist()
     return Alignment(
-        calibration=replace(start, **dict(zip(NAMES, place.tolist(), strict=True))),
+        imperfections=replace(
+            start,
+            # A little less than none is none.
+            stray_light=min(1.0, max(0.0, float(found.x[4]) * _PERCENT)),
+            **dict(zip(NAMES, place.tolist(), strict=True)),
+        ),
         uncertainties=(spread_y, spread_x, spread_angle, spread_distance),
         gains=tuple((found.x[5:] * scales).tolist()),
         gain_uncertainties=tuple((spread[5:] * scales).tolist()),
-        # A little less than none is none.
-        stray=max(0.0, float(found.x[4]) * _PERCENT),
         stray_uncertainty=float(spread[4]) * _PERCENT,
         residuals=tuple(np.sqrt(np.mean(found.fun.reshape(observed.shape) ** 2, axis=1)).tolist()),
     )

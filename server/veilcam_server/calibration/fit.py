@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from scipy.optimize import nnls
 
+from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.decoding import Calibration
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.calibration.alignment import Alignment, Optics, Sight, align
 from veilcam_server.calibration.measurements import Measurements
@@ -25,31 +25,29 @@ def split_darkness(
     geometry: Geometry,
     opaque: Sequence[Sight],
     gains: Sequence[float],
-    calibration: Calibration,
+    known: Imperfections,
     *,
     reach: Reach,
-    stray: float = 0.0,
-) -> tuple[Calibration, float, float]:
+) -> tuple[Imperfections, float, float]:
     """Contrast floor and transmittance of dead lines, from where an opaque panel's light falls.
 
     Args:
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         opaque: scenes behind the opaque panel, one pattern each.
         gains: reading per predicted reading of those scenes.
-        calibration: where the mask is, and which lines are dead.
+        known: where the mask is, which lines are dead, and how much light goes astray.
         reach: which sub-pixels interfere.
-        stray: share of the light that is spread evenly.
 
     Returns:
-        The calibration with both, and their standard uncertainties.
+        The imperfections with both, and their standard uncertainties.
     """
     ones = torch.ones(geometry.camera.mask_shape, dtype=torch.float64)
-    plain = replace(calibration, gamma=1.0, contrast_floor=0.0, dead_transmittance=0.0)
+    plain = replace(known, gamma=1.0, contrast_floor=0.0, dead_transmittance=0.0)
     alive = plain.shown(ones)
     optics = Optics(
         geometry, torch.stack([alive, ones - alive]), [sight.image for sight in opaque], reach
     )
-    predicted = optics.readings(calibration, stray).reshape(len(opaque), 2, -1)
+    predicted = optics.readings(known).reshape(len(opaque), 2, -1)
     columns, values = [], []
     for sight, gain, each in zip(opaque, gains, predicted, strict=True):
         # Not scaled to each other: what little comes of a lamp is below a step of the converter.
@@ -62,7 +60,7 @@ def split_darkness(
     spread = uncertainties(matrix, matrix @ shares - seen)
     spread = np.minimum(spread / np.maximum(2 * amplitudes, 1e-9), np.sqrt(spread))
     found = replace(
-        calibration,
+        known,
         contrast_floor=min(float(amplitudes[0]), 0.99),
         dead_transmittance=min(float(amplitudes[1]), 1.0),
     )
@@ -89,13 +87,13 @@ def fit(
 
     Args:
         measured: what was read.
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         reach: which sub-pixels interfere.
         patterns: that were shown.
         check: called before each evaluation; what it raises ends the fit.
 
     Raises:
-        CalibrationError: there is no such camera, or it is too far from the drawing.
+        CalibrationError: there is no such camera, or it is too far from the nominal one.
     """
     return _Fit(geometry, reach, patterns, check).fit(measured)
 
@@ -135,7 +133,7 @@ class _Fit:
         every = slice(1, 1 + patterns.coarse + patterns.fine)
         dead = bool(lines.dead_rows or lines.dead_columns)
         response = fit_response(staircase, floor=0.0 if dead else None)
-        known = Calibration(
+        known = Imperfections(
             gamma=response.gamma,
             contrast_floor=response.floor,
             dead_rows=lines.dead_rows,
@@ -147,16 +145,15 @@ class _Fit:
             else sights
         )
         alignment = self._align(levels, added, known, coarse)
-        alignment = self._align(levels, added, alignment.calibration, every)
+        alignment = self._align(levels, added, alignment.imperfections, every)
         for _ in range(_ROUNDS if dead else 0):
             opaque = [replace(sight, readings=sight.readings[:1]) for sight in sights]
             known, floor_spread, self.stuck_uncertainty = split_darkness(
                 self.geometry,
                 opaque,
                 alignment.gains,
-                alignment.calibration,
+                alignment.imperfections,
                 reach=self.reach,
-                stray=alignment.stray,
             )
             response = fit_response(
                 staircase, floor=known.contrast_floor, floor_uncertainty=floor_spread
@@ -169,7 +166,7 @@ class _Fit:
         self,
         levels: Sequence[Levels],
         sights: Sequence[Sight],
-        start: Calibration,
+        start: Imperfections,
         used: slice,
     ) -> Alignment:
         return align(
@@ -181,15 +178,15 @@ class _Fit:
             check=self.check,
         )
 
-    def _shown(self, levels: Sequence[Levels], calibration: Calibration) -> torch.Tensor:
+    def _shown(self, levels: Sequence[Levels], known: Imperfections) -> torch.Tensor:
         panel = self.geometry.camera.panel
-        return torch.stack([calibration.shown(to_weights(each, panel)) for each in levels])
+        return torch.stack([known.shown(to_weights(each, panel)) for each in levels])
 
     def _verdict(
         self, levels: Sequence[Levels], sights: Sequence[Sight], alignment: Alignment
     ) -> tuple[Values, tuple[float, ...]]:
         """Predicted readings of the held-out patterns, and their relative error for each scene."""
-        found = alignment.calibration
+        found = alignment.imperfections
         for name, amount, limit, unit in (
             ("shifted", max(abs(found.shift_y), abs(found.shift_x)), _FARTHEST, 1e-3),
             ("turned", abs(found.rotation), _TURNED, 1e-3),
@@ -209,7 +206,7 @@ class _Fit:
         )
         gains = np.array(alignment.gains)[:, None, None, None]
         shape = (len(sights), -1, *self.geometry.embedding.shape)
-        predicted: Values = gains * optics.readings(found, alignment.stray).reshape(shape)
+        predicted: Values = gains * optics.readings(found).reshape(shape)
         seen = np.stack([sight.readings[held_out] for sight in sights])
         axes = (1, 2, 3)
         errors = np.sqrt(((predicted - seen) ** 2).sum(axes) / (seen**2).sum(axes))

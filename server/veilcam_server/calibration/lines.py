@@ -40,9 +40,9 @@ def measure_lines(rig: Rig, geometry: Geometry, image: Values, operator: Transfe
 
     Args:
         rig: in front of ``image``.
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         image: (rows, columns) of the scene.
-        operator: of the camera as drawn: how much light each line is expected to let through.
+        operator: of the nominal camera: how much light each line is expected to let through.
 
     Raises:
         CalibrationError: so many do not obey that the panel cannot be used.

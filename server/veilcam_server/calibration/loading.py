@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_optics.decoding import AS_DRAWN
+from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.bundles.loader import Opener, open_source
-from veilcam_server.calibration.record import RECORD_NAME, SigningKey, correction, read_record
+from veilcam_server.calibration.record import RECORD_NAME, SigningKey, imperfections_of, read_record
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
@@ -66,8 +66,8 @@ def panel_tab(settings: Settings) -> str | None:
 
 def make_opener(settings: Settings, bundle: Bundle, signed: SignedCalibration | None) -> Opener:
     """What opens keyrings, their readers made for the camera as it was measured."""
-    calibration = AS_DRAWN if signed is None else correction(signed.record)
-    return Opener(bundle, lambda keys: open_source(settings, keys, calibration))
+    imperfections = NOMINAL if signed is None else imperfections_of(signed.record)
+    return Opener(bundle, lambda keys: open_source(settings, keys, imperfections))
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:

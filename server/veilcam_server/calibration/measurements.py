@@ -71,7 +71,7 @@ def measure(
 
     Args:
         make: a rig that grants the panel so long to settle [s].
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         set_scene: brings a scene before the camera and returns once it is there.
         longest: what the panel's settling may take [s].
         reach: which sub-pixels interfere.

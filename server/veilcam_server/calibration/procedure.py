@@ -45,7 +45,7 @@ def calibrate(
 
     Args:
         device: panel and sensor; it is not closed here.
-        geometry: the camera as drawn.
+        geometry: the nominal camera.
         set_scene: brings a scene before the camera and returns once it is there.
         longest: what the panel's settling may take [s].
         exposure: of readings, for the record [s].

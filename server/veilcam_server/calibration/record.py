@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pydantic import ValidationError
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_optics.decoding import Calibration
+from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.files import create_private, write_whole
 from veilcam_server.errors import CalibrationError
 
@@ -77,9 +77,9 @@ RECORD_NAME = "calibration.json"
 MAX_BYTES = 2**20
 
 
-def correction(record: CalibrationRecord) -> Calibration:
-    """What a decoder takes in of a record."""
-    return Calibration(
+def imperfections_of(record: CalibrationRecord) -> Imperfections:
+    """The camera as it was measured; how well each number is known stays in the record."""
+    return Imperfections(
         shift_y=record.shift_y_m.value,
         shift_x=record.shift_x_m.value,
         rotation=record.rotation_rad.value,
@@ -89,6 +89,7 @@ def correction(record: CalibrationRecord) -> Calibration:
         dead_rows=record.dead_rows,
         dead_columns=record.dead_columns,
         dead_transmittance=record.dead_transmittance.value,
+        stray_light=record.stray_light.value,
     )
 
 

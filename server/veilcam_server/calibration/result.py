@@ -48,10 +48,10 @@ def make_record(
         device: that it is of.
         exposure: that readings are given for [s].
         tab: of the panel.
-        geometry: digest of the drawing.
+        geometry: digest of the nominal camera, scene and embedding.
     """
     measured, alignment, response = found.measured, found.alignment, found.response
-    calibration, gain = alignment.calibration, alignment.gains[0]
+    imperfections, gain = alignment.imperfections, alignment.gains[0]
     full_scale, settling, lines = device.sensor.full_scale, measured.settling, measured.lines
     black, noise = float(measured.unlit.mean()), float(measured.unlit.std())
     fit = float(np.sqrt(np.mean(np.square(alignment.residuals))))
@@ -59,7 +59,7 @@ def make_record(
 
     def placed(name: str) -> Quantity:
         spread = alignment.uncertainties[NAMES.index(name)]
-        return Quantity(value=getattr(calibration, name), uncertainty=spread, residual=fit)
+        return Quantity(value=getattr(imperfections, name), uncertainty=spread, residual=fit)
 
     def shown(value: float, uncertainty: float) -> Quantity:
         return Quantity(value=value, uncertainty=uncertainty, residual=response.residual)
@@ -93,7 +93,7 @@ def make_record(
         dead_rows=lines.dead_rows,
         dead_columns=lines.dead_columns,
         dead_transmittance=Quantity(
-            value=calibration.dead_transmittance,
+            value=imperfections.dead_transmittance,
             uncertainty=found.stuck_uncertainty,
             residual=fit,
         ),
@@ -102,7 +102,9 @@ def make_record(
         rotation_rad=placed("rotation"),
         distance_error_m=placed("distance_error"),
         stray_light=Quantity(
-            value=alignment.stray, uncertainty=alignment.stray_uncertainty, residual=fit
+            value=imperfections.stray_light,
+            uncertainty=alignment.stray_uncertainty,
+            residual=fit,
         ),
         psf_residual=found.lamp_error,
         drift=measured.drift,

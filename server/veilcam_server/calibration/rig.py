@@ -26,7 +26,7 @@ class Geometry:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over all numbers of the drawing: 64 hexadecimal digits."""
+        """SHA-256 over all nominal numbers: 64 hexadecimal digits."""
         drawing = json.dumps(asdict(self), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(drawing.encode()).hexdigest()
 

@@ -15,7 +15,7 @@ from veilcam_server.settings import Settings, Wiring
 
 @options_of(
     Settings,
-    ("bundle", "device", "as_built", "state_dir", "settle", "exposure", *Wiring.model_fields),
+    ("bundle", "device", "imperfections", "state_dir", "settle", "exposure", *Wiring.model_fields),
 )
 def calibrate(
     settings: Settings,

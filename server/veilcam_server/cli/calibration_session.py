@@ -17,7 +17,7 @@ from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_optics.decoding import write_frame
 from veilcam_server.calibration.plot import write_picture
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import RECORD_NAME, correction
+from veilcam_server.calibration.record import RECORD_NAME, imperfections_of
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.devices.registry import open_device
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -65,7 +65,7 @@ def calibrate_device(
         write_picture(picture, found)
         if frame is not None and bundle.fresh is not None:
             drawn = bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
-            write_frame(frame, replace(drawn, calibration=correction(found.record)))
+            write_frame(frame, replace(drawn, imperfections=imperfections_of(found.record)))
             written.append(frame)
     except OSError as error:
         raise StartError(f"{error.filename} cannot be written ({error.strerror})") from None

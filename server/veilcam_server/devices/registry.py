@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from typing import TypeVar
 
+from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.devices import imx477, st7735r
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
-from veilcam_server.devices.simulated.imperfections import AsBuilt, read_as_built
+from veilcam_server.devices.simulated.imperfections import read_imperfections
 from veilcam_server.devices.simulated.panel import REFRESH
 from veilcam_server.devices.simulated.scene_files import open_scenes
 from veilcam_server.settings import Settings, Wiring
@@ -76,10 +77,10 @@ def _named(kind: str, name: str, known: Mapping[str, _Driver]) -> _Driver:
 def _simulated(
     settings: Settings, bundle: Bundle, display: DisplayDriver, sensor: SensorDriver
 ) -> Device:
-    built = AsBuilt() if settings.as_built is None else read_as_built(settings.as_built)
-    built.require_lines(*bundle.camera.mask_shape)
+    given = settings.imperfections
+    imperfections = NOMINAL if given is None else read_imperfections(given, bundle.camera)
     return simulated_device(
-        planned_light(bundle.camera, bundle.scene, bundle.embedding, built.conditions),
+        planned_light(bundle.camera, bundle.scene, bundle.embedding, imperfections),
         *open_scenes(settings, bundle.scene.shape),
         camera=bundle.camera,
         embedding=bundle.embedding,
@@ -89,9 +90,6 @@ def _simulated(
             scan=min(REFRESH, 0.1 * settings.settle),
             exposure=settings.exposure,
             snr_db=settings.snr_db,
-            dead_rows=built.dead_rows,
-            dead_columns=built.dead_columns,
-            dead_level=built.dead_level,
         ),
         display=display,
         sensor=sensor,

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from veilcam_client.wire.captures import Form, Prediction, Release
-from veilcam_optics.decoding import AS_DRAWN, Calibration, Decoder
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_optics.decoding import Decoder
 from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.epoch_names import EpochNames
@@ -66,10 +67,10 @@ class FreshSource:
         form: in which embeddings leave.
         wrong_decoder: read every mask with the decoder of another one, to show that labels come
             from the mask and not in spite of it.
-        calibration: how the camera departs from the bundle's; decoders are prepared for it.
+        imperfections: how the camera departs from the bundle's; decoders are prepared for them.
 
     Raises:
-        StartError: the label is not valid, the calibration is of another panel, or the bundle's
+        StartError: the label is not valid, the imperfections are of another panel, or the bundle's
             numbers give no decoder.
     """
 
@@ -81,7 +82,7 @@ class FreshSource:
         device: str | None = None,
         form: Release = "none",
         wrong_decoder: bool = False,
-        calibration: Calibration = AS_DRAWN,
+        imperfections: Imperfections = NOMINAL,
     ) -> None:
         if bundle.fresh is None:
             raise ValueError(f"a bundle of mode {bundle.mode!r} has no key policy")
@@ -90,7 +91,7 @@ class FreshSource:
         self._whiten = form == "white"
         self._other = Secret.generate() if wrong_decoder else None
         frame = bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
-        self._frame = replace(frame, calibration=calibration)
+        self._frame = replace(frame, imperfections=imperfections)
         self._classifier = Classifier.load(
             bundle.fresh.layers, bundle.fresh.weights, labels=bundle.labels, inputs=bundle.inputs
         )

@@ -14,12 +14,10 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.camera.imperfections import Conditions
+from veilcam_optics.camera.imperfections import NOMINAL, Conditions, Imperfections
 from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.decoding import (
-    AS_DRAWN,
     DEFAULT_NOISE,
-    Calibration,
     Decoder,
     Precision,
     ReadingNoise,
@@ -28,7 +26,6 @@ from veilcam_optics.decoding import (
     SceneStatistics,
     fit_statistics,
     read_frame,
-    with_dead_rows,
     write_frame,
 )
 from veilcam_optics.decoding.decoder import _cholesky
@@ -38,7 +35,7 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator, Variables
 
 CAMERA, SCENE = Camera(), Scene(9, 8)
 PIXELS = SCENE.rows * SCENE.columns
@@ -278,7 +275,7 @@ def test_gain_is_undone(gain: float) -> None:
 def test_dead_rows_are_decoded_if_known() -> None:
     decoding = make(Embedding(12, 16))
     told, scenes = mask().double(), smooth_scenes(100, 1).double()
-    shown = with_dead_rows(told, [3, 17, 40], 0.8)
+    shown = Imperfections(dead_rows=(3, 17, 40), dead_transmittance=0.8).shown(told)
     assert torch.equal(shown[17], torch.full((22,), 0.8, dtype=DOUBLE))
     assert torch.equal(shown[16], told[16])
     assert float(told[17].std()) > 0.1  # the argument is left as it was
@@ -369,9 +366,7 @@ def test_refuses_what_does_not_fit() -> None:
     with pytest.raises(OpticsError, match="colour"):
         SceneDecoding(TransferOperator(CAMERA, SCENE, Embedding(3, 4), colour=True), STATISTICS)
     with pytest.raises(OpticsError, match="rows"):
-        with_dead_rows(mask(), [51])
-    with pytest.raises(OpticsError, match="transmittance"):
-        with_dead_rows(mask(), [1], 1.5)
+        Imperfections(dead_rows=(51,)).shown(mask())
     with pytest.raises(OpticsError, match="snr_db"):
         ReadingNoise(math.inf)
     with pytest.raises(OpticsError, match="model_error"):
@@ -477,57 +472,56 @@ def test_frame_file_is_refused_whole(tmp_path: Path) -> None:
         read_frame(path)
 
 
-def test_a_calibration_is_what_conditions_describe() -> None:
-    """The decoder's camera as it was built is the one that the effects compute."""
+def test_decoders_and_effects_compute_the_same_imperfections() -> None:
     camera = Camera(window=Window(rows=9, columns=5))
     scene, embedding = Scene(rows=6, columns=6), Embedding(4, 5)
-    amounts: dict[str, Any] = {
-        "shift_y": 20e-6,
-        "shift_x": -30e-6,
-        "rotation": 2e-3,
-        "distance_error": 50e-6,
-        "gamma": 1.4,
-        "contrast_floor": 0.1,
-    }
-    calibration = Calibration(**amounts)
+    imperfections = Imperfections(
+        shift_y=20e-6,
+        shift_x=-30e-6,
+        rotation=2e-3,
+        distance_error=50e-6,
+        gamma=1.4,
+        contrast_floor=0.1,
+        dead_rows=(3,),
+        dead_columns=(1,),
+        dead_transmittance=0.7,
+    )
     weights = random_mask(camera, torch.Generator().manual_seed(2))
-    model = Model(camera, scene, embedding, Conditions(**amounts), Sampling("transfer"))
-    expected = LightOperator(model)(weights)
-    found = calibration.operator(camera, scene, embedding)(calibration.shown(weights))
-    assert float((found - expected).norm() / expected.norm()) < 1e-6
-    drawn = AS_DRAWN.operator(camera, scene, embedding)(AS_DRAWN.shown(weights))
-    assert float((drawn - expected).norm() / expected.norm()) > 0.05
-    assert torch.equal(drawn, TransferOperator(camera, scene, embedding)(weights))
+    conditions = Conditions(imperfections=imperfections)
+    expected = LightOperator(Model(camera, scene, embedding, conditions, Sampling("transfer")))(
+        weights
+    )
+
+    def transfer(known: Imperfections) -> torch.Tensor:
+        operator = TransferOperator(camera, scene, embedding, imperfections=known)
+        result: torch.Tensor = operator(known.shown(weights))
+        return result
+
+    assert torch.equal(transfer(imperfections), expected)
+    nominal = transfer(NOMINAL)
+    assert float((nominal - expected).norm() / expected.norm()) > 0.05
+    assert torch.equal(nominal, TransferOperator(camera, scene, embedding)(weights))
 
 
 def test_dead_lines_show_what_they_are_stuck_at() -> None:
     weights = torch.full((4, 3), 0.5)
-    shown = Calibration(dead_rows=(1,), dead_columns=(2,), dead_transmittance=0.25).shown(weights)
+    stuck = Imperfections(dead_rows=(1,), dead_columns=(2,), dead_transmittance=0.25)
+    shown = stuck.shown(weights)
     assert shown.tolist() == [
         [0.5, 0.5, 0.25],
         [0.25, 0.25, 0.25],
         [0.5, 0.5, 0.25],
         [0.5, 0.5, 0.25],
     ]
-    with pytest.raises(OpticsError, match="rows"):
-        Calibration(dead_columns=(3,)).shown(weights)
+    with pytest.raises(OpticsError, match="dead_columns = 3"):
+        Imperfections(dead_columns=(3,)).shown(weights)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("dead_transmittance", 1.5), ("contrast_floor", 1.0), ("shift_y", float("nan"))],
-)
-def test_impossible_calibrations_are_refused(name: str, value: float) -> None:
-    given: dict[str, Any] = {name: value}
-    with pytest.raises(OpticsError, match=name):
-        Calibration(**given)
-
-
-def test_a_frame_file_holds_the_calibration(tmp_path: Path) -> None:
+def test_a_frame_file_holds_the_imperfections(tmp_path: Path) -> None:
     path = tmp_path / "scene.safetensors"
-    calibration = Calibration(shift_y=1e-6, gamma=1.2, dead_rows=(0, 3))
-    write_frame(path, replace(make_frame(), calibration=calibration))
-    assert read_frame(path).calibration == calibration
+    imperfections = Imperfections(shift_y=1e-6, gamma=1.2, dead_rows=(0, 3), stray_light=0.1)
+    write_frame(path, replace(make_frame(), imperfections=imperfections))
+    assert read_frame(path).imperfections == imperfections
 
 
 def test_the_rotation_has_a_gradient_also_at_zero() -> None:
@@ -537,7 +531,11 @@ def test_the_rotation_has_a_gradient_also_at_zero() -> None:
 
     def total(rotation: float | torch.Tensor) -> torch.Tensor:
         operator = TransferOperator(
-            camera, scene, embedding, dtype=torch.float64, rotation=rotation
+            camera,
+            scene,
+            embedding,
+            dtype=torch.float64,
+            variables=Variables(rotation=torch.as_tensor(rotation, dtype=torch.float64)),
         )
         transfer: torch.Tensor = operator(weights)
         return transfer[0].dot(torch.arange(6, dtype=torch.float64))

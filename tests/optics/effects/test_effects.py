@@ -10,7 +10,13 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
+from veilcam_optics.camera.imperfections import (
+    IDEAL,
+    NOMINAL,
+    Conditions,
+    Imperfections,
+    half_field,
+)
 from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
 from veilcam_optics.effects.light import OffAxis, Zone
 from veilcam_optics.errors import OpticsError
@@ -58,12 +64,15 @@ CALLED = {
     "depth layers": Called(Conditions(depth_range=0.1)),
     "off-axis field": Called(Conditions(off_axis=0.3)),
     "mask quantisation": Called(Conditions(levels=16)),
-    "mask gamma": Called(Conditions(gamma=1.1)),
-    "contrast floor": Called(Conditions(contrast_floor=0.05)),
-    "mask shift": Called(Conditions(shift_y=1e-5, shift_x=-2e-5)),
-    "mask rotation": Called(Conditions(rotation=10e-3)),
-    "distance error": Called(Conditions(distance_error=5e-5)),
-    "stray light": Called(Conditions(stray_light=0.05)),
+    "mask gamma": Called(Conditions(imperfections=Imperfections(gamma=1.1))),
+    "contrast floor": Called(Conditions(imperfections=Imperfections(contrast_floor=0.05))),
+    "dead lines": Called(
+        Conditions(imperfections=Imperfections(dead_rows=(1,), dead_columns=(0,)))
+    ),
+    "mask shift": Called(Conditions(imperfections=Imperfections(shift_y=1e-5, shift_x=-2e-5))),
+    "mask rotation": Called(Conditions(imperfections=Imperfections(rotation=10e-3))),
+    "distance error": Called(Conditions(imperfections=Imperfections(distance_error=5e-5))),
+    "stray light": Called(Conditions(imperfections=Imperfections(stray_light=0.05))),
     "pixel binning": Called(),
     "Bayer pattern": Called(Conditions(bayer=True), panel=Panel(), embedding=Embedding(61, 70)),
     "shot noise": Called(COUNTED),
@@ -221,13 +230,15 @@ def test_methods_agree_under_all_linear_conditions(method: str) -> None:
         bandwidth=(20e-9, 0.0, 30e-9),
         depth_range=0.1,
         off_axis=0.2,
-        gamma=1.1,
-        contrast_floor=0.05,
-        shift_y=1e-5,
-        shift_x=-2e-5,
-        rotation=3e-3,
-        distance_error=1e-4,
-        stray_light=0.05,
+        imperfections=Imperfections(
+            gamma=1.1,
+            contrast_floor=0.05,
+            shift_y=1e-5,
+            shift_x=-2e-5,
+            rotation=3e-3,
+            distance_error=1e-4,
+            stray_light=0.05,
+        ),
         bayer=True,
     )
     called = Called(conditions, panel=LEAKY)
@@ -238,7 +249,9 @@ def test_methods_agree_under_all_linear_conditions(method: str) -> None:
 
 
 def test_transfer_and_embedding_agree_and_pass_gradients() -> None:
-    conditions = Conditions(off_axis=0.2, gamma=1.2, stray_light=0.1, bayer=True, levels=64)
+    conditions = Conditions(
+        off_axis=0.2, imperfections=Imperfections(gamma=1.2, stray_light=0.1), bayer=True, levels=64
+    )
     operator = LightOperator(model_of(Called(conditions, panel=LEAKY), zones=2))
     weights = mask(CAMERA).requires_grad_()
     embedded = operator.embed(scenes(), weights)
@@ -250,7 +263,7 @@ def test_transfer_and_embedding_agree_and_pass_gradients() -> None:
 
 
 def test_dark_mask_keeps_a_finite_gradient_under_gamma() -> None:
-    operator = LightOperator(model_of(Called(Conditions(gamma=0.5))))
+    operator = LightOperator(model_of(Called(Conditions(imperfections=Imperfections(gamma=0.5)))))
     weights = torch.zeros(CAMERA.mask_shape, dtype=torch.float64, requires_grad=True)
     (gradient,) = torch.autograd.grad(operator.embed(scenes(), weights).sum(), weights)
     assert bool(torch.isfinite(gradient).all())
@@ -349,13 +362,13 @@ def test_small_rotation_against_every_sub_pixel_on_its_own() -> None:
     angle, camera = 1e-2, replace(CAMERA, window=Window(7, 4))
     sampling = Sampling(reach=Reach(0, 0), step=3e-6, dtype=torch.float64)
     straight = Model(camera, SCENE, EMBEDDING, IDEAL, sampling)
-    turned = replace(straight, conditions=Conditions(rotation=angle))
+    turned = replace(straight, conditions=Conditions(imperfections=Imperfections(rotation=angle)))
     total = torch.zeros(3, *EMBEDDING.shape, dtype=torch.float64)
     for row, y in enumerate(camera.row_centres):
         for column, x in enumerate(camera.column_centres):
             alone = torch.zeros(camera.mask_shape, dtype=torch.float64)
             alone[row, column] = mask(camera)[row, column]
-            moved = Conditions(shift_y=angle * x, shift_x=-angle * y)
+            moved = Conditions(imperfections=Imperfections(shift_y=angle * x, shift_x=-angle * y))
             total += LightOperator(replace(straight, conditions=moved)).embed(scenes(), alone)
     assert relative(readings(straight), total) > 3e-3
     assert relative(readings(turned), total) < 3e-4
@@ -419,18 +432,14 @@ def test_light_that_no_row_passes_is_dark(by_factors: bool) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"gamma": 0.0}, "conditions.gamma = 0.0"),
         ({"depth_range": -0.1}, r"conditions.depth_range = -0.1 m"),
         ({"bandwidth": (1e-8, math.nan, 1e-8)}, r"conditions.bandwidth\[G\] = nan m"),
         ({"levels": 1}, "conditions.levels = 1"),
         ({"levels": 2.5}, "conditions.levels = 2.5"),
         ({"adc_bits": 99}, "conditions.adc_bits = 99"),
         ({"snr_db": math.nan}, "conditions.snr_db = nan dB"),
-        ({"stray_light": 2.0}, "conditions.stray_light = 2.0"),
-        ({"rotation": math.inf}, "conditions.rotation = inf rad"),
         ({"read_noise": 3.0}, "conditions.electrons = 0"),
         ({"electrons": 1e3, "snr_db": 40.0}, "conditions.snr_db = 40.0 dB"),
-        ({"shift_y": math.inf}, "conditions.shift_y = inf m"),
         ({"off_axis": 1.5}, "conditions.off_axis = 1.5 rad"),
     ],
 )
@@ -440,11 +449,31 @@ def test_impossible_conditions_are_named(changes: dict[str, object], message: st
 
 
 @pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gamma": 0.0}, "imperfections.gamma = 0.0"),
+        ({"stray_light": 2.0}, "imperfections.stray_light = 2.0"),
+        ({"rotation": math.inf}, "imperfections.rotation = inf rad"),
+        ({"shift_y": math.inf}, "imperfections.shift_y = inf m"),
+        ({"contrast_floor": 1.0}, "imperfections.contrast_floor = 1.0"),
+        ({"dead_transmittance": 1.5}, "imperfections.dead_transmittance = 1.5"),
+    ],
+)
+def test_impossible_imperfections_are_named(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(OpticsError, match=message):
+        replace(NOMINAL, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
     ("conditions", "message"),
     [
         (Conditions(bandwidth=(5e-7, 0, 0)), "at most half the wavelength"),
         (Conditions(depth_range=1.0), "at most the scene's distance"),
-        (Conditions(distance_error=-4e-3), "more than minus the camera's distance"),
+        (
+            Conditions(imperfections=Imperfections(distance_error=-4e-3)),
+            "more than minus the camera's distance",
+        ),
+        (Conditions(imperfections=Imperfections(dead_rows=(99,))), "dead_rows = 99"),
     ],
 )
 def test_conditions_that_do_not_fit_the_camera_are_named(

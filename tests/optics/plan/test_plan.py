@@ -14,7 +14,7 @@ from torch import Tensor
 from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions
+from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
 from veilcam_optics.cli.main import app
 from veilcam_optics.effects import EFFECTS, Model, Sampling
 from veilcam_optics.effects.model import Method
@@ -31,7 +31,11 @@ CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=500, column
 SCENE = Scene(5, 4, height=0.06)
 EMBEDDING = Embedding(9, 11)
 SOME = Conditions(
-    bandwidth=(40e-9,) * 3, depth_range=0.1, off_axis=0.2, gamma=1.1, rotation=2e-3, bayer=True
+    bandwidth=(40e-9,) * 3,
+    depth_range=0.1,
+    off_axis=0.2,
+    imperfections=Imperfections(gamma=1.1, rotation=2e-3),
+    bayer=True,
 )
 
 
@@ -115,7 +119,13 @@ def test_planning_twice_gives_the_same() -> None:
 
 def test_operator_learns_through_a_plan() -> None:
     """A mask is fitted to a transfer; the plan's operator passes the gradient."""
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Conditions(gamma=1.2, levels=64))
+    chosen = plan(
+        CAMERA,
+        SCENE,
+        EMBEDDING,
+        1e-2,
+        Conditions(imperfections=Imperfections(gamma=1.2), levels=64),
+    )
     wanted = chosen.operator(mask(CAMERA, 5).float())
     weights = torch.full(CAMERA.mask_shape, 0.5, requires_grad=True)
     optimiser = torch.optim.Adam([weights], lr=0.05)
@@ -199,10 +209,13 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
         bandwidth=st.sampled_from([(0.0, 0.0, 0.0), (1e-8, 0.0, 2e-7)]),
         depth_range=st.sampled_from([0.0, 1e-3, 0.4]),
         off_axis=st.sampled_from([0.0, 0.1, 1.2]),
-        gamma=st.floats(0.2, 5),
-        rotation=st.sampled_from([0.0, 0.0, 1e-4, 0.5]),
-        shift_y=st.floats(-1e-3, 1e-3),
-        stray_light=st.floats(0, 1),
+        imperfections=st.builds(
+            Imperfections,
+            gamma=st.floats(0.2, 5),
+            rotation=st.sampled_from([0.0, 0.0, 1e-4, 0.5]),
+            shift_y=st.floats(-1e-3, 1e-3),
+            stray_light=st.floats(0, 1),
+        ),
         bayer=st.booleans(),
         black_level=st.floats(0, 1),
         adc_bits=st.integers(1, 16),
@@ -231,11 +244,15 @@ def test_total_over_conditions(
 
 def test_what_cannot_be_reached_is_said() -> None:
     """A mask turned by 3 degrees needs the grid, and that is no better than a few per cent."""
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-4, Conditions(rotation=0.05))
+    chosen = plan(
+        CAMERA, SCENE, EMBEDDING, 1e-4, Conditions(imperfections=Imperfections(rotation=0.05))
+    )
     assert not chosen.reached
     assert chosen.error > 1e-4
     assert "NOT reached" in chosen.explain()
-    turned = plan(CAMERA, SCENE, EMBEDDING, 3e-2, Conditions(rotation=0.4))
+    turned = plan(
+        CAMERA, SCENE, EMBEDDING, 3e-2, Conditions(imperfections=Imperfections(rotation=0.4))
+    )
     assert turned.model.sampling.method == "grid"
     assert turned.reached
     with pytest.raises(OpticsError, match="forms no transfer matrix: use embed"):
@@ -294,7 +311,7 @@ def test_costs_count_what_is_computed() -> None:
         plain.with_sampling(reach=Reach(2, 0)),
         plain.with_sampling(reach=Reach(0, 1)),
         replace(plain, conditions=SOME).with_sampling(wavelengths=2),
-        replace(plain, conditions=Conditions(rotation=1e-3)),
+        replace(plain, conditions=Conditions(imperfections=Imperfections(rotation=1e-3))),
         replace(plain, conditions=Conditions(bayer=True)),
         replace(plain, sampling=replace(plain.sampling, dtype=torch.float64)),
         replace(plain, sampling=replace(plain.sampling, method="grid")),
@@ -318,7 +335,7 @@ def test_command_prints_a_plan() -> None:
         (["--tolerance", "2"], "tolerance = 2.0"),
         (["--embedding", "3by4"], "--embedding = 3by4 is not valid: use ROWSxCOLUMNS"),
         (["--distance", "-1"], "camera.distance = -1.0 m"),
-        (["--gamma", "0"], "conditions.gamma = 0.0"),
+        (["--gamma", "0"], "imperfections.gamma = 0.0"),
     ],
 )
 def test_command_refuses_bad_input(arguments: list[str], message: str) -> None:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
@@ -301,7 +302,13 @@ def test_a_small_rotation_moves_every_sub_pixel_by_itself(pairs: Reach) -> None:
     angle, weights = 1e-5, mask(SMALL)
     straight, turned = (
         TransferOperator(
-            SMALL, SCENE, EMBEDDING, reach=pairs, step=3e-6, dtype=torch.float64, rotation=rotation
+            SMALL,
+            SCENE,
+            EMBEDDING,
+            reach=pairs,
+            step=3e-6,
+            dtype=torch.float64,
+            imperfections=Imperfections(rotation=rotation),
         )(weights)
         for rotation in (0.0, angle)
     )
@@ -313,7 +320,13 @@ def test_a_small_rotation_moves_every_sub_pixel_by_itself(pairs: Reach) -> None:
     zero = torch.zeros((), dtype=torch.float64, requires_grad=True)
     probe = torch.arange(float(EMBEDDING.size), dtype=torch.float64)
     found = TransferOperator(
-        SMALL, SCENE, EMBEDDING, reach=pairs, step=3e-6, dtype=torch.float64, rotation=zero
+        SMALL,
+        SCENE,
+        EMBEDDING,
+        reach=pairs,
+        step=3e-6,
+        dtype=torch.float64,
+        variables=Variables(rotation=zero),
     )(weights)
     assert_same(found.detach(), straight)
     (gradient,) = torch.autograd.grad((found @ probe).sum(), zero)
@@ -348,7 +361,12 @@ def test_a_rotation_and_its_mirror_image() -> None:
     weights, angle = mask(SMALL), 3e-2
     one, other = (
         TransferOperator(
-            SMALL, SCENE, EMBEDDING, reach=Reach(3, 2), dtype=torch.float64, rotation=rotation
+            SMALL,
+            SCENE,
+            EMBEDDING,
+            reach=Reach(3, 2),
+            dtype=torch.float64,
+            imperfections=Imperfections(rotation=rotation),
         )(flipped).reshape(4, 3, 4, 5)
         for rotation, flipped in ((angle, weights), (-angle, weights.flip(1)))
     )
@@ -460,7 +478,13 @@ def test_what_is_counted_unless_it_is_said_otherwise() -> None:
     assert (beam.share, beam.scene_distance, beam.stretch) == (1.0, None, (1.0, 1.0))
     weights = mask(SMALL)
     given = TransferOperator(
-        SMALL, SCENE, EMBEDDING, reach=Reach(1, 0), step=1.55e-6, centre=(0.0, 0.0), rotation=0.0
+        SMALL,
+        SCENE,
+        EMBEDDING,
+        reach=Reach(1, 0),
+        step=1.55e-6,
+        centre=(0.0, 0.0),
+        imperfections=NOMINAL,
     )
     found = TransferOperator(SMALL, SCENE, EMBEDDING)
     assert torch.equal(found(weights.float()), given(weights.float()))

@@ -112,7 +112,7 @@ async def test_settings_are_told_without_what_could_be_secret(
         "bundle": tmp_path / f"{planted}.veilcam",
         "device": "simulated",
         "scenes": (str(tmp_path / planted),),
-        "as_built": tmp_path / planted,
+        "imperfections": tmp_path / planted,
         "host": "127.9.8.7",
         "state_dir": tmp_path / planted,
         "mask_secret": tmp_path / planted,

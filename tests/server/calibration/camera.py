@@ -29,13 +29,13 @@ class Built:
     """A camera on a clock of its own.
 
     Args:
-        conditions: how it departs from its drawing.
+        imperfections: how it departs from a nominal one.
         hardware: of panel and sensor.
     """
 
     def __init__(
         self,
-        conditions: optical.Conditions = optical.IDEAL,
+        imperfections: optical.Imperfections = optical.NOMINAL,
         hardware: Conditions = QUIET,
     ) -> None:
         self.clock = Clock()
@@ -47,7 +47,7 @@ class Built:
                 GEOMETRY.camera,
                 GEOMETRY.scene,
                 Embedding(*raw_shape(GEOMETRY.embedding)),
-                conditions,
+                optical.Conditions(imperfections=imperfections),
                 Sampling("transfer", step=6.2e-6),
             )
         )

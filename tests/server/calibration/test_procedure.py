@@ -10,7 +10,8 @@ import torch
 
 from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
-from veilcam_server.calibration.record import correction
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_server.calibration.record import imperfections_of
 from veilcam_server.calibration.settling import SETTLED
 from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.devices.corrected import CalibratedSensor
@@ -18,7 +19,7 @@ from veilcam_server.errors import CalibrationError
 
 from .camera import BUDGET, GEOMETRY, QUIET, SCAN, SETTLE, Built
 
-BADLY = optical.Conditions(
+BADLY = optical.Imperfections(
     shift_y=30e-6,
     shift_x=-50e-6,
     rotation=4e-3,
@@ -63,16 +64,16 @@ def test_decoders_for_what_was_found_expect_what_is_read(
     badly: tuple[Built, CalibrationRecord],
 ) -> None:
     built, record = badly
-    found = correction(record)
+    found = imperfections_of(record)
     camera, scene, embedding = GEOMETRY.camera, GEOMETRY.scene, GEOMETRY.embedding
     levels = np.random.default_rng(9).integers(0, 64, camera.mask_shape).astype(np.uint8)
     built.image = np.random.default_rng(8).random(scene.shape, np.float32)
     shown = built.device.display.show(levels)
     seen = built.device.sensor.capture(shown.completed_at + 0.1, 1.0).embedding.ravel()
     errors = []
-    for calibration in (found, type(found)()):
-        weights = calibration.shown(torch.from_numpy(levels / np.float32(63)))
-        transfer = calibration.operator(camera, scene, embedding)(weights)
+    for known in (found, optical.NOMINAL):
+        weights = known.shown(torch.from_numpy(levels / np.float32(63)))
+        transfer = TransferOperator(camera, scene, embedding, imperfections=known)(weights)
         expected = torch.from_numpy(built.image).reshape(1, -1) @ transfer
         errors.append(np.linalg.norm(expected.numpy()[0] - seen) / np.linalg.norm(seen))
     assert errors[0] < 0.03
@@ -102,8 +103,10 @@ def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
 
 @pytest.mark.slow
 def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
-    hardware = replace(QUIET, dead_rows=(4,), dead_columns=(5,), dead_level=63)
-    record = Built(optical.Conditions(gamma=1.3), hardware).calibrate().record
+    imperfections = optical.Imperfections(
+        gamma=1.3, dead_rows=(4,), dead_columns=(5,), dead_transmittance=1.0
+    )
+    record = Built(imperfections).calibrate().record
     assert (record.dead_rows, record.dead_columns) == ((4,), (5,))
     assert record.dead_transmittance.value == pytest.approx(1.0, abs=0.02)
     assert record.contrast_floor.value < 0.05
@@ -115,8 +118,10 @@ def test_it_finds_lines_that_are_stuck_and_what_they_pass() -> None:
 @pytest.mark.slow
 def test_dead_lines_do_not_hide_the_floor() -> None:
     """A dark dead row shows what every dark sub-pixel does."""
-    hardware = replace(QUIET, dead_rows=(4,))
-    record = Built(optical.Conditions(gamma=1.4, contrast_floor=0.08), hardware).calibrate().record
+    imperfections = optical.Imperfections(
+        gamma=1.4, contrast_floor=0.08, dead_rows=(4,), dead_transmittance=0.08
+    )
+    record = Built(imperfections).calibrate().record
     assert record.dead_rows == (4,)
     assert record.contrast_floor.value == pytest.approx(0.08, abs=0.01)
     assert record.dead_transmittance.value == pytest.approx(0.08, abs=0.05)
@@ -195,9 +200,9 @@ def test_a_panel_that_shows_nothing_is_refused() -> None:
 
 
 def test_too_many_dead_lines_are_refused() -> None:
-    hardware = replace(QUIET, dead_rows=(0, 1, 2, 3))
+    imperfections = optical.Imperfections(dead_rows=(0, 1, 2, 3))
     with pytest.raises(CalibrationError, match="4 of 15 rows"):
-        Built(hardware=hardware).calibrate()
+        Built(imperfections).calibrate()
 
 
 def test_a_response_that_is_no_power_law_is_refused() -> None:
@@ -214,4 +219,4 @@ def test_a_response_that_is_no_power_law_is_refused() -> None:
 @pytest.mark.slow
 def test_a_mask_that_is_too_far_off_is_refused() -> None:
     with pytest.raises(CalibrationError, match=r"turned by|where they should be"):
-        Built(optical.Conditions(rotation=40e-3)).calibrate()
+        Built(optical.Imperfections(rotation=40e-3)).calibrate()

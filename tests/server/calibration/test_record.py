@@ -17,7 +17,7 @@ from veilcam_server.calibration.record import (
     KEY_NAME,
     RECORD_NAME,
     SigningKey,
-    correction,
+    imperfections_of,
     read_record,
     sign_record,
     write_record,
@@ -79,7 +79,7 @@ def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
     assert signed.record == record
     assert path.stat().st_mode & 0o777 == 0o600
     assert {each.name for each in tmp_path.iterdir()} == {RECORD_NAME, KEY_NAME}
-    found = correction(record)
+    found = imperfections_of(record)
     assert (found.shift_y, found.shift_x, found.rotation) == (1.1e-5, -2e-5, 1e-3)
     assert (found.distance_error, found.gamma, found.contrast_floor) == (5e-5, 1.3, 0.05)
     assert (found.dead_rows, found.dead_columns, found.dead_transmittance) == ((3,), (), 1 / 3)

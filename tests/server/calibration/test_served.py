@@ -28,7 +28,7 @@ BUILT = {
     "shift_x": -90e-6,
     "gamma": 2.2,
     "dead_rows": [4],
-    "dead_level": 63,
+    "dead_transmittance": 1.0,
 }
 
 
@@ -84,7 +84,7 @@ def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path, secret_file: P
     scene = tmp_path / "scene.npy"
     np.save(scene, scenes()[0])
     options = (
-        *("--mask-secret", str(secret_file), "--as-built", str(built), "--scene-api"),
+        *("--mask-secret", str(secret_file), "--imperfections", str(built), "--scene-api"),
         *("--settle", "0.02", "--exposure", "0.001"),
     )
     with running(bundle, scene, tmp_path, *options) as url, Camera(url) as camera:
@@ -111,8 +111,8 @@ def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path, secret_file: P
         ("{", "file: Invalid JSON"),
         ('{"shift": 1}', "shift: Extra inputs"),
         ('{"rotation": 9}', "rotation"),
-        ('{"dead_level": 64}', "dead_level"),
-        ('{"dead_rows": [51]}', "dead_rows = 51: use 0 to 50"),
+        ('{"dead_transmittance": 2}', "dead_transmittance"),
+        ('{"dead_rows": [51]}', "dead_rows = 51 is not valid: use 0 to 50"),
     ],
 )
 def test_what_cannot_be_built_is_refused_in_one_line(
@@ -121,7 +121,7 @@ def test_what_cannot_be_built_is_refused_in_one_line(
     built = tmp_path / "built.json"
     if text is not None:
         built.write_text(text)
-    options = ["--simulate", "--state-dir", str(tmp_path), "--as-built", str(built)]
+    options = ["--simulate", "--state-dir", str(tmp_path), "--imperfections", str(built)]
     result = CliRunner().invoke(server, ["calibrate", *options])
     assert result.exit_code == 1
     assert reason in result.stderr
@@ -129,5 +129,5 @@ def test_what_cannot_be_built_is_refused_in_one_line(
 
 
 def test_only_a_simulated_camera_is_built_as_somebody_likes() -> None:
-    result = CliRunner().invoke(server, ["calibrate", "--bundle", "x", "--as-built", "y"])
+    result = CliRunner().invoke(server, ["calibrate", "--bundle", "x", "--imperfections", "y"])
     assert "add --simulate" in result.stderr

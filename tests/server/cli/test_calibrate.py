@@ -18,12 +18,13 @@ from typer.testing import CliRunner
 
 from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
 from veilcam_optics.camera.geometry import Scene
-from veilcam_optics.decoding import AS_DRAWN, read_frame
+from veilcam_optics.camera.imperfections import NOMINAL
+from veilcam_optics.decoding import read_frame
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.loading import open_calibration
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import SigningKey, correction, read_record
+from veilcam_server.calibration.record import SigningKey, imperfections_of, read_record
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import CalibrationScene, dark, lamp, white
@@ -82,7 +83,7 @@ def test_the_command_keeps_what_was_found(
     assert (state / "calibration.png").read_bytes().startswith(b"\x89PNG")
     signed = read_record(state / "calibration.json", SigningKey.open(state))
     assert signed.record.gain == found.record.gain
-    assert read_frame(frame).calibration == correction(signed.record)
+    assert read_frame(frame).imperfections == imperfections_of(signed.record)
     settings = settings_for(state, bundle=fresh_file, settle=0.02, exposure=0.001)
     assert open_calibration(settings, read_bundle(fresh_file)) == signed
 
@@ -144,10 +145,10 @@ def test_the_lamp_is_in_the_middle() -> None:
 
 
 def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle, secret: Secret) -> None:
-    found = correction(make_record())
+    found = imperfections_of(make_record())
     drawn, built = (
-        FreshSource(fresh_bundle, secret, calibration=calibration).make(1, "")
-        for calibration in (AS_DRAWN, found)
+        FreshSource(fresh_bundle, secret, imperfections=imperfections).make(1, "")
+        for imperfections in (NOMINAL, found)
     )
     assert np.array_equal(drawn.levels, built.levels)
     assert isinstance(drawn.reader, FreshReader)
@@ -156,12 +157,12 @@ def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle, secret: 
     frame = fresh_bundle.fresh.frame(
         fresh_bundle.camera, fresh_bundle.scene, fresh_bundle.embedding
     )
-    expected = replace(frame, calibration=found)
+    expected = replace(frame, imperfections=found)
     decoder = expected.decoding().prepare(expected.shown(built.levels))
     assert torch.equal(built.reader.decoder.estimator, decoder.estimator)
     assert not torch.allclose(drawn.reader.decoder.estimator, decoder.estimator, rtol=0.01)
     with pytest.raises(StartError, match="rows"):
-        FreshSource(fresh_bundle, secret, calibration=replace(found, dead_rows=(9,)))
+        FreshSource(fresh_bundle, secret, imperfections=replace(found, dead_rows=(9,)))
 
 
 @pytest.mark.anyio

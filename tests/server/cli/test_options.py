@@ -49,7 +49,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "settle": (("--settle", "0"), 0.0),
     "exposure": (("--exposure", "0.02"), 0.02),
     "snr_db": (("--snr-db", "30"), 30.0),
-    "as_built": ((*SIMULATED, "--as-built", "b.json"), Path("b.json")),
+    "imperfections": ((*SIMULATED, "--imperfections", "b.json"), Path("b.json")),
     "capture_timeout": (("--capture-timeout", "7"), 7.0),
     "self_test_every": (("--self-test-every", "9"), 9.0),
     "queue_limit": (("--queue-limit", "3"), 3),

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_training.encoders import (
     ENCODERS,
     FixedMask,
@@ -60,7 +61,7 @@ def test_a_panel_that_is_shifted_shifts_the_picture() -> None:
     pixel = fine.camera.sensor.height / 76
     magnified = pixel / (1 + SETUP.camera.distance / SETUP.scene.distance)
     ideal = make_operators(fine)[0](weights).reshape(63, 76)
-    moved = make_operators(fine, shift=(magnified, 0.0))[0](weights).reshape(63, 76)
+    moved = make_operators(fine, Imperfections(shift_y=magnified))[0](weights).reshape(63, 76)
     # A panel moved by one pixel's shadow moves what is seen by one pixel.
     torch.testing.assert_close(moved[:, 6:-5], ideal[:, 5:-6], rtol=0.02, atol=1e-6)
 
@@ -69,7 +70,8 @@ def test_distance_error() -> None:
     weights = torch.rand(SETUP.camera.mask_shape, generator=stream(0, "weights"))
     other = Setup(Camera(distance=4.2e-3), SETUP.scene, SETUP.embedding)
     torch.testing.assert_close(
-        make_operators(SETUP, distance_error=2e-4)[0](weights), make_operators(other)[0](weights)
+        make_operators(SETUP, Imperfections(distance_error=2e-4))[0](weights),
+        make_operators(other)[0](weights),
     )
 
 

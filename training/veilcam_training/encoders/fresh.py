@@ -20,10 +20,11 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
 from veilcam_optics.camera.geometry import Camera, Scene
+from veilcam_optics.camera.imperfections import Imperfections, Spreads
 from veilcam_optics.camera.masks import quantise, to_weights
 from veilcam_optics.decoding import Decoder, SceneFrame, SceneStatistics, fit_statistics
 from veilcam_optics.keys.masks import SECRET_BYTES, Levels, MaskDistribution, Secret, epoch_levels
-from veilcam_optics.transfer.operator import TransferOperator, Variables
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_training.bundle import classifier_inputs
 from veilcam_training.data import Images
@@ -213,15 +214,12 @@ class FreshCamera(Encoder):
         return self._panels[purpose]
 
     def _displaced(self, misalignment: Misalignment, random: torch.Generator) -> TransferOperator:
-        amounts = torch.randn(3, generator=random, dtype=torch.float64)
-        camera = self.setup.camera
+        spreads = Spreads(misalignment.shift, misalignment.distance, normal=True)
         return TransferOperator(
-            replace(camera, distance=camera.distance + float(amounts[2]) * misalignment.distance),
+            self.setup.camera,
             self.setup.scene,
             self.setup.embedding,
-            variables=Variables(
-                shift_y=amounts[0] * misalignment.shift, shift_x=amounts[1] * misalignment.shift
-            ),
+            imperfections=Imperfections.sample(spreads, random),
         )
 
     @property

@@ -22,6 +22,7 @@ import torch
 
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import area_average
@@ -67,7 +68,7 @@ def planned_light(
     camera: Camera,
     scene: Scene,
     embedding: Embedding,
-    conditions: optical.Conditions = optical.IDEAL,
+    imperfections: Imperfections = NOMINAL,
 ) -> Light:
     """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
 
@@ -75,9 +76,9 @@ def planned_light(
         camera: as it is, its filters' leakage included.
         scene: in front of it.
         embedding: that is read.
-        conditions: what a decoder need not know of: misalignment, gamma, contrast floor and others.
-            Noise among them has no effect here: it belongs to the sensor.
+        imperfections: what a decoder need not know of.
     """
+    conditions = optical.Conditions(imperfections=imperfections)
     chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
     return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
 
@@ -98,12 +99,6 @@ class Conditions:
     """Share of the light that is missing at first."""
     warm_up_time: float = 60.0
     """After which 37 % of that is still missing [s]."""
-    dead_rows: tuple[int, ...] = ()
-    """Rows of the mask that do not obey."""
-    dead_columns: tuple[int, ...] = ()
-    """Columns of the mask that do not obey."""
-    dead_level: int = 0
-    """What those show, 0 (opaque) to 63 (open)."""
 
     def __post_init__(self) -> None:
         for name in ("settle", "exposure", "scan"):
@@ -190,11 +185,7 @@ class SimulatedLight:
         """The part of the whole panel that is the mask."""
         window = self._camera.window
         rows = slice(window.first_row, window.first_row + window.rows)
-        mask = shown[rows, window.first_column : window.first_column + window.columns].copy()
-        conditions = self._conditions
-        mask[list(conditions.dead_rows)] = conditions.dead_level
-        mask[:, list(conditions.dead_columns)] = conditions.dead_level
-        return mask
+        return shown[rows, window.first_column : window.first_column + window.columns].copy()
 
 
 @dataclass
