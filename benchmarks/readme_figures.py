@@ -48,7 +48,7 @@ README: Figures = {
     ),
     "step_ratio_learned_over_fixed_b512": (
         "optics",
-        "the same at batch 512, over a step with a fixed mask and readings made beforehand",
+        "the same at batch 512, over a step with a fixed mask and measurements made beforehand",
         "{:.2f} x",
     ),
     "step_peak_rss_mb": ("optics", "memory of that step, at its peak", "{:.0f} MB"),
@@ -168,7 +168,7 @@ TIMES: Figures = {
         "masks or epochs used again, after kills and clock jumps",
         "{}",
     ),
-    "soak_mixed": ("daemon", "readings that mixed two masks", "{}"),
+    "soak_mixed": ("daemon", "measurements that mixed two masks", "{}"),
 }
 
 CALIBRATED: Figures = {

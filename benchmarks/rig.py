@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from veilcam_server.demo.daemon import running
-from veilcam_server.demo_data import KEYRING, load_digits
+from veilcam_server.demo_data import BUNDLE, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 
 
@@ -30,7 +30,7 @@ def prompt_daemon(folder: Path, *options: str) -> Iterator[str]:
     """
     scene = folder / "scene.npy"
     write_scene(scene, load_digits().images[0])
-    with running(KEYRING, scene, folder, "--settle", "0", "--exposure", "0", *options) as url:
+    with running(BUNDLE, scene, folder, "--settle", "0", "--exposure", "0", *options) as url:
         yield url
 
 

@@ -8,7 +8,7 @@ where RECORD is ``benchmarks/results/daemon-calibration.json``.
 
 The bundle of fresh masks that comes along, held-out digits, a new mask for every five of them.
 What is read came through bytes on the bus, the panel's memory, light that takes another route than
-decoders, 12-bit frames and binning. The same readings are decoded twice: for the nominal camera
+decoders, 12-bit frames and binning. The same measurements are decoded twice: for the nominal camera
 and for the camera as ``calibrate`` found it, with the black level and gain that it found. Where a
 calibration is refused, there is no "after".
 """
@@ -38,7 +38,7 @@ from veilcam_server.calibration.record import imperfections_of
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.demo_data import FRESH, load_digits
-from veilcam_server.devices.base import Device, Reading
+from veilcam_server.devices.base import Device, Measurement
 from veilcam_server.devices.corrected import CalibratedSensor
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
 from veilcam_server.errors import CalibrationError
@@ -97,7 +97,7 @@ KNOBS: Mapping[str, Knob] = {
     "stray_0.1": Knob("10 % stray light", {"stray_light": 0.1}),
     "warm_up_0.1": Knob("10 % of the light missing at first", hardware={"warm_up": 0.1}),
     "warm_up_0.3": Knob("30 % of the light missing at first", hardware={"warm_up": 0.3}),
-    # Noise of a pixel is four times that of a reading: at the usual headroom some saturate.
+    # Noise of a pixel is four times that of a measurement: at the usual headroom some saturate.
     "noise_30db": Knob("signal to noise 30 dB, not 40", hardware={"snr_db": 30.0}, headroom=2.0),
 }
 """Leakage, warm-up and noise are not measured by a calibration."""
@@ -158,12 +158,16 @@ class Tally:
     count: int = 0
 
     def add(
-        self, reader: FreshReader, reading: Reading, image: npt.NDArray[np.float32], label: str
+        self,
+        reader: FreshReader,
+        measurement: Measurement,
+        image: npt.NDArray[np.float32],
+        label: str,
     ) -> None:
-        """Classify a reading, and compare its decoded scene with the image."""
-        self.right += reader.classify(reading).label == label
+        """Classify a measurement, and compare its decoded scene with the image."""
+        self.right += reader.classify(measurement).label == label
         with torch.inference_mode():
-            estimate = reader.decoder(torch.from_numpy(reading)[None])[0].numpy()
+            estimate = reader.decoder(torch.from_numpy(measurement)[None])[0].numpy()
         self.error += float(np.square(estimate - image).sum())
         self.power += float(
             np.square(image - reader.decoder.mean.numpy().reshape(image.shape)).sum()
@@ -250,11 +254,13 @@ class Bench:
                 image = digits.images[index] / np.float32(255)
                 label = str(digits.labels[index])
                 self.held.image = image
-                reading = self.device.sensor.capture(shown + settle, 5.0).embedding
-                before.add(mask.reader, reading, image, label)
+                measurement = self.device.sensor.capture(shown + settle, 5.0).embedding
+                before.add(mask.reader, measurement, image, label)
                 if found is not None and after is not None and isinstance(other, FreshReader):
                     record = found.record
-                    corrected = CalibratedSensor.of(self.device.sensor, record).corrected(reading)
+                    corrected = CalibratedSensor.of(self.device.sensor, record).corrected(
+                        measurement
+                    )
                     after.add(other, corrected, image, label)
         return before, after
 

@@ -6,7 +6,7 @@ One run measures, with one thread and the contestants taking turns:
   convolution of a *single* scene, with both errors against converged references;
 - a training step of FC-800 behind a learned mask (batch 64), against the same step with waveprop
   as the encoder, differentiated through to the mask;
-- the step with a learned mask against one with a fixed mask, whose readings were all computed
+- the step with a learned mask against one with a fixed mask, whose measurements were all computed
   beforehand, at batch 512;
 - the peak memory of the learned-mask training step, in a process of its own.
 
@@ -181,14 +181,14 @@ def compare_steps(peer: WavepropCamera, images: Tensor, rounds: int) -> float:
 def compare_masks(images: Tensor, rounds: int) -> float:
     """A learned-mask step over a fixed-mask step, batch 512.
 
-    The noiseless readings of a fixed mask are computed once for all epochs: its step encodes
+    The noiseless measurements of a fixed mask are computed once for all epochs: its step encodes
     nothing.
     """
     learned = Trainer(images, by_transfer(), learned=True)
     with torch.no_grad():
         transfer = TransferOperator(Camera(), Scene(), Embedding())(learned.weights)
-        readings = images.flatten(1) @ transfer
-    fixed = Trainer(readings, lambda some, _: some, learned=False)
+        measurements = images.flatten(1) @ transfer
+    fixed = Trainer(measurements, lambda some, _: some, learned=False)
     medians = take_turns(
         {
             "learned mask, batch 512": (lambda: learned.step(512), 1),

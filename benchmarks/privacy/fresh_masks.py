@@ -122,9 +122,12 @@ def timing(*, data: Data, rounds: int = 30, figures: FiguresOption = None) -> No
     with torch.no_grad():
         prepare = _milliseconds(fresh.decoding.prepare, weights)
         decoder = fresh.decoding.prepare(weights[0])
-        readings = list(fresh.decoding.operator.embed(images.scenes(slice(0, rounds)), weights[0]))
+        measurements = list(
+            fresh.decoding.operator.embed(images.scenes(slice(0, rounds)), weights[0])
+        )
         classify = _milliseconds(
-            lambda reading: classifier(classifier_inputs(decoder, reading[None])), readings
+            lambda measurement: classifier(classifier_inputs(decoder, measurement[None])),
+            measurements,
         )
     macs = _multiplications(model.layers, 2 * fresh.frame.statistics.pixels)
     print(
@@ -158,10 +161,10 @@ def clusters(
         weights = to_weights(levels, fresh.setup.camera.panel)
         mask = fresh.prepare(weights, fresh.panels("clusters"), generator)
         part = slice(index * captures, (index + 1) * captures)
-        readings = shot_noise(mask.embed(images.scenes(part)), 40.0, generator)
+        measurements = shot_noise(mask.embed(images.scenes(part)), 40.0, generator)
         whitening = Whitening(mask.decoder, levels)
         for form, parts in released.items():
-            out = release(readings, form, mask.decoder, whitening)
+            out = release(measurements, form, mask.decoder, whitening)
             if out is not None:
                 parts.append(out.flatten(1))
     labels = torch.arange(masks).repeat_interleave(captures)
@@ -254,7 +257,7 @@ def dials(
     )
     random = torch.Generator().manual_seed(1)
     with torch.no_grad():
-        readings = [
+        measurements = [
             shot_noise(truth.embed(shown.scenes(part).double(), mask.double()), 40.0, random)
             for part, mask in zip(torch.arange(images).tensor_split(masks), weights, strict=True)
         ]
@@ -284,7 +287,7 @@ def dials(
                 milliseconds = _milliseconds(decoding.prepare, weights[:15])
                 logits = [
                     classifier(classifier_inputs(decoding.prepare(mask), part).float())
-                    for mask, part in zip(weights, readings, strict=True)
+                    for mask, part in zip(weights, measurements, strict=True)
                 ]
             accuracy = float((torch.cat(logits).argmax(1) == shown.labels).double().mean())
             print(f"{name} rank {rank}: {milliseconds:.1f} ms, {100 * accuracy:.2f} %", flush=True)

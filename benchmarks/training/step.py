@@ -2,7 +2,7 @@
 
 The model is FC-800 behind a 24 x 32 embedding of 28 x 28 scenes, the step the one that fitting
 runs: gather, encode, noise, classify, backward, Adam, projection. A fixed mask is timed twice:
-with its readings computed once for all epochs, which is what fitting does, and with the scenes
+with its measurements computed once for all epochs, which is what fitting does, and with the scenes
 encoded in every step, which is what any changing scene needs.
 
     python -m benchmarks.training.step --figures benchmarks/results/main-job.json

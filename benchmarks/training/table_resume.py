@@ -28,7 +28,7 @@ PART = (
     *("--encoders", "learned"),
     *("--classifiers", "LR,FC800"),
     *("--embeddings", "3x4"),
-    *("--readings", "area"),
+    *("--binnings", "area"),
 )
 
 

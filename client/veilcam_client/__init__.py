@@ -27,7 +27,7 @@ from veilcam_client.errors import (
     VeilcamError,
 )
 from veilcam_client.recording import Recording, read_recording, record
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import (
     CalibrationRecord,
     CalibrationRun,
@@ -37,13 +37,13 @@ from veilcam_client.wire.calibration import (
 from veilcam_client.wire.captures import Capture, Classification, Embedding
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
+    BundleChanged,
     CalibrationChanged,
     CaptureTaken,
     Classified,
     Event,
     Fault,
     Gap,
-    KeyringChanged,
     MaskChanged,
     RotationChanged,
     StateChanged,
@@ -66,6 +66,7 @@ __all__ = [
     "DEFAULT_URL",
     "ApiError",
     "AsyncCamera",
+    "BundleChanged",
     "BusyError",
     "CalibrationChanged",
     "CalibrationRecord",
@@ -87,9 +88,8 @@ __all__ = [
     "ForbiddenError",
     "Gap",
     "HeldScene",
+    "InstalledBundle",
     "InvalidRequestError",
-    "Keyring",
-    "KeyringChanged",
     "Lease",
     "LeasedError",
     "MaskChanged",

@@ -14,7 +14,7 @@ from veilcam_client.camera import DEFAULT_URL
 from veilcam_client.http import calls
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.transport import AsyncHttpClient, AsyncTransport, Options, RetryPolicy
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
@@ -158,21 +158,21 @@ class AsyncCamera:
             return await self._transport.send(calls.TAKE_SCENE_AWAY)
         return await self._transport.send(calls.hold_scene(picture_bytes(picture)))
 
-    async def keyrings(self) -> tuple[Keyring, ...]:
-        """All keyrings; one of them is ``active``."""
-        return (await self._transport.send(calls.KEYRINGS)).keyrings
+    async def bundles(self) -> tuple[InstalledBundle, ...]:
+        """All bundles; one of them is ``active``."""
+        return (await self._transport.send(calls.BUNDLES)).bundles
 
-    async def install_keyring(self, bundle: bytes) -> Keyring:
+    async def install_bundle(self, bundle: bytes) -> InstalledBundle:
         """Hand over the content of a bundle; it is checked, and not used yet."""
-        return await self._transport.send(calls.install_keyring(bundle))
+        return await self._transport.send(calls.install_bundle(bundle))
 
-    async def activate_keyring(self, digest: str) -> Keyring:
-        """Take masks and classifiers from this keyring from now on."""
-        return await self._transport.send(calls.activate_keyring(digest))
+    async def activate_bundle(self, digest: str) -> InstalledBundle:
+        """Take masks and classifiers from this bundle from now on."""
+        return await self._transport.send(calls.activate_bundle(digest))
 
-    async def remove_keyring(self, digest: str) -> tuple[Keyring, ...]:
-        """Remove a keyring that is not in use for good; return those that are left."""
-        return (await self._transport.send(calls.remove_keyring(digest))).keyrings
+    async def remove_bundle(self, digest: str) -> tuple[InstalledBundle, ...]:
+        """Remove a bundle that is not in use for good; return those that are left."""
+        return (await self._transport.send(calls.remove_bundle(digest))).bundles
 
     def events(self, *, last_event_id: str | None = None) -> AsyncIterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from veilcam_client.http import calls
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.transport import HttpClient, Options, RetryPolicy, Transport
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
@@ -177,21 +177,21 @@ class Camera:
             return self._transport.send(calls.TAKE_SCENE_AWAY)
         return self._transport.send(calls.hold_scene(picture_bytes(picture)))
 
-    def keyrings(self) -> tuple[Keyring, ...]:
-        """All keyrings; one of them is ``active``."""
-        return self._transport.send(calls.KEYRINGS).keyrings
+    def bundles(self) -> tuple[InstalledBundle, ...]:
+        """All bundles; one of them is ``active``."""
+        return self._transport.send(calls.BUNDLES).bundles
 
-    def install_keyring(self, bundle: bytes) -> Keyring:
+    def install_bundle(self, bundle: bytes) -> InstalledBundle:
         """Hand over the content of a bundle; it is checked, and not used yet."""
-        return self._transport.send(calls.install_keyring(bundle))
+        return self._transport.send(calls.install_bundle(bundle))
 
-    def activate_keyring(self, digest: str) -> Keyring:
-        """Take masks and classifiers from this keyring from now on."""
-        return self._transport.send(calls.activate_keyring(digest))
+    def activate_bundle(self, digest: str) -> InstalledBundle:
+        """Take masks and classifiers from this bundle from now on."""
+        return self._transport.send(calls.activate_bundle(digest))
 
-    def remove_keyring(self, digest: str) -> tuple[Keyring, ...]:
-        """Remove a keyring that is not in use for good; return those that are left."""
-        return self._transport.send(calls.remove_keyring(digest)).keyrings
+    def remove_bundle(self, digest: str) -> tuple[InstalledBundle, ...]:
+        """Remove a bundle that is not in use for good; return those that are left."""
+        return self._transport.send(calls.remove_bundle(digest)).bundles
 
     def events(self, *, last_event_id: str | None = None) -> Iterator[Event]:
         """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""

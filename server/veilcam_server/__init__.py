@@ -1,1 +1,1 @@
-"""The daemon ``veilcamd``: devices, keyring, rotation, capture, inference and the REST API."""
+"""The daemon ``veilcamd``: devices, bundle, rotation, capture, inference and the REST API."""

@@ -14,8 +14,8 @@ import uvicorn
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
-from veilcam_server.bundles.manager import Keyrings
-from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.bundles.manager import BundleManager
+from veilcam_server.bundles.store import BundleStore
 from veilcam_server.calibration.loading import make_opener, open_calibration, settle_time
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
@@ -25,9 +25,9 @@ from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
+    BundleUnfitError,
     EpochError,
     FenceError,
-    KeyringUnfitError,
     RotationImpossibleError,
     SelfTestError,
     StartError,
@@ -58,7 +58,7 @@ def build_service(settings: Settings) -> Service:
         form = release_form(settings, bundle)
         signed = open_calibration(settings, bundle)
         opener = make_opener(settings, bundle, signed)
-        store = KeyringStore(settings.state_dir / "keyrings", settings.bundle, bundle.digest)
+        store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
         keys, faults = last_good(store, opener)
         keys = keys or opener.load(bundle)
         with ExitStack() as undo:
@@ -83,7 +83,7 @@ def build_service(settings: Settings) -> Service:
             _begin(camera)
             undo.pop_all()
     except (
-        *(BundleError, KeyringUnfitError, DeviceError, EpochError),
+        *(BundleError, BundleUnfitError, DeviceError, EpochError),
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
@@ -96,7 +96,7 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        Keyrings(store, opener, keys, limit=settings.keyring_limit, faults=faults),
+        BundleManager(store, opener, keys, limit=settings.bundle_limit, faults=faults),
         CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,

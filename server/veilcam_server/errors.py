@@ -63,10 +63,10 @@ class FenceError(
     ProblemError,
     code="fence_violated",
     status=503,
-    title="The reading could not be trusted",
+    title="The measurement could not be trusted",
     retryable=True,
 ):
-    """A reading that was not wholly exposed under one settled mask; it is thrown away."""
+    """A measurement that was not wholly exposed under one settled mask; it is thrown away."""
 
 
 class NotReadyError(
@@ -309,66 +309,66 @@ class LeasedError(
         self.retry_after = retry_after
 
 
-class UnknownKeyringError(
+class UnknownBundleError(
     ProblemError,
-    code="unknown_keyring",
+    code="unknown_bundle",
     status=404,
-    title="There is no such keyring",
-    detail="there is no keyring of this digest: see GET /v1/keyrings",
+    title="There is no such bundle",
+    detail="there is no bundle of this digest: see GET /v1/bundles",
 ):
-    """There is no keyring of this digest."""
+    """There is no bundle of this digest."""
 
 
-class KeyringInvalidError(
-    ProblemError, code="keyring_invalid", status=422, title="This is no keyring that can be used"
+class BundleInvalidError(
+    ProblemError, code="bundle_invalid", status=422, title="This is no bundle that can be used"
 ):
     """A file that is no whole bundle."""
 
 
-class KeyringUnfitError(
-    ProblemError, code="keyring_unfit", status=409, title="The keyring does not fit this camera"
+class BundleUnfitError(
+    ProblemError, code="bundle_unfit", status=409, title="The bundle does not fit this camera"
 ):
     """A bundle for another camera than the one that is there."""
 
 
-class KeyringInUseError(
+class BundleInUseError(
     ProblemError,
-    code="keyring_in_use",
+    code="bundle_in_use",
     status=409,
-    title="The keyring is in use",
-    detail="this keyring is in use, or the daemon was started with it: it stays",
+    title="The bundle is in use",
+    detail="this bundle is in use, or the daemon was started with it: it stays",
 ):
-    """A keyring that cannot be removed."""
+    """A bundle that cannot be removed."""
 
 
-class KeyringsFullError(
-    ProblemError, code="keyrings_full", status=409, title="Too many keyrings are installed"
+class BundlesFullError(
+    ProblemError, code="bundles_full", status=409, title="Too many bundles are installed"
 ):
-    """Too many keyrings are installed."""
+    """Too many bundles are installed."""
 
     def __init__(self, capacity: int) -> None:
-        super().__init__(f"{capacity} keyrings are installed: remove one first")
+        super().__init__(f"{capacity} bundles are installed: remove one first")
 
 
-class KeyringsBusyError(
+class BundlesBusyError(
     ProblemError,
-    code="keyrings_busy",
+    code="bundles_busy",
     status=503,
-    title="The keyrings are being changed",
+    title="The bundles are being changed",
     retryable=True,
-    detail="another change of keyrings is under way: try again when it is done",
+    detail="another change of bundles is under way: try again when it is done",
 ):
-    """Another change of keyrings is under way."""
+    """Another change of bundles is under way."""
 
 
-class KeyringStoreError(
+class BundleStoreError(
     ProblemError,
-    code="keyring_not_stored",
+    code="bundle_not_stored",
     status=503,
-    title="The keyring is not durable",
+    title="The bundle is not durable",
     retryable=True,
 ):
-    """A keyring could not be made durable."""
+    """A bundle could not be made durable."""
 
 
 class InferenceError(
@@ -376,6 +376,6 @@ class InferenceError(
     code="inference_failed",
     status=503,
     title="The classifier gave no probabilities",
-    detail="the classifier gave no probabilities for this reading: train it again",
+    detail="the classifier gave no probabilities for this measurement: train it again",
 ):
-    """A classifier gave no numbers for a reading."""
+    """A classifier gave no numbers for a measurement."""

@@ -13,7 +13,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import RotationPolicy
-from veilcam_server.demo_data import KEYRING
+from veilcam_server.demo_data import BUNDLE
 
 
 def default_state_dir() -> Path:
@@ -132,7 +132,7 @@ class Settings(Wiring):
     imperfections: Path | None = None
     """How the simulated camera departs from a nominal one: a JSON file (docs/calibration.md)."""
     capture_timeout: float = Field(default=5.0, gt=0, le=600, allow_inf_nan=False)
-    """Longest wait for a reading in seconds."""
+    """Longest wait for a measurement in seconds."""
     self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
     """Seconds between two self tests of the panel, at most."""
     queue_limit: int = Field(default=8, ge=1, le=1024)
@@ -151,7 +151,7 @@ class Settings(Wiring):
     """Requests of one caller that may be under way at once, event streams included."""
     stream_limit: int = Field(default=64, ge=1, le=1024)
     """Event streams that may be open, all callers together."""
-    keyring_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
+    bundle_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
     """Largest bundle that may be uploaded, in bytes."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
     """Seconds between two signs of life on a quiet event stream."""
@@ -186,10 +186,10 @@ class Settings(Wiring):
 
     @model_validator(mode="before")
     @classmethod
-    def _demo_keyring(cls, given: dict[str, Any]) -> dict[str, Any]:
+    def _demo_bundle(cls, given: dict[str, Any]) -> dict[str, Any]:
         """A simulated camera may do without a bundle of its own."""
         if given.get("device") == "simulated":
-            return {"bundle": KEYRING, **given}
+            return {"bundle": BUNDLE, **given}
         return given
 
     @model_validator(mode="before")

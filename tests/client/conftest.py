@@ -85,7 +85,7 @@ DIAGNOSTICS = {
     "fault_counts": {"sensor_failed": 1},
     "audit_lost": 0,
 }
-KEYRING: dict[str, Any] = {
+BUNDLE: dict[str, Any] = {
     "digest": "ab" * 32,
     "size": 2_300_000,
     "active": False,
@@ -99,17 +99,17 @@ KEYRING: dict[str, Any] = {
         "pairs": 5,
     },
 }
-KEYRINGS: dict[str, list[dict[str, Any]]] = {
-    "keyrings": [
-        {**KEYRING, "digest": "cd" * 32, "active": True, "configured": True, "bundle": None},
-        KEYRING,
+BUNDLES: dict[str, list[dict[str, Any]]] = {
+    "bundles": [
+        {**BUNDLE, "digest": "cd" * 32, "active": True, "configured": True, "bundle": None},
+        BUNDLE,
     ]
 }
 ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
-    ("GET", "/v1/keyrings"): KEYRINGS,
-    ("POST", "/v1/keyrings"): KEYRING,
-    ("POST", f"/v1/keyrings/{'ab' * 32}/activate"): {**KEYRING, "active": True},
-    ("DELETE", f"/v1/keyrings/{'ab' * 32}"): {"keyrings": KEYRINGS["keyrings"][:1]},
+    ("GET", "/v1/bundles"): BUNDLES,
+    ("POST", "/v1/bundles"): BUNDLE,
+    ("POST", f"/v1/bundles/{'ab' * 32}/activate"): {**BUNDLE, "active": True},
+    ("DELETE", f"/v1/bundles/{'ab' * 32}"): {"bundles": BUNDLES["bundles"][:1]},
     ("GET", "/v1/lease"): LEASE,
     ("POST", "/v1/lease"): {**LEASE, "secret": "5ec2e7"},
     ("DELETE", "/v1/lease"): {"held": False, "owner": None, "expires_in_s": None, "mine": False},

@@ -1,4 +1,4 @@
-"""Light with everything that camera and scene may do to it, by each method; and readings of it."""
+"""Light with everything that camera and scene may do to it, by each method; and its measurement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from veilcam_optics.effects.model import Method
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
 
-from .setting import Bound, Operator, Setting, reading_model, symmetric_weights
+from .setting import Bound, Operator, Setting, measurement_model, symmetric_weights
 
 
 def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0.0) -> Model:
@@ -56,7 +56,7 @@ def _light_matrix(setting: Setting) -> Bound:
 
 
 def _light_embed(name: str, method: Method, *, rotation: float = 0.0, widens: str = "") -> Operator:
-    """From scenes to noiseless readings."""
+    """From scenes to noiseless measurements."""
 
     def bind(setting: Setting) -> Bound:
         operator = LightOperator(_model(setting, method, field=True, rotation=rotation)).to(
@@ -73,7 +73,7 @@ def _light_embed(name: str, method: Method, *, rotation: float = 0.0, widens: st
 
 
 def _light_mask(setting: Setting) -> Bound:
-    """From the weights of a turned mask to the readings of two scenes, by the grid."""
+    """From the weights of a turned mask to the measurements of two scenes, by the grid."""
     operator = LightOperator(_model(setting, "grid", field=False, rotation=0.1)).to(setting.device)
     scenes = Bound(lambda x: x, setting.scene().shape, ()).sample(setting, seed=9, batch=(2,))
 
@@ -83,9 +83,9 @@ def _light_mask(setting: Setting) -> Bound:
     return Bound(apply, setting.mask_shape, (2, *setting.embedding().shape))
 
 
-def _reading(setting: Setting) -> Bound:
+def _measurement(setting: Setting) -> Bound:
     """Black level, full well and converter, no noise."""
-    model = reading_model(
+    model = measurement_model(
         Conditions(electrons=1e4, full_well=8e3, adc_bits=10, black_level=0.02), shot=False
     )
     shape = setting.embedding().shape
@@ -94,7 +94,9 @@ def _reading(setting: Setting) -> Bound:
 
 def _saturation(setting: Setting) -> Bound:
     """Offset and full well alone: no rounding, so the gradient is the derivative."""
-    model = reading_model(Conditions(electrons=1e4, full_well=5e3, black_level=0.02), shot=False)
+    model = measurement_model(
+        Conditions(electrons=1e4, full_well=5e3, black_level=0.02), shot=False
+    )
     shape = setting.embedding().shape
     return Bound(lambda values: read(model, values), shape, shape)
 
@@ -116,10 +118,10 @@ LIGHT: tuple[Operator, ...] = (
         dark=False,
         widens=_BOXES,
     ),
-    Operator("reading, well and offset", _saturation, batched=True, dark=False, refuses=False),
+    Operator("measurement, well and offset", _saturation, batched=True, dark=False, refuses=False),
     Operator(
-        "reading, converter",
-        _reading,
+        "measurement, converter",
+        _measurement,
         batched=True,
         smooth=False,
         dark=False,

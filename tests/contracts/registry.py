@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from .light_operators import LIGHT
-from .reading_operators import READINGS
+from .measurement_operators import MEASUREMENTS
 from .setting import Operator
 from .transfer_operators import TRANSFER
 from .wave_operators import WAVES
 
-OPERATORS: tuple[Operator, ...] = (*TRANSFER, *WAVES, *LIGHT, *READINGS)
+OPERATORS: tuple[Operator, ...] = (*TRANSFER, *WAVES, *LIGHT, *MEASUREMENTS)

@@ -24,7 +24,7 @@ TESTS = ROOT / "tests"
 
 HARD_CASES = (
     "contracts/test_hard_cases.py",
-    "contracts/test_hard_readings.py",
+    "contracts/test_hard_measurements.py",
     "contracts/test_phases.py",
     "contracts/test_plans.py",
 )
@@ -90,14 +90,14 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
     ),
     "more signal to noise than asked for": (
         "optics/test_incumbent_defects.py::test_noise_asked_for_is_noise_delivered",
-        "contracts/test_hard_readings.py::test_noise_far_above_and_below_the_signal",
+        "contracts/test_hard_measurements.py::test_noise_far_above_and_below_the_signal",
     ),
-    "noise on the scene instead of the reading": (
+    "noise on the scene instead of the measurement": (
         "contracts/test_plans.py::test_noise_of_a_plan_is_noise_after_the_optics",
     ),
     "a bright neighbour in the batch darkens an image": (
         "optics/test_incumbent_defects.py::test_a_bright_neighbour_does_not_darken_a_picture",
-        "contracts/test_hard_readings.py::test_each_image_has_its_own_noise_level",
+        "contracts/test_hard_measurements.py::test_each_image_has_its_own_noise_level",
     ),
     "misspelt options swallowed": (
         "optics/test_incumbent_defects.py::test_misspelt_options_are_not_swallowed",

@@ -177,6 +177,6 @@ def centred(count: int, setting: Setting) -> Tensor:
     return index - (count - 1) / 2
 
 
-def reading_model(conditions: Conditions, *, shot: bool = True) -> Model:
-    """The model of a sensor: its readings do not depend on the light before it."""
+def measurement_model(conditions: Conditions, *, shot: bool = True) -> Model:
+    """The model of a sensor: its measurements do not depend on the light before it."""
     return Model(Camera(), Scene(), Embedding(), conditions, Sampling(shot=shot))

@@ -153,7 +153,7 @@ def test_odd_sizes_are_not_shifted_by_a_pixel(rows: int, columns: int) -> None:
         ),
         ("shadow", operator(OPEN, approximation=Approximation(shadow=True))),
         ("plane wave", operator(OPEN, approximation=Approximation(plane_wave=True))),
-        ("point reading", operator(OPEN, approximation=Approximation(point_reading=True))),
+        ("point binning", operator(OPEN, approximation=Approximation(point_binning=True))),
         ("filters", operator(CAMERA)),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -173,7 +173,7 @@ def test_every_option_of_the_other_paths_does_something() -> None:
         light = GridLight(CAMERA, SCENE, oversampling)
         by_grid.append(light.embed(scenes, light.psf(some_weights()), EMBEDDING))
     assert relative(*by_grid) > 1e-4
-    readings = [
+    measurements = [
         algorithm(scenes, algorithm.psf(some_weights()), torch.Generator().manual_seed(0))
         for algorithm in (
             Algorithm1(CAMERA, SCENE, EMBEDDING, "area", 40.0),
@@ -181,8 +181,8 @@ def test_every_option_of_the_other_paths_does_something() -> None:
             Algorithm1(CAMERA, SCENE, EMBEDDING, "area", 20.0),
         )
     ]
-    assert relative(readings[1], readings[0]) > 1e-3
-    assert relative(readings[2], readings[0]) > 1e-3
+    assert relative(measurements[1], measurements[0]) > 1e-3
+    assert relative(measurements[2], measurements[0]) > 1e-3
     image = torch.rand(40, 40, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     image[15:25, 15:25] += 5
     cleaned = remove_background(image)

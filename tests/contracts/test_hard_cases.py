@@ -76,7 +76,7 @@ def test_from_ultraviolet_to_thermal(operator: Operator, wavelength: float) -> N
 @of_weights
 @pytest.mark.parametrize("openness", [0.0, 1.0])
 def test_opaque_and_fully_open(operator: Operator, openness: float) -> None:
-    """Also what a scene or a reading of zeros, or of equal ones, gives: finite, dark is dark."""
+    """Also what scenes or measurements of zeros, or of equal ones, give: finite, dark is dark."""
     setting = Setting()
     bound = operator.bind(setting)
     x = torch.full_like(bound.sample(setting), openness).requires_grad_()
@@ -177,14 +177,14 @@ def test_constant_scenes(brightness: float) -> None:
     operator = TransferOperator(camera, scene, embedding, dtype=torch.float64)
     weights = random_mask(camera, torch.Generator().manual_seed(1)).double()
     flat = torch.full((400, 5, 5), brightness, dtype=torch.float64)
-    reading = operator.embed(flat, weights)
+    measurement = operator.embed(flat, weights)
     white = operator.embed(torch.ones(1, 5, 5, dtype=torch.float64), weights)
-    assert relative(reading, brightness * white.expand_as(reading)) < 1e-13
-    noisy = shot_noise(reading, 40.0, torch.Generator().manual_seed(0))
+    assert relative(measurement, brightness * white.expand_as(measurement)) < 1e-13
+    noisy = shot_noise(measurement, 40.0, torch.Generator().manual_seed(0))
     if brightness == 0:
-        assert noisy.equal(reading)
+        assert noisy.equal(measurement)
         return
-    measured = 10 * torch.log10(reading.square().sum() / (noisy - reading).square().sum())
+    measured = 10 * torch.log10(measurement.square().sum() / (noisy - measurement).square().sum())
     assert float(measured) == pytest.approx(40, abs=0.1)
 
 

@@ -92,7 +92,7 @@ def _transfer_by_factors(setting: Setting) -> Bound:
 
 
 def _decoder(setting: Setting) -> Bound:
-    """From readings to scenes, behind one mask (affine)."""
+    """From measurements to scenes, behind one mask (affine)."""
     operator = _transfer(setting, filters=False, leakage=0.0, reach=NEAR, colour=False)
     pixels = setting.rows * setting.columns
     generator = torch.Generator().manual_seed(7)
@@ -206,7 +206,7 @@ TRANSFER: tuple[Operator, ...] = (
     _transfer_variant("transfer, several beams", beams=True),
     _transfer_variant("transfer, shadows", approximation=Approximation(shadow=True)),
     _transfer_variant("transfer, plane wave", approximation=Approximation(plane_wave=True)),
-    _transfer_variant("transfer, point reading", approximation=Approximation(point_reading=True)),
+    _transfer_variant("transfer, point binning", approximation=Approximation(point_binning=True)),
     Operator(
         "decoder",
         _decoder,

@@ -22,12 +22,12 @@ from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
-from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
-from veilcam_server.bundles.manager import Keyrings
-from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.bundles.manager import BundleManager
+from veilcam_server.bundles.store import BundleStore
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
@@ -112,7 +112,7 @@ def make_fresh_bundle() -> Bundle:
             device="test camera",
             distribution=MaskDistribution.uniform(CAMERA),
             statistics=fit_statistics([digits], 24),
-            noise=ReadingNoise(40.0),
+            noise=MeasurementNoise(40.0),
             layers=layers,
             weights=weights,
         ),
@@ -168,7 +168,7 @@ class FakeSensor:
     full_scale = 1.0
 
     def __init__(self) -> None:
-        self.reading = np.ones(EMBEDDING.shape, np.float32)
+        self.measurement = np.ones(EMBEDDING.shape, np.float32)
         self.early = 0.0
         self.before: Callable[[], None] = lambda: None
         self.captures = 0
@@ -180,7 +180,7 @@ class FakeSensor:
         time.sleep(max(0.0, not_before - time.monotonic()))
         now = time.monotonic()
         started = now if not self.early else not_before - self.early
-        return Exposure(self.reading, started, max(now, started))
+        return Exposure(self.measurement, started, max(now, started))
 
     def close(self) -> None:
         self.closed = True
@@ -229,26 +229,28 @@ class Bench:
             raise
         return camera
 
-    def keyrings(self, *, limit: int = 2**20) -> Keyrings:
+    def bundles(self, *, limit: int = 2**20) -> BundleManager:
         """As the daemon makes them: of a bundle in a file."""
         path = self.state_dir / "configured.veilcam"
         self.state_dir.mkdir(exist_ok=True, mode=0o700)
         write_bundle(path, self.bundle)
         bundle = read_bundle(path)
         opener = Opener(bundle, load_pairs if bundle.mode == "pairs" else lambda _: self.source)
-        store = KeyringStore(self.state_dir / "keyrings", path, bundle.digest)
-        return Keyrings(store, opener, LoadedBundle(bundle_info(bundle), self.source), limit=limit)
+        store = BundleStore(self.state_dir / "bundles", path, bundle.digest)
+        return BundleManager(
+            store, opener, LoadedBundle(bundle_info(bundle), self.source), limit=limit
+        )
 
     def service(self, camera: MaskedCamera, *, queue_limit: int = 8) -> Service:
-        keyrings = self.keyrings()
+        bundles = self.bundles()
         settings = Settings(bundle=self.state_dir / "configured.veilcam", state_dir=self.state_dir)
         service = Service(
             camera,
             Identity(
                 DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
-                keyrings.info,
+                bundles.info,
             ),
-            keyrings,
+            bundles,
             self.calibration or CalibrationService(settings, None),
             form=self.release,
             queue_limit=queue_limit,

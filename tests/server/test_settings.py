@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.cli.main import app
 from veilcam_server.cli.terminal import one_line
-from veilcam_server.demo_data import KEYRING
+from veilcam_server.demo_data import BUNDLE
 from veilcam_server.settings import Settings, default_state_dir
 
 runner = CliRunner()
@@ -102,7 +102,7 @@ def test_a_real_camera_needs_a_bundle_and_a_simulated_one_has_the_demo_s() -> No
     with pytest.raises(ValidationError) as caught:
         Settings.model_validate({})
     assert one_line(caught.value).startswith("--bundle is missing")
-    assert Settings.model_validate({"device": "simulated"}).bundle == KEYRING
+    assert Settings.model_validate({"device": "simulated"}).bundle == BUNDLE
 
 
 def test_the_environment_fills_in(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,7 @@ from tests.stress.leaks import Planted, plant, plant_fresh
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
-from veilcam_server.demo_data import FRESH, KEYRING, load_digits
+from veilcam_server.demo_data import BUNDLE, FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.audit import DONE, REFUSED
 from veilcam_server.security.tokens import TokenStore
@@ -120,7 +120,7 @@ class Fuzz:
                 for case in cases if name == "everything" else cases[::MORE]:
                     self._send(name, method, path, case.as_transport_kwargs(base_url=self._url))
             if bundle is not None:
-                path = "/v1/keyrings"
+                path = "/v1/bundles"
                 self._send(name, "POST", path, {"url": self._url + path, "data": bundle})
                 digest = hashlib.sha256(bundle).hexdigest()
                 url = f"{self._url}{path}/{digest}/activate"
@@ -300,7 +300,7 @@ def main(
     # What is asked here in a second, nobody asks in an hour.
     os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
     os.environ["VEILCAM_HEARTBEAT"] = "0.2"
-    settings = (Setting(KEYRING, "raw"), Setting(FRESH, "white", Secret.generate()))
+    settings = (Setting(BUNDLE, "raw"), Setting(FRESH, "white", Secret.generate()))
     defects, undocumented, leaks = list[str](), list[str](), list[str]()
     with work_folder() as folder:
         for number, setting in enumerate(settings):

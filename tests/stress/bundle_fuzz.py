@@ -4,7 +4,7 @@
 
 What is done to them is in ``mutations``. Every file is read and, if it is not refused, put to use
 in a child process that may take a limited amount of memory and of time. Some are sent to a running
-service besides: whatever they are, the mask and the keyring in use must stay the same, unless a
+service besides: whatever they are, the mask and the bundle in use must stay the same, unless a
 file was accepted and activated.
 """
 
@@ -40,9 +40,9 @@ from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import (
+    BundleInvalidError,
+    BundleUnfitError,
     InferenceError,
-    KeyringInvalidError,
-    KeyringUnfitError,
     ProblemError,
 )
 from veilcam_server.masks.fresh import FreshSource
@@ -105,7 +105,7 @@ def try_one(path: Path, openers: Sequence[Opener], originals: Sequence[bytes]) -
         try:
             bundle = opener.read(path)
             opener.load(bundle)
-        except (KeyringInvalidError, KeyringUnfitError) as error:
+        except (BundleInvalidError, BundleUnfitError) as error:
             reason = str(error)
             if not reason or "\n" in reason or str(path) in reason or len(reason) > 2000:
                 raise RuntimeError("a reason that is none") from None
@@ -251,16 +251,16 @@ async def disturb(service: Service, content: bytes) -> str | None:
     before, epoch = service.status().bundle, service.rotation().epoch
     wanted = before
     try:
-        keyring = await service.keyrings.install(chunks())
-        assert keyring.bundle is not None
+        installed = await service.bundles.install(chunks())
+        assert installed.bundle is not None
         if service.status().bundle != before or service.rotation().epoch != epoch:
             return "what was only sent is in use"
-        await service.activate_keyring(keyring.digest)
-        wanted, epoch = keyring.bundle, service.rotation().epoch
+        await service.activate_bundle(installed.digest)
+        wanted, epoch = installed.bundle, service.rotation().epoch
     except ProblemError:
         pass
     if service.status().bundle != wanted or service.rotation().epoch != epoch:
-        return "another keyring or mask is in use"
+        return "another bundle or mask is in use"
     try:
         result = await service.classify(include_embedding=False)
     except InferenceError:
@@ -268,9 +268,9 @@ async def disturb(service: Service, content: bytes) -> str | None:
     if result is not None and (result.label not in wanted.labels or result.epoch != epoch):
         return "another mask or label than those in use"
     if wanted != before:
-        await service.activate_keyring(before.digest)
-        await service.keyrings.remove(wanted.digest)
-    return None if service.status().bundle == before else "the keyring before did not come back"
+        await service.activate_bundle(before.digest)
+        await service.bundles.remove(wanted.digest)
+    return None if service.status().bundle == before else "the bundle before did not come back"
 
 
 def serve_child(connection: Connection, seeds: Sequence[int], data: Sequence[bytes]) -> None:

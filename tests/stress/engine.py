@@ -16,7 +16,7 @@ import torch
 from veilcam_client.wire.captures import Form, Prediction
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
 from veilcam_optics.simulation.operator import Response
 from veilcam_server.camera.camera import MaskedCamera
@@ -24,7 +24,7 @@ from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device
-from veilcam_server.devices.base import Levels, Reading, Shown
+from veilcam_server.devices.base import Levels, Measurement, Shown
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import SensorMode
 from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
@@ -66,7 +66,7 @@ def make_bundle() -> Bundle:
             device="stress",
             distribution=MaskDistribution.uniform(CAMERA),
             statistics=fit_statistics([digits], 32),
-            noise=ReadingNoise(),
+            noise=MeasurementNoise(),
             layers=layers,
             weights=build_untrained(layers).state_dict(),
         ),
@@ -80,11 +80,11 @@ class Numbered:
     counter: int
     reader: Reader
 
-    def classify(self, embedding: Reading) -> Prediction:
+    def classify(self, embedding: Measurement) -> Prediction:
         """Classify as the reader does."""
         return self.reader.classify(embedding)
 
-    def release(self, embedding: Reading, form: Form) -> Reading:
+    def release(self, embedding: Measurement, form: Form) -> Measurement:
         """Release as the reader does."""
         return self.reader.release(embedding, form)
 
@@ -124,7 +124,7 @@ class White:
 
 
 class Marked:
-    """Light that carries the levels of the mask's first corner, one to each box of the reading."""
+    """Light that carries the levels of the mask's first corner, one to each box measured."""
 
     def response(self, weights: torch.Tensor) -> Response:
         """Return the corner."""

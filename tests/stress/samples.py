@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_server.demo_data import load_digits
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained
@@ -82,7 +82,7 @@ def make_bundles() -> list[Bundle]:
         device="fuzz",
         distribution=MaskDistribution.uniform(CAMERA),
         statistics=fit_statistics([digits], 8),
-        noise=ReadingNoise(40.0),
+        noise=MeasurementNoise(40.0),
         layers=fresh,
         weights=build_untrained(fresh).state_dict(),
     )

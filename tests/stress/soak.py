@@ -1,15 +1,16 @@
-"""The daemon's engine on emulated hardware that fails at random: no reading mixed, reused or lost.
+"""The daemon's engine on emulated hardware that fails at random: no measurement mixed, reused or
+lost.
 
     python -m tests.stress.soak --figures benchmarks/results/daemon.json
 
 Every capture has a mask of its own, drawn from a key. The light carries 64 of the mask's levels to
-the 64 values of a reading, so each reading tells which mask, or which mixture, it was taken under.
-Meanwhile somebody changes masks by hand at random moments; the panel's bus breaks off in the middle
-of masks, the camera hangs, gives old frames and gives frames twice, and the disk is full. Every now
-and then the engine is stopped and started with a wall clock that jumped by up to a year. Then it is
-killed (SIGKILL) at random moments, again and again, on one state directory. What only the optical
-self test can see, a panel that takes bytes and does not show them, is left out: its own tests are
-for that.
+the 64 values of a measurement, so each measurement tells which mask, or which mixture, it was
+taken under. Meanwhile somebody changes masks by hand at random moments; the panel's bus breaks off
+in the middle of masks, the camera hangs, gives old frames and gives frames twice, and the disk is
+full. Every now and then the engine is stopped and started with a wall clock that jumped by up to a
+year. Then it is killed (SIGKILL) at random moments, again and again, on one state directory. What
+only the optical self test can see, a panel that takes bytes and does not show them, is left out:
+its own tests are for that.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ class Outcome:
     mixed: int = 0
     errors: int = 0
     lost: int = 0
-    """Captures that ended neither in a reading nor in an error that the daemon knows."""
+    """Captures that ended neither in a measurement nor in an error that the daemon knows."""
     counters: list[int] = field(default_factory=list)
-    """Of the epochs that readings were taken under."""
+    """Of the epochs that measurements were taken under."""
     masks: list[bytes] = field(default_factory=list)
     """Digests of all masks that were put on the panel, but for those that were put back."""
     growth: float = 0.0
@@ -64,7 +65,7 @@ class Outcome:
 
     @property
     def reused(self) -> int:
-        """Readings under an epoch, or showings of a mask, that was there before."""
+        """Measurements under an epoch, or showings of a mask, that was there before."""
         return sum(len(items) - len(set(items)) for items in (self.counters, self.masks))
 
 
@@ -201,7 +202,7 @@ def main(
     ] = 0.05,
     figures: FiguresOption = None,
 ) -> None:
-    """Look for readings that are mixed, under a used epoch or lost, and for memory that grows."""
+    """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
     key = Key()
     with work_folder() as folder:

@@ -1,4 +1,4 @@
-"""``veilcam keyring``: the keyrings of a daemon, over its API."""
+"""``veilcam bundle``: the bundles of a daemon, over its API."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.cli.format import keyring_in_words
+from veilcam_client.cli.format import bundle_in_words
 from veilcam_client.cli.terminal import (
     USAGE,
     JsonOption,
@@ -18,24 +18,24 @@ from veilcam_client.cli.terminal import (
     fail,
     show,
 )
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import InstalledBundle
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Install, activate and remove keyrings, with a token of the scope admin:keyring.",
+    help="Install, activate and remove bundles, with a token of the scope admin:bundles.",
 )
 
 Digest = Annotated[str, typer.Argument(metavar="DIGEST", help="Its first digits are enough.")]
 
 
 @app.command("list")
-def list_keyrings(
+def list_bundles(
     *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
 ) -> None:
-    """Print all keyrings; a star stands at the one in use."""
-    for keyring in ask(url, timeout, Camera.keyrings):
-        show(keyring, keyring_in_words, json=json)
+    """Print all bundles; a star stands at the one in use."""
+    for installed in ask(url, timeout, Camera.bundles):
+        show(installed, bundle_in_words, json=json)
 
 
 @app.command()
@@ -53,11 +53,11 @@ def install(
     except OSError as error:
         fail(f"{file} cannot be read: {error.strerror}", USAGE)
 
-    def question(camera: Camera) -> Keyring:
-        keyring = camera.install_keyring(bundle)
-        return camera.activate_keyring(keyring.digest) if activate else keyring
+    def question(camera: Camera) -> InstalledBundle:
+        installed = camera.install_bundle(bundle)
+        return camera.activate_bundle(installed.digest) if activate else installed
 
-    show(ask(url, timeout, question), keyring_in_words, json=json)
+    show(ask(url, timeout, question), bundle_in_words, json=json)
 
 
 @app.command()
@@ -68,9 +68,9 @@ def activate(
     timeout: TimeoutOption = 120.0,
     json: JsonOption = False,
 ) -> None:
-    """Take masks and classifiers from this keyring from now on."""
-    answer = ask(url, timeout, lambda camera: camera.activate_keyring(_whole(camera, digest)))
-    show(answer, keyring_in_words, json=json)
+    """Take masks and classifiers from this bundle from now on."""
+    answer = ask(url, timeout, lambda camera: camera.activate_bundle(_whole(camera, digest)))
+    show(answer, bundle_in_words, json=json)
 
 
 @app.command()
@@ -81,15 +81,15 @@ def remove(
     timeout: TimeoutOption = 30.0,
     json: JsonOption = False,
 ) -> None:
-    """Remove a keyring that is not in use, for good, and print those that are left."""
-    left = ask(url, timeout, lambda camera: camera.remove_keyring(_whole(camera, digest)))
-    for keyring in left:
-        show(keyring, keyring_in_words, json=json)
+    """Remove a bundle that is not in use, for good, and print those that are left."""
+    left = ask(url, timeout, lambda camera: camera.remove_bundle(_whole(camera, digest)))
+    for installed in left:
+        show(installed, bundle_in_words, json=json)
 
 
 def _whole(camera: Camera, start: str) -> str:
     """The one digest that begins so."""
-    found = [one.digest for one in camera.keyrings() if one.digest.startswith(start)]
+    found = [one.digest for one in camera.bundles() if one.digest.startswith(start)]
     if len(found) != 1:
-        raise ValueError(f"{len(found)} keyrings begin with {start!r}: see 'veilcam keyring list'")
+        raise ValueError(f"{len(found)} bundles begin with {start!r}: see 'veilcam bundle list'")
     return found[0]

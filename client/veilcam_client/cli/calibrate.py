@@ -27,7 +27,9 @@ _EVERY = 0.5
 
 def calibrate(
     *,
-    repeats: Annotated[int, typer.Option(min=1, max=100, help="Exposures for one reading.")] = 2,
+    repeats: Annotated[
+        int, typer.Option(min=1, max=100, help="Exposures for one measurement.")
+    ] = 2,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 30.0,
     json: JsonOption = False,

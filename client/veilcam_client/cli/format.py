@@ -8,18 +8,18 @@ from json import dumps
 import numpy as np
 from pydantic import ValidationError
 
-from veilcam_client.wire.bundles import BundleInfo, Keyring
+from veilcam_client.wire.bundles import BundleInfo, InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun, Quantity
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
+    BundleChanged,
     CalibrationChanged,
     CaptureTaken,
     Classified,
     Event,
     Fault,
     Gap,
-    KeyringChanged,
     MaskChanged,
     RotationChanged,
     StateChanged,
@@ -69,7 +69,7 @@ def record_in_words(record: CalibrationRecord) -> str:
     for name, dead in (("rows", record.dead_rows), ("columns", record.dead_columns)):
         if dead:
             lines.append(f"dead {name}: {', '.join(map(str, dead))}")
-    unseen = "readings of the lamp behind patterns that no fit has seen are off by"
+    unseen = "measurements of the lamp behind patterns that no fit has seen are off by"
     lines.append(f"{unseen} {100 * record.psf_residual:.2g} %")
     lines.append(f"the light drifted by {100 * record.drift:.2g} %")
     return "\n".join(lines)
@@ -227,8 +227,8 @@ def event_in_words(event: Event) -> str:
         return f"{event.state}  {event.detail or ''}".rstrip()
     if isinstance(event, RotationChanged):
         return policy_in_words(event.policy)
-    if isinstance(event, KeyringChanged):
-        return f"{event.task}  keyring {event.digest[:12]}"
+    if isinstance(event, BundleChanged):
+        return f"{event.task}  bundle {event.digest[:12]}"
     return _rare_in_words(event)
 
 
@@ -240,12 +240,12 @@ def _rare_in_words(event: CalibrationChanged | Fault | Gap) -> str:
     return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"
 
 
-def keyring_in_words(keyring: Keyring) -> str:
-    """What a keyring is, in one line; a star stands at the one in use."""
-    star, held = ("*" if keyring.active else " "), keyring.bundle
+def bundle_in_words(installed: InstalledBundle) -> str:
+    """What a bundle is, in one line; a star stands at the one in use."""
+    star, held = ("*" if installed.active else " "), installed.bundle
     content = "damaged" if held is None else f"{held.task}, {masks_in_words(held)}"
-    own = "  configured" if keyring.configured else ""
-    return f"{star} {keyring.digest[:12]}  {keyring.size / 1e6:7.1f} MB  {content}{own}"
+    own = "  configured" if installed.configured else ""
+    return f"{star} {installed.digest[:12]}  {installed.size / 1e6:7.1f} MB  {content}{own}"
 
 
 def token_in_words(token: Token) -> str:

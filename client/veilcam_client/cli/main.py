@@ -90,7 +90,7 @@ app = typer.Typer(
 app.command()(calibrate.calibrate)
 app.command()(lease)
 app.add_typer(tokens.app, name="token")
-app.add_typer(bundles.app, name="keyring")
+app.add_typer(bundles.app, name="bundle")
 app.command()(record)
 
 

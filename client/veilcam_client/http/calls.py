@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
-from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.calibration import (
     CalibrationRequest,
     CalibrationRun,
@@ -69,7 +69,7 @@ LEASE_STATE = Call("GET", "/v1/lease", Lease)
 DIAGNOSTICS = Call("GET", "/v1/diagnostics", Diagnostics)
 TOKENS = Call("GET", "/v1/tokens", Tokens)
 TAKE_SCENE_AWAY = Call("DELETE", "/v1/simulation/scene", HeldScene)
-KEYRINGS = Call("GET", "/v1/keyrings", Keyrings)
+BUNDLES = Call("GET", "/v1/bundles", InstalledBundles)
 
 
 def start_calibration(repeats: int) -> Call[CalibrationRun]:
@@ -124,16 +124,18 @@ def hold_scene(picture: bytes) -> Call[HeldScene]:
     return Call("PUT", path, HeldScene, picture, media_type=PICTURE_MEDIA_TYPE)
 
 
-def install_keyring(bundle: bytes) -> Call[Keyring]:
-    """POST /v1/keyrings; to repeat it changes nothing."""
-    return Call("POST", "/v1/keyrings", Keyring, bundle, media_type=BUNDLE_MEDIA_TYPE)
+def install_bundle(bundle: bytes) -> Call[InstalledBundle]:
+    """POST /v1/bundles; to repeat it changes nothing."""
+    return Call("POST", "/v1/bundles", InstalledBundle, bundle, media_type=BUNDLE_MEDIA_TYPE)
 
 
-def activate_keyring(digest: str) -> Call[Keyring]:
-    """POST /v1/keyrings/DIGEST/activate."""
-    return Call("POST", f"/v1/keyrings/{quote(digest, safe='')}/activate", Keyring, once=True)
+def activate_bundle(digest: str) -> Call[InstalledBundle]:
+    """POST /v1/bundles/DIGEST/activate."""
+    return Call(
+        "POST", f"/v1/bundles/{quote(digest, safe='')}/activate", InstalledBundle, once=True
+    )
 
 
-def remove_keyring(digest: str) -> Call[Keyrings]:
-    """DELETE /v1/keyrings/DIGEST."""
-    return Call("DELETE", f"/v1/keyrings/{quote(digest, safe='')}", Keyrings)
+def remove_bundle(digest: str) -> Call[InstalledBundles]:
+    """DELETE /v1/bundles/DIGEST."""
+    return Call("DELETE", f"/v1/bundles/{quote(digest, safe='')}", InstalledBundles)

@@ -1,4 +1,4 @@
-"""The wire contract of keyrings: what is installed, and which one is in use."""
+"""The wire contract of bundles: what is installed, and which one is in use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class BundleInfo(Answer):
     """Stored masks; 0 in mode ``fresh``."""
 
 
-class Keyring(Answer):
+class InstalledBundle(Answer):
     """One bundle that the daemon can use, without its secrets."""
 
     digest: str
@@ -36,10 +36,10 @@ class Keyring(Answer):
     """What it holds; None for a file that was damaged on the disk."""
 
 
-class Keyrings(Answer):
+class InstalledBundles(Answer):
     """All of them."""
 
-    keyrings: tuple[Keyring, ...]
+    bundles: tuple[InstalledBundle, ...]
 
 
 EXAMPLE_BUNDLE = BundleInfo(
@@ -50,7 +50,7 @@ EXAMPLE_BUNDLE = BundleInfo(
     embedding_shape=(2, 3),
     pairs=6,
 )
-_KEYRING = Keyring(
+_BUNDLE = InstalledBundle(
     digest=EXAMPLE_DIGEST, size=48_213, active=True, configured=False, bundle=EXAMPLE_BUNDLE
 )
-EXAMPLES = (_KEYRING, Keyrings(keyrings=(_KEYRING,)))
+EXAMPLES = (_BUNDLE, InstalledBundles(bundles=(_BUNDLE,)))

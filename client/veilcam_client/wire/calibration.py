@@ -22,11 +22,11 @@ class Quantity(Answer):
     uncertainty: float = Field(ge=0, allow_inf_nan=False)
     """Standard uncertainty, in the unit of the value."""
     residual: float = Field(ge=0, allow_inf_nan=False)
-    """Root mean square of what the fit left, relative to the readings it was made from."""
+    """Root mean square of what the fit left, relative to the measurements it was made from."""
 
 
 class CalibrationRecord(Answer):
-    """A camera measured with itself. No mask and no reading is in it."""
+    """A camera measured with itself. No mask and no measurement is in it."""
 
     version: Literal[2] = 2
     taken_at: datetime
@@ -40,15 +40,15 @@ class CalibrationRecord(Answer):
     tab: str | None = None
     """How the panel's glass sits in its controller's memory, where that was told."""
     exposure_s: float
-    """That readings are given for [s]."""
+    """That measurements are given for [s]."""
     geometry: str = Field(pattern=r"^[0-9a-f]{64}$")
     """SHA-256 digest of nominal camera, scene and embedding."""
     settling_s: Quantity
-    """After a change, until readings stay within 2 % of the step [s]."""
+    """After a change, until measurements stay within 2 % of the step [s]."""
     black_level: Quantity
-    """Reading without light."""
+    """Measurement without light."""
     gain: Quantity
-    """Reading where a decoder expects 1: a white scene, no mask."""
+    """Measurement where a decoder expects 1: a white scene, no mask."""
     full_scale: Quantity
     """What saturated pixels are worth to a decoder."""
     gamma: Quantity
@@ -91,7 +91,7 @@ class CalibrationRequest(Question):
     """Measure the camera with itself."""
 
     repeats: int = Field(default=2, ge=1, le=100)
-    """Exposures for one reading."""
+    """Exposures for one measurement."""
 
 
 class SceneConfirmation(Question):

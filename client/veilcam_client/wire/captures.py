@@ -30,7 +30,7 @@ class ClassificationRequest(Question):
 
 
 class Embedding(Answer):
-    """The binned sensor reading, row by row; ``np.asarray`` gives it as float32 of ``shape``.
+    """The binned sensor measurement, row by row; ``np.asarray`` gives it as float32 of ``shape``.
 
     Unit of the forms ``raw`` and ``flat``: irradiance relative to what an all-white scene of the
     same size gives at the centre of the sensor without a mask. ``white`` has none.

@@ -63,10 +63,10 @@ class RotationChanged(_Event):
     policy: RotationPolicy
 
 
-class KeyringChanged(_Event):
-    """Masks and classifiers come from another keyring."""
+class BundleChanged(_Event):
+    """Masks and classifiers come from another bundle."""
 
-    kind: Literal["keyring"] = "keyring"
+    kind: Literal["bundle"] = "bundle"
     digest: str
     task: str
 
@@ -99,7 +99,7 @@ Event = Annotated[
     | CaptureTaken
     | Classified
     | RotationChanged
-    | KeyringChanged
+    | BundleChanged
     | CalibrationChanged
     | Fault
     | Gap,
@@ -109,7 +109,7 @@ Event = Annotated[
 EVENT: TypeAdapter[Event] = TypeAdapter(Event)
 EVENT_KINDS = frozenset(
     (
-        *("state", "mask", "capture", "classification", "rotation", "keyring", "calibration"),
+        *("state", "mask", "capture", "classification", "rotation", "bundle", "calibration"),
         *("fault", "gap"),
     )
 )

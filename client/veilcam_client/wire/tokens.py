@@ -17,7 +17,7 @@ Scope = Literal[
     "mask:rotate",
     "calibrate",
     "simulate",
-    "admin:keyring",
+    "admin:bundles",
     "admin:tokens",
     "metrics",
 ]

@@ -85,7 +85,7 @@ class Sensor:
     pixel: float = 1.55e-6
     bit_depth: int = 12
     channel_weights: tuple[float, float, float] = (0.25, 0.5, 0.25)
-    """Share of R, G and B in a gray reading: binning the raw Bayer plane counts green twice."""
+    """Share of R, G and B in a gray measurement: binning the raw Bayer plane counts green twice."""
 
     def __post_init__(self) -> None:
         require_count("sensor.rows", self.rows)

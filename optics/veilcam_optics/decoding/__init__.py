@@ -7,14 +7,14 @@ classifier serves all masks.
 
 from veilcam_optics.decoding.decoder import Decoder, Precision, SceneDecoding
 from veilcam_optics.decoding.frame import SceneFrame, read_frame, write_frame
-from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
+from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics, fit_statistics
 
 __all__ = [
     "DEFAULT_NOISE",
     "Decoder",
+    "MeasurementNoise",
     "Precision",
-    "ReadingNoise",
     "SceneDecoding",
     "SceneFrame",
     "SceneStatistics",

@@ -27,7 +27,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Scene
-from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
+from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.transfer.operator import TransferOperator
@@ -42,7 +42,7 @@ class Precision(Enum):
 
     @property
     def products(self) -> torch.dtype:
-        """Type of transfer matrix, readings and estimates."""
+        """Type of transfer matrix, measurements and estimates."""
         return self.value[0]
 
     @property
@@ -53,14 +53,14 @@ class Precision(Enum):
 
 @dataclass(frozen=True)
 class Decoder:
-    """Decodes readings behind one mask. It is as secret as the mask, so its repr holds none of it.
+    """Decodes measurements behind one mask; as secret as the mask, so its repr holds nothing.
 
     Made by :meth:`SceneDecoding.prepare`.
     """
 
     scene: Scene
     embedding: Embedding
-    mean_reading: Tensor = field(repr=False)
+    mean_measurement: Tensor = field(repr=False)
     """A mu: what the mean scene gives, (E,)."""
     estimator: Tensor = field(repr=False)
     """K, (rank, E)."""
@@ -75,35 +75,38 @@ class Decoder:
     deviation: Tensor = field(repr=False)
     """Posterior standard deviation of each scene pixel, (rows, columns)."""
     remaining: float
-    """Share of the scene's variance that a reading leaves unknown, in [0, 1]."""
+    """Share of the scene's variance that a measurement leaves unknown, in [0, 1]."""
 
-    def coordinates(self, readings: Tensor) -> Tensor:
+    def coordinates(self, measurements: Tensor) -> Tensor:
         """Estimates as coordinates in the scene's basis, (batch, rank)."""
-        flat = self.flatten(readings)
-        return (flat - self.mean_reading) @ self.estimator.T
+        flat = self.flatten(measurements)
+        return (flat - self.mean_measurement) @ self.estimator.T
 
-    def __call__(self, readings: Tensor) -> Tensor:
+    def __call__(self, measurements: Tensor) -> Tensor:
         """Estimate scenes.
 
         Args:
-            readings: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
+            measurements: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
 
         Returns:
             (batch, rows, columns) of the scene, in the units of scenes; not clamped to [0, 1].
 
         Raises:
-            OpticsError: readings of another shape.
+            OpticsError: measurements of another shape.
         """
-        flat = torch.addmm(self.mean, self.coordinates(readings), self.basis.T)
+        flat = torch.addmm(self.mean, self.coordinates(measurements), self.basis.T)
         return flat.reshape(-1, *self.scene.shape)
 
-    def flatten(self, readings: Tensor) -> Tensor:
-        """Readings as (batch, embedding pixels) in the decoder's type; refuse another shape."""
-        if tuple(readings.shape[1:]) not in (self.embedding.shape, (self.embedding.size,)):
+    def flatten(self, measurements: Tensor) -> Tensor:
+        """Measurements as (batch, embedding pixels) in the decoder's type; refuse another shape."""
+        if tuple(measurements.shape[1:]) not in (self.embedding.shape, (self.embedding.size,)):
             raise invalid(
-                "readings.shape", tuple(readings.shape), "", f"(batch, *{self.embedding.shape})"
+                "measurements.shape",
+                tuple(measurements.shape),
+                "",
+                f"(batch, *{self.embedding.shape})",
             )
-        return readings.flatten(1).to(self.mean_reading.dtype)
+        return measurements.flatten(1).to(self.mean_measurement.dtype)
 
 
 class SceneDecoding:
@@ -112,7 +115,7 @@ class SceneDecoding:
     Args:
         operator: gray transfer operator of the camera; its type is set by ``precision``.
         statistics: of the scenes; their rank is a dial of accuracy against time.
-        noise: to expect in readings.
+        noise: to expect in measurements.
         precision: a dial of accuracy against time.
 
     Raises:
@@ -124,7 +127,7 @@ class SceneDecoding:
         self,
         operator: TransferOperator,
         statistics: SceneStatistics,
-        noise: ReadingNoise = DEFAULT_NOISE,
+        noise: MeasurementNoise = DEFAULT_NOISE,
         *,
         precision: Precision = Precision.MIXED,
     ) -> None:
@@ -147,7 +150,7 @@ class SceneDecoding:
         Args:
             weights: amplitude transmittances as the panel shows them (quantised, with dead rows),
                 ``camera.mask_shape``.
-            gain: reading per unit of irradiance, a number or one per embedding pixel (E,).
+            gain: measurement per unit of irradiance, a number or one per embedding pixel (E,).
 
         Raises:
             OpticsError: a mask or gain of another shape, or not finite.
@@ -159,11 +162,11 @@ class SceneDecoding:
         """Decoder for a transfer matrix (scene pixels, embedding pixels), e.g. a measured one."""
         operator, statistics, factors = self.operator, self.statistics, self.precision.factors
         response = transfer.T * self._gain(gain, transfer.device)
-        mean_reading = response @ statistics.mean
+        mean_measurement = response @ statistics.mean
         reduced = response @ statistics.basis
         lost = response.square() @ statistics.residual
         spread = reduced.square().sum(1) + lost
-        noise = self.noise.variance(mean_reading, spread) + lost
+        noise = self.noise.variance(mean_measurement, spread) + lost
         scaled = (reduced * noise.rsqrt()[:, None]).to(factors)
         basis, prior = statistics.basis.to(factors), statistics.variance.to(factors)
         if scaled.shape[0] < scaled.shape[1]:
@@ -182,7 +185,7 @@ class SceneDecoding:
         return Decoder(
             scene=operator.scene,
             embedding=operator.embedding,
-            mean_reading=mean_reading,
+            mean_measurement=mean_measurement,
             estimator=estimator.to(products) * noise.rsqrt(),
             noise=noise,
             response=reduced,

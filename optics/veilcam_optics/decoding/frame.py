@@ -20,7 +20,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding.decoder import Precision, SceneDecoding
-from veilcam_optics.decoding.noise import DEFAULT_NOISE, ReadingNoise
+from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.files import write_whole
@@ -41,7 +41,7 @@ class _Header(BaseModel):
     scene: Scene
     embedding: Embedding
     reach: Reach
-    noise: ReadingNoise
+    noise: MeasurementNoise
     calibration: Imperfections = NOMINAL
 
 
@@ -53,7 +53,7 @@ class SceneFrame:
     scene: Scene
     embedding: Embedding
     statistics: SceneStatistics
-    noise: ReadingNoise = DEFAULT_NOISE
+    noise: MeasurementNoise = DEFAULT_NOISE
     reach: Reach = field(default_factory=Reach)
     distribution: MaskDistribution | None = None
     """What masks are drawn from; None is uniform over all that the panel can show."""

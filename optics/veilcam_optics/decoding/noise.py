@@ -1,4 +1,4 @@
-"""What a decoder expects of the noise in a reading."""
+"""What a decoder expects of the noise in a measurement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from veilcam_optics.errors import invalid
 
 
 @dataclass(frozen=True, slots=True)
-class ReadingNoise:
+class MeasurementNoise:
     """Shot noise at ``snr_db`` [dB], and an error of the transfer matrix that acts like noise.
 
     ``model_error`` is the relative rms error of the response (misalignment that calibration left,
@@ -28,17 +28,17 @@ class ReadingNoise:
             raise invalid("noise.model_error", self.model_error, "", "a finite number >= 0")
 
     def variance(self, mean: Tensor, spread: Tensor) -> Tensor:
-        """Expected variance of the noise in each pixel of a reading.
+        """Expected variance of the noise in each pixel of a measurement.
 
-        The variance of shot noise is proportional to the reading, its share such that the energy
-        of signal and noise have the ratio ``snr_db``
-        (see :func:`veilcam_optics.sensor.noise.shot_noise`); reading, energy and total are replaced
-        by what the scene's statistics let one expect. A dark pixel keeps a trace of noise, so that
-        nothing is divided by zero.
+        The variance of shot noise is proportional to the measurement, its share such that the
+        energy of signal and noise have the ratio ``snr_db``
+        (see :func:`veilcam_optics.sensor.noise.shot_noise`); measurement, energy and total are
+        replaced by what the scene's statistics let one expect. A dark pixel keeps a trace of
+        noise, so that nothing is divided by zero.
 
         Args:
-            mean: expected reading, (E,), not negative.
-            spread: variance of the reading over scenes, (E,).
+            mean: expected measurement, (E,), not negative.
+            spread: variance of the measurement over scenes, (E,).
 
         Returns:
             (E,), greater than zero. All ones if the mask lets no light through at all: then
@@ -55,5 +55,5 @@ class ReadingNoise:
         return shot + model + floor
 
 
-DEFAULT_NOISE = ReadingNoise()
+DEFAULT_NOISE = MeasurementNoise()
 """40 dB, as the paper assumes, and a geometry that is known exactly."""

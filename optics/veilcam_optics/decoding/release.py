@@ -4,8 +4,9 @@ Embeddings of one mask resemble each other: their mean gives the mask away as a 
 key. And all masks pass light at the same places, so a coarse shadow of the scene shows behind any
 of them. ``flat`` takes the mask's mean response and the exposure out, and hides nothing else.
 ``white`` takes out mean and covariance and then turns the rest by a rotation that only the mask's
-holder knows; the length of a reading stays, is nearly the same behind every mask, and tells much of
-the scene. ``raw`` is the reading itself. What each form gives away is in docs/fresh-masks.md.
+holder knows; the length of a measurement stays, is nearly the same behind every mask, and tells
+much of the scene. ``raw`` is the measurement itself. What each form gives away is in
+docs/fresh-masks.md.
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ class ReleaseForm(Enum):
 
 
 class Whitening:
-    """Mean, covariance and rotation of one mask's readings, made once; as secret as the mask.
+    """Mean, covariance and rotation of one mask's measurements, made once; as secret as the mask.
 
-    The covariance of readings is ``C = A S A^T + N = L L^T``. White readings are
+    The covariance of measurements is ``C = A S A^T + N = L L^T``. White measurements are
     ``Q L^-1 (v - A mu)``, whose covariance is I. The rotation Q is drawn uniformly (QR factors of a
     Gaussian matrix, Stewart 1980) from a key stream under a key made from the mask's levels.
-    Without it, white readings would still be in the order of the sensor's pixels, and another
+    Without it, white measurements would still be in the order of the sensor's pixels, and another
     mask's whitening would bring back a coarse picture. C has eigenvalues as far apart as signal
     and noise, so it is scaled by N and factored in float64.
 
@@ -61,24 +62,24 @@ class Whitening:
         covariance.diagonal().add_(1.0)
         self._factor = torch.linalg.cholesky(covariance)
         self._rotation = _rotation(levels, len(deviation))
-        self._mean, self._deviation = decoder.mean_reading.double(), deviation
+        self._mean, self._deviation = decoder.mean_measurement.double(), deviation
         self._decoder = decoder
 
     def __repr__(self) -> str:
         return f"Whitening(embedding={self._decoder.embedding})"
 
-    def whiten(self, readings: Tensor) -> Tensor:
+    def whiten(self, measurements: Tensor) -> Tensor:
         """(batch, E) float32 of mean 0 and covariance I under the scene statistics."""
-        flat = self._decoder.flatten(readings).double()
+        flat = self._decoder.flatten(measurements).double()
         scaled = ((flat - self._mean) / self._deviation).T
         white: Tensor = torch.linalg.solve_triangular(self._factor, scaled, upper=False)
         return (self._rotation @ white).T.float()
 
     def restore(self, white: Tensor) -> Tensor:
-        """The readings again, (batch, E)."""
+        """The measurements again, (batch, E)."""
         flat = self._decoder.flatten(white).double() @ self._rotation
-        readings = flat @ self._factor.T * self._deviation + self._mean
-        restored: Tensor = readings.to(self._decoder.mean_reading.dtype)
+        measurements = flat @ self._factor.T * self._deviation + self._mean
+        restored: Tensor = measurements.to(self._decoder.mean_measurement.dtype)
         return restored
 
 
@@ -93,12 +94,12 @@ def _rotation(levels: npt.NDArray[np.uint8], size: int) -> Tensor:
 
 
 def release(
-    readings: Tensor, form: ReleaseForm, decoder: Decoder, whitening: Whitening | None = None
+    measurements: Tensor, form: ReleaseForm, decoder: Decoder, whitening: Whitening | None = None
 ) -> Tensor | None:
-    """Bring readings into the form in which they may leave.
+    """Bring measurements into the form in which they may leave.
 
     Args:
-        readings: (batch, rows, columns) of the embedding, or (batch, E).
+        measurements: (batch, rows, columns) of the embedding, or (batch, E).
         form: how much to release.
         decoder: of the mask that was shown.
         whitening: of that mask; ``WHITE`` needs it.
@@ -107,17 +108,17 @@ def release(
         (batch, rows, columns), or None for ``NONE``.
 
     Raises:
-        OpticsError: readings of another shape, ``WHITE`` without a whitening, or ``FLAT`` of a
-            reading without light.
+        OpticsError: measurements of another shape, ``WHITE`` without a whitening, or ``FLAT`` of a
+            measurement without light.
     """
-    flat = decoder.flatten(readings)
+    flat = decoder.flatten(measurements)
     if form is ReleaseForm.NONE:
         return None
     if form is ReleaseForm.FLAT:
-        exposure = flat.sum(1, keepdim=True) / decoder.mean_reading.sum()
+        exposure = flat.sum(1, keepdim=True) / decoder.mean_measurement.sum()
         if not bool((exposure > 0).all()):
-            raise OpticsError("a reading holds no light: it has no exposure to remove")
-        flat = flat / exposure - decoder.mean_reading
+            raise OpticsError("a measurement holds no light: it has no exposure to remove")
+        flat = flat / exposure - decoder.mean_measurement
     elif form is ReleaseForm.WHITE:
         flat = _needed(whitening).whiten(flat)
     return flat.reshape(-1, *decoder.embedding.shape)
@@ -126,11 +127,11 @@ def release(
 def recover(
     released: Tensor, form: ReleaseForm, decoder: Decoder, whitening: Whitening | None = None
 ) -> Tensor:
-    """Readings from a released form; :func:`release` of the same mask undone.
+    """Measurements from a released form; :func:`release` of the same mask undone.
 
     ``RAW`` and ``WHITE`` come back up to rounding. ``FLAT`` comes back at the exposure of the mean
     scene: the exposure itself was left out on purpose. With another mask's decoder something else
-    comes back than the reading, and nothing says so.
+    comes back than the measurement, and nothing says so.
 
     Args:
         released: (batch, rows, columns) of the embedding, or (batch, E).
@@ -148,7 +149,7 @@ def recover(
         raise OpticsError("form = none holds nothing to recover: use flat, white or raw")
     flat = decoder.flatten(released)
     if form is ReleaseForm.FLAT:
-        flat = flat + decoder.mean_reading
+        flat = flat + decoder.mean_measurement
     elif form is ReleaseForm.WHITE:
         flat = _needed(whitening).restore(flat)
     return flat.reshape(-1, *decoder.embedding.shape)
@@ -181,7 +182,7 @@ def decode_released(
         secret: of the device. Another one gives something else, and nothing says so.
         device: its name in the key schedule.
         epoch: in which the embeddings were read: its number, or the name that came with them.
-        gain: reading per unit of irradiance.
+        gain: measurement per unit of irradiance.
 
     Returns:
         (batch, rows, columns) of the scene.

@@ -1,4 +1,4 @@
-"""An effect: when it is there, what it does to light and readings, and its worth."""
+"""An effect: when it is there, what it does to light and measurements, and its worth."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class Effect:
         """What a pixel makes of its photo-electrons, where they are counted."""
         return electrons
 
-    def reading(
+    def measurement(
         self,
         values: Tensor,
         model: Model,  # noqa: ARG002 - part of the interface

@@ -64,7 +64,7 @@ def read(model: Model, values: Tensor, generator: torch.Generator | None = None)
         generator: source of the random numbers.
 
     Returns:
-        Readings in the unit of ``values``, same shape.
+        Measurements in the unit of ``values``, same shape.
     """
     scale = model.conditions.electrons
     if scale:
@@ -73,5 +73,5 @@ def read(model: Model, values: Tensor, generator: torch.Generator | None = None)
             electrons = effect.electrons(electrons, model, generator)
         values = electrons / scale
     for effect in present(model):
-        values = effect.reading(values, model, generator)
+        values = effect.measurement(values, model, generator)
     return values

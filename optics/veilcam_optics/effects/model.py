@@ -126,5 +126,5 @@ class Model:
         return Approximation(
             shadow=not sampling.diffraction,
             plane_wave=not sampling.spherical,
-            point_reading=not sampling.binning,
+            point_binning=not sampling.binning,
         )

@@ -111,7 +111,9 @@ class ShotNoise(Effect):
         """Counted, where their number is given."""
         return counted(electrons, generator)
 
-    def reading(self, values: Tensor, model: Model, generator: torch.Generator | None) -> Tensor:
+    def measurement(
+        self, values: Tensor, model: Model, generator: torch.Generator | None
+    ) -> Tensor:
         """As much noise as the signal-to-noise ratio says, where that is given."""
         return shot_noise(values, model.conditions.snr_db, generator)
 
@@ -120,7 +122,7 @@ class ReadNoise(Effect):
     """Reading a value adds noise."""
 
     name = "read noise"
-    absent = "noiseless reading"
+    absent = "noiseless measurement"
     neutral = MappingProxyType({"read_noise": 0.0})
 
     def error(self, comparison: Comparison) -> float:
@@ -196,21 +198,21 @@ class BlackLevel(Effect):
         """How much."""
         return f"dark reads {model.conditions.black_level:.3g}"
 
-    def reading(
+    def measurement(
         self,
         values: Tensor,
         model: Model,
         generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
-        """Added to every reading."""
+        """Added to every measurement."""
         return values + model.conditions.black_level
 
 
 class Converter(Effect):
-    """Readings are whole numbers of a limited range."""
+    """Measurements are whole numbers of a limited range."""
 
     name = "ADC"
-    absent = "readings are not rounded"
+    absent = "measurements are not rounded"
     neutral = MappingProxyType({"adc_bits": 0})
 
     def error(self, comparison: Comparison) -> float:
@@ -227,7 +229,9 @@ class Converter(Effect):
         ends = converter_range(conditions)
         return f"{conditions.adc_bits} bits up to an embedding value of {ends:.3g}"
 
-    def reading(self, values: Tensor, model: Model, generator: torch.Generator | None) -> Tensor:
+    def measurement(
+        self, values: Tensor, model: Model, generator: torch.Generator | None
+    ) -> Tensor:
         """Rounded, with the gradient of the identity."""
         del generator
         return digitised(values, model.conditions.adc_bits, converter_range(model.conditions))

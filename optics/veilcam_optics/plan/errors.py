@@ -160,7 +160,7 @@ class ErrorModel:
 
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
-        # Of all channels: their errors partly average out in a gray reading.
+        # Of all channels: their errors partly average out in a gray measurement.
         finest = self._probe.transfer(self._near.with_samples(name, _FINEST[name]))
         return relative(self._probe.transfer(self._near.with_samples(name, count)), finest)
 

@@ -68,7 +68,7 @@ class Probe:
         return y, x
 
     def channels(self, model: Model) -> list[int]:
-        """Channels that count in a gray reading, brightest first; at least one."""
+        """Channels that count in a gray measurement, brightest first; at least one."""
         shares = model.camera.sensor.channel_weights
         light = [
             share * sum(amplitude**2 for amplitude in model.camera.row_amplitudes(channel))

@@ -1,4 +1,4 @@
-"""Noise on a reading, added after the optics."""
+"""Noise on a measurement, added after the optics."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ def shot_noise(values: Tensor, snr_db: float, generator: torch.Generator | None 
 
     The variance is proportional to the value, as for photon counts, with the count per unit chosen
     per image so that ``10 log10(sum v^2 / sum E[n^2])`` is ``snr_db``. The normal approximation to
-    the Poisson law is used, so gradients pass (at 40 dB a reading holds thousands of photons).
+    the Poisson law is used, so gradients pass (at 40 dB a measurement holds thousands of photons).
     They pass through the noise's amplitude too: a mask that is learned must know that light which
     tells nothing apart brings noise with it.
 
     Args:
-        values: non-negative readings, shape (..., rows, columns) or (batch, pixels); the ratio
+        values: non-negative measurements, shape (..., rows, columns) or (batch, pixels); the ratio
             holds over all axes but the first.
         snr_db: signal-to-noise ratio [dB]; ``math.inf`` adds nothing.
         generator: source of the random numbers, on the device of ``values``.
 
     Returns:
-        Noisy readings, same shape and dtype. An image without light has no signal and stays as
+        Noisy measurements, same shape and dtype. An image without light has no signal and stays as
         it is; so does an empty batch.
 
     Raises:

@@ -100,12 +100,12 @@ class Approximation:
     Attributes:
         shadow: geometric shadows take the place of diffraction; nothing interferes.
         plane_wave: the light at the mask is parallel: a scene point at infinity.
-        point_reading: an embedding value is read at its pixel's centre, not averaged over it.
+        point_measurement: an embedding value is read at its pixel's centre, not averaged over it.
     """
 
     shadow: bool = False
     plane_wave: bool = False
-    point_reading: bool = False
+    point_binning: bool = False
 
 
 EXACT = Approximation()
@@ -180,7 +180,7 @@ class Axis:
         self.source_distance = math.inf if approximation.plane_wave else scene_distance
         self.distance = distance
         self.shadow = approximation.shadow
-        if approximation.point_reading:
+        if approximation.point_binning:
             self.pixel *= 1e-3
         self.scale = 1 / (self.pixel * scene_pixels * self.image)
 

@@ -100,7 +100,7 @@ class _Group(nn.Module):
         return self.products(weights) @ self.columns[:, x]
 
 
-class _Reading(nn.Module):
+class _Measurement(nn.Module):
     """What one output (gray, or one colour) adds up: groups of pairs and their row kernels."""
 
     rows: Tensor
@@ -149,7 +149,7 @@ class TransferOperator(nn.Module):
         reach: which pairs of sub-pixels interfere. With ideal colour filters, rows of one colour
             are 3 sub-pixels apart, so a smaller reach along rows counts none.
         step: distance of integration nodes on the sensor [m].
-        colour: True keeps the three channels apart, False sums them to a gray reading.
+        colour: True keeps the three channels apart, False sums them to a gray measurement.
         dtype: of the result; the kernels are made in float64 and then cast.
         variables: tensors to differentiate with respect to.
         beams: what each channel adds up; by default its one wavelength.
@@ -208,7 +208,7 @@ class TransferOperator(nn.Module):
             for distance in {beam.scene_distance for beam in beams}
         }
         rotation = imperfections.rotation if variables.rotation is None else variables.rotation
-        readings: list[_Reading] = []
+        measurements: list[_Measurement] = []
         groups: list[_Group] = []
         rows: list[Tensor] = []
         for channel, share in enumerate(camera.sensor.channel_weights):
@@ -221,15 +221,15 @@ class TransferOperator(nn.Module):
                     groups.append(group)
                     rows.append(row_kernel * (beam.share if colour else beam.share * share))
             if colour or channel == len(CHANNELS) - 1:
-                if not groups:  # no row passes this light: a reading without pairs
+                if not groups:  # no row passes this light: a measurement without pairs
                     none = torch.zeros(0, dtype=torch.long)
                     y, x = axes[beams[0].scene_distance]
                     dark = torch.zeros(camera.window.columns, len(x.offsets), dtype=torch.float64)
                     groups.append(_Group(none, none, 0, dark))
                     rows.append(torch.zeros(len(y.offsets), 0, dtype=torch.float64))
-                readings.append(_Reading(groups, rows, dtype))
+                measurements.append(_Measurement(groups, rows, dtype))
                 groups, rows = [], []
-        self.readings, self._readings = nn.ModuleList(readings), tuple(readings)
+        self.measurements, self._measurements = nn.ModuleList(measurements), tuple(measurements)
 
     def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
         """The transfer matrix of a mask.
@@ -259,7 +259,7 @@ class TransferOperator(nn.Module):
                 (region.left, region.columns, embedding.columns),
             )
         )
-        values = [reading(weights, y, x) for reading in self._readings]
+        values = [measurement(weights, y, x) for measurement in self._measurements]
         pixels = (region.rows * region.columns, embedding.size)
         transfers = [
             value.reshape(region.rows, embedding.rows, region.columns, embedding.columns)
@@ -267,7 +267,7 @@ class TransferOperator(nn.Module):
             .reshape(pixels)
             for value in values
         ]
-        # One gray reading is taken as it is: stacking would copy the largest tensor of a step.
+        # One gray measurement is taken as it is: stacking would copy the largest tensor of a step.
         return torch.stack(transfers) if self.colour else transfers[0]
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
@@ -300,10 +300,10 @@ class TransferOperator(nn.Module):
         self._check_scenes(scenes)
         check_weights(weights, self.camera)
         values = [
-            reading.embed(
+            measurement.embed(
                 scenes[:, channel] if self.colour else scenes, weights, self.embedding.shape
             )
-            for channel, reading in enumerate(self._readings)
+            for channel, measurement in enumerate(self._measurements)
         ]
         return torch.stack(values, dim=1) if self.colour else values[0]
 

@@ -112,7 +112,7 @@ def reference_transfer(
             sub-pixels ``Delta`` apart have the period ``lambda d2 / Delta``; a cell as long as that
             takes them for a constant. 32 keeps every fringe of the default window shorter-lived
             than that and agrees with twice as many to 3e-5, while 16 is still 1e-3 away.
-        colour: True keeps the three channels apart, False sums them to a gray reading.
+        colour: True keeps the three channels apart, False sums them to a gray measurement.
 
     Returns:
         float64 (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour.

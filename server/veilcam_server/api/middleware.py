@@ -120,7 +120,7 @@ class RequestContext:
         )
 
     def _limited(self, scope: Scope, receive: Receive) -> Receive:
-        """Stop reading a body that is too large, whatever length it claims to have."""
+        """Stop measurement a body that is too large, whatever length it claims to have."""
         limit = self._max_uploads.get((scope["method"], scope["path"]), self._max_body)
         received = 0
 

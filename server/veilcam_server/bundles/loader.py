@@ -11,12 +11,12 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.bundles.store import BundleStore
 from veilcam_server.errors import (
-    KeyringInvalidError,
-    KeyringUnfitError,
+    BundleInvalidError,
+    BundleUnfitError,
     StartError,
-    UnknownKeyringError,
+    UnknownBundleError,
 )
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
@@ -117,7 +117,7 @@ class LoadedBundle:
 
 
 class Opener:
-    """Opens keyrings for a camera that stands as it is.
+    """Opens bundles for a camera that stands as it is.
 
     Args:
         configured: the bundle that the daemon was started with.
@@ -131,39 +131,39 @@ class Opener:
         """Read a bundle that fits this camera.
 
         Raises:
-            KeyringInvalidError: it cannot be read, or it is not a whole bundle.
-            KeyringUnfitError: it is for another camera, or of another mode.
+            BundleInvalidError: it cannot be read, or it is not a whole bundle.
+            BundleUnfitError: it is for another camera, or of another mode.
         """
         try:
             bundle = read_bundle(path)
         except BundleError as error:
             # Where the daemon keeps its files is nobody's business.
             reason = str(error).removeprefix(f"{path}: ")
-            raise KeyringInvalidError(f"this keyring cannot be used: {reason}") from None
+            raise BundleInvalidError(f"this bundle cannot be used: {reason}") from None
         for name in ("mode", "camera", "scene", "embedding", "channels"):
             if getattr(bundle, name) != getattr(self._configured, name):
-                raise KeyringUnfitError(
-                    f"this keyring is for another {name}: start the daemon with it, as --bundle"
+                raise BundleUnfitError(
+                    f"this bundle is for another {name}: start the daemon with it, as --bundle"
                 )
         return bundle
 
     def open(self, path: Path, digest: str) -> LoadedBundle:
-        """Open the keyring of this digest; raises as :meth:`read`."""
+        """Open the bundle of this digest; raises as :meth:`read`."""
         bundle = self.read(path)
         if bundle.digest != digest:
-            raise KeyringInvalidError("this keyring was changed on the disk: install it again")
+            raise BundleInvalidError("this bundle was changed on the disk: install it again")
         return self.load(bundle)
 
     def load(self, bundle: Bundle) -> LoadedBundle:
-        """What serves the masks of a bundle; raises :class:`KeyringUnfitError`."""
+        """What serves the masks of a bundle; raises :class:`BundleUnfitError`."""
         try:
             return LoadedBundle(bundle_info(bundle), self._open_source(bundle))
         except (StartError, BundleError) as error:
-            raise KeyringUnfitError(str(error)) from None
+            raise BundleUnfitError(str(error)) from None
 
 
-def last_good(store: KeyringStore, opener: Opener) -> tuple[LoadedBundle | None, Sequence[str]]:
-    """The keyring that was in use last and still can be; None for the configured one.
+def last_good(store: BundleStore, opener: Opener) -> tuple[LoadedBundle | None, Sequence[str]]:
+    """The bundle that was in use last and still can be; None for the configured one.
 
     Returns:
         That, and a line on each that cannot be used.
@@ -174,6 +174,6 @@ def last_good(store: KeyringStore, opener: Opener) -> tuple[LoadedBundle | None,
             break
         try:
             return opener.open(store.path(digest), digest), faults
-        except (UnknownKeyringError, KeyringInvalidError, KeyringUnfitError) as error:
-            faults.append(f"keyring {digest[:12]} is not in use any more: {error}")
+        except (UnknownBundleError, BundleInvalidError, BundleUnfitError) as error:
+            faults.append(f"bundle {digest[:12]} is not in use any more: {error}")
     return None, faults

@@ -1,4 +1,4 @@
-"""What the API does with keyrings. One change at a time; the camera goes on meanwhile."""
+"""What the API does with bundles. One change at a time; the camera goes on meanwhile."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 
-from veilcam_client.wire.bundles import BundleInfo, Keyring
-from veilcam_client.wire.bundles import Keyrings as KeyringsResponse
+from veilcam_client.wire.bundles import BundleInfo, InstalledBundle, InstalledBundles
 from veilcam_server.bundles.loader import LoadedBundle, Opener, bundle_info
-from veilcam_server.bundles.store import KeyringStore, append
+from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
-    KeyringInvalidError,
-    KeyringsBusyError,
-    KeyringStoreError,
-    KeyringUnfitError,
+    BundleInvalidError,
+    BundlesBusyError,
+    BundleStoreError,
+    BundleUnfitError,
 )
 
 Change = Callable[[LoadedBundle], Awaitable[None]]
 """Makes the camera use other keys, or raises and leaves it with those that it has."""
 
 
-class Keyrings:
-    """Installed keyrings, and the one in use. Lives on one event loop.
+class BundleManager:
+    """Installed bundles, and the one in use. Lives on one event loop.
 
     Args:
         store: where they are.
@@ -34,7 +33,7 @@ class Keyrings:
 
     def __init__(
         self,
-        store: KeyringStore,
+        store: BundleStore,
         opener: Opener,
         keys: LoadedBundle,
         *,
@@ -48,22 +47,20 @@ class Keyrings:
 
     @property
     def info(self) -> BundleInfo:
-        """What the keyring in use holds."""
+        """What the bundle in use holds."""
         return self._keys.info
 
-    async def all(self) -> KeyringsResponse:
-        """Every keyring, the configured one first."""
+    async def all(self) -> InstalledBundles:
+        """Every bundle, the configured one first."""
         digests = await asyncio.to_thread(self._store.digests)
-        return KeyringsResponse(
-            keyrings=tuple([await self._response(digest) for digest in digests])
-        )
+        return InstalledBundles(bundles=tuple([await self._response(digest) for digest in digests]))
 
-    async def install(self, chunks: AsyncIterable[bytes]) -> Keyring:
+    async def install(self, chunks: AsyncIterable[bytes]) -> InstalledBundle:
         """Take in a bundle; it is checked, and not used.
 
         Raises:
-            KeyringInvalidError, KeyringUnfitError: it cannot be used here.
-            KeyringsFullError, KeyringStoreError, KeyringsBusyError: it cannot be stored now.
+            BundleInvalidError, BundleUnfitError: it cannot be used here.
+            BundlesFullError, BundleStoreError, BundlesBusyError: it cannot be stored now.
         """
         async with self._alone():
             with self._store.incoming() as (path, stream):
@@ -74,13 +71,13 @@ class Keyrings:
             self._infos[bundle.digest] = bundle_info(bundle)
             return await self._response(bundle.digest)
 
-    async def activate(self, digest: str, change: Change) -> Keyring:
-        """Use another keyring, also after a restart; when that fails, the one before goes on.
+    async def activate(self, digest: str, change: Change) -> InstalledBundle:
+        """Use another bundle, also after a restart; when that fails, the one before goes on.
 
         Raises:
-            UnknownKeyringError: there is none of this digest.
-            KeyringInvalidError, KeyringUnfitError: it cannot be used (any more).
-            KeyringStoreError, KeyringsBusyError: it cannot be made durable now.
+            UnknownBundleError: there is none of this digest.
+            BundleInvalidError, BundleUnfitError: it cannot be used (any more).
+            BundleStoreError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():
             before = self._keys
@@ -93,7 +90,7 @@ class Keyrings:
                     self._keys, self._infos[digest] = keys, keys.info
                 try:
                     await asyncio.to_thread(self._store.commit, staged)
-                except KeyringStoreError:
+                except BundleStoreError:
                     # What runs must be what a restart would bring.
                     if self._keys is not before:
                         await change(before)
@@ -104,14 +101,14 @@ class Keyrings:
             return await self._response(digest)
 
     async def reopen(self, opener: Opener, change: Change) -> None:
-        """Open the keyring in use anew, and all others from now on.
+        """Open the bundle in use anew, and all others from now on.
 
         Args:
             opener: that makes them usable from now on.
             change: makes the camera use the keys; what it raises leaves everything as it is.
 
         Raises:
-            KeyringInvalidError, KeyringUnfitError: it cannot be used (any more).
+            BundleInvalidError, BundleUnfitError: it cannot be used (any more).
         """
         async with self._changing:
             digest = self._keys.info.digest
@@ -120,18 +117,18 @@ class Keyrings:
             await change(keys)
             self._opener, self._keys = opener, keys
 
-    async def remove(self, digest: str) -> KeyringsResponse:
-        """Remove a keyring for good; raises as :meth:`KeyringStore.remove`."""
+    async def remove(self, digest: str) -> InstalledBundles:
+        """Remove a bundle for good; raises as :meth:`BundleStore.remove`."""
         async with self._alone():
             await asyncio.to_thread(self._store.remove, digest, self._keys.info.digest)
             self._infos.pop(digest, None)
         return await self.all()
 
-    async def _response(self, digest: str) -> Keyring:
+    async def _response(self, digest: str) -> InstalledBundle:
         path = self._store.path(digest)
         if digest not in self._infos:
             self._infos[digest] = await asyncio.to_thread(self._look, digest)
-        return Keyring(
+        return InstalledBundle(
             digest=digest,
             size=path.stat().st_size,
             active=digest == self._keys.info.digest,
@@ -142,13 +139,13 @@ class Keyrings:
     def _look(self, digest: str) -> BundleInfo | None:
         try:
             bundle = self._opener.read(self._store.path(digest))
-        except (KeyringInvalidError, KeyringUnfitError):
+        except (BundleInvalidError, BundleUnfitError):
             return None
         return bundle_info(bundle) if bundle.digest == digest else None
 
     @asynccontextmanager
     async def _alone(self) -> AsyncIterator[None]:
         if self._changing.locked():
-            raise KeyringsBusyError
+            raise BundlesBusyError
         async with self._changing:
             yield

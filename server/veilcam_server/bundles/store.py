@@ -1,4 +1,4 @@
-"""Keyrings on the disk: installed bundles, and which of them is in use.
+"""Bundles on the disk: installed bundles, and which of them is in use.
 
 ``DIRECTORY/DIGEST.veilcam`` holds a bundle, readable by its owner alone; ``DIRECTORY/active.json``
 names the one in use, the one used before it, and the bundle that the daemon was started with at the
@@ -20,14 +20,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from veilcam_optics.files import sync_folder
 from veilcam_server.errors import (
-    KeyringInUseError,
-    KeyringsFullError,
-    KeyringStoreError,
-    UnknownKeyringError,
+    BundleInUseError,
+    BundlesFullError,
+    BundleStoreError,
+    StartError,
+    UnknownBundleError,
 )
 
 CAPACITY = 32
-"""Most keyrings that can be installed."""
+"""Most bundles that can be installed."""
 _SUFFIX = ".veilcam"
 _TEMPORARY = ".new-"
 _RECORD = "active.json"
@@ -41,7 +42,7 @@ class _Active(BaseModel):
     configured: str
 
 
-class KeyringStore:
+class BundleStore:
     """Bundles by the SHA-256 of their file.
 
     Args:
@@ -51,6 +52,11 @@ class KeyringStore:
     """
 
     def __init__(self, directory: Path, configured: Path, digest: str) -> None:
+        earlier = directory.with_name("keyrings")
+        if earlier.exists():
+            raise StartError(
+                f"{earlier} is of an earlier version: rename it to {directory.name}, or remove it"
+            )
         self._directory, self._given = directory, configured
         self.configured = digest
         """Digest of the bundle that the daemon was started with."""
@@ -74,12 +80,12 @@ class KeyringStore:
         return (self.configured, *sorted(installed))
 
     def path(self, digest: str) -> Path:
-        """Where a bundle is; raises :class:`UnknownKeyringError`."""
+        """Where a bundle is; raises :class:`UnknownBundleError`."""
         if digest == self.configured:
             return self._given
         path = self._path(digest)
         if not (_DIGEST.fullmatch(digest) and path.is_file()):
-            raise UnknownKeyringError
+            raise UnknownBundleError
         return path
 
     @contextmanager
@@ -87,11 +93,11 @@ class KeyringStore:
         """Yield a new file, and its path, that is gone afterwards unless it was installed.
 
         Raises:
-            KeyringsFullError: there are too many already.
-            KeyringStoreError: the disk refuses.
+            BundlesFullError: there are too many already.
+            BundleStoreError: the disk refuses.
         """
         if len(self.digests()) > CAPACITY:
-            raise KeyringsFullError(CAPACITY)
+            raise BundlesFullError(CAPACITY)
         with _durable():
             descriptor, name = self._temporary()
         try:
@@ -101,7 +107,7 @@ class KeyringStore:
             Path(name).unlink(missing_ok=True)
 
     def install(self, temporary: Path, digest: str) -> None:
-        """Move a whole and checked file into its place; raises :class:`KeyringStoreError`."""
+        """Move a whole and checked file into its place; raises :class:`BundleStoreError`."""
         if digest == self.configured:
             return
         with _durable():
@@ -114,13 +120,13 @@ class KeyringStore:
         """Remove a bundle for good.
 
         Raises:
-            UnknownKeyringError: there is none of this digest.
-            KeyringInUseError: it is the active or the configured one.
-            KeyringStoreError: the disk refuses.
+            UnknownBundleError: there is none of this digest.
+            BundleInUseError: it is the active or the configured one.
+            BundleStoreError: the disk refuses.
         """
         path = self.path(digest)
         if digest in (active, self.configured):
-            raise KeyringInUseError
+            raise BundleInUseError
         with _durable():
             path.unlink()
             sync_folder(self._directory)
@@ -131,7 +137,7 @@ class KeyringStore:
         Everything that a full disk can prevent is done here.
 
         Raises:
-            KeyringStoreError: the disk refuses.
+            BundleStoreError: the disk refuses.
         """
         record = _Active(active=digest, before=before, configured=self.configured)
         with _durable():
@@ -143,7 +149,7 @@ class KeyringStore:
         return Path(name)
 
     def commit(self, staged: Path) -> None:
-        """Make what was staged hold from now on; raises :class:`KeyringStoreError`."""
+        """Make what was staged hold from now on; raises :class:`BundleStoreError`."""
         with _durable():
             staged.replace(self._directory / _RECORD)
             sync_folder(self._directory)
@@ -163,7 +169,7 @@ class KeyringStore:
 
 
 def append(stream: BinaryIO, chunk: bytes) -> None:
-    """Write to an incoming file; raises :class:`KeyringStoreError`."""
+    """Write to an incoming file; raises :class:`BundleStoreError`."""
     with _durable():
         stream.write(chunk)
         stream.flush()
@@ -174,6 +180,6 @@ def _durable() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise KeyringStoreError(
-            f"the keyring cannot be stored ({error.strerror}): check the state directory's disk"
+        raise BundleStoreError(
+            f"the bundle cannot be stored ({error.strerror}): check the state directory's disk"
         ) from None

@@ -32,13 +32,13 @@ class Sight:
 
     image: Values = field(repr=False)
     """(rows, columns) of the scene."""
-    readings: Values = field(repr=False)
+    measurements: Values = field(repr=False)
     """(patterns, rows, columns) of the embedding, without the black level."""
 
     @property
     def scale(self) -> float:
-        """Root mean square of the readings."""
-        return float(np.sqrt(np.mean(self.readings**2)))
+        """Root mean square of the measurements."""
+        return float(np.sqrt(np.mean(self.measurements**2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +48,16 @@ class Alignment:
     imperfections: Imperfections
     uncertainties: tuple[float, float, float, float]
     gains: tuple[float, ...]
-    """Reading per predicted reading, of each sight."""
+    """Measurement per predicted measurement, of each sight."""
     gain_uncertainties: tuple[float, ...]
     stray_uncertainty: float
     """Of the share of light that is spread evenly."""
     residuals: tuple[float, ...]
-    """Of each sight: root mean square, relative to its readings."""
+    """Of each sight: root mean square, relative to its measurements."""
 
 
 class Optics:
-    """Predicted readings as a function of where the mask is; float64.
+    """Predicted measurements as a function of where the mask is; float64.
 
     Args:
         geometry: the nominal camera.
@@ -94,10 +94,10 @@ class Optics:
                 rotation=place[2],
             ),
         )
-        readings = [self._scenes @ operator(weights) for weights in self._weights]
-        return torch.stack(readings, dim=1).flatten(1)
+        measurements = [self._scenes @ operator(weights) for weights in self._weights]
+        return torch.stack(measurements, dim=1).flatten(1)
 
-    def readings(self, found: Imperfections) -> Values:
+    def measurements(self, found: Imperfections) -> Values:
         """(sights, patterns x embedding pixels), stray light included."""
         place = torch.tensor([getattr(found, name) for name in NAMES], dtype=torch.float64)
         straight = self.predict(place).numpy()
@@ -131,7 +131,7 @@ def align(
     """Fit shift, rotation and distance, stray light, and a gain for each sight.
 
     Light that goes astray between panel and sensor is taken to fall evenly on the sensor: a share
-    ``s`` of it makes ``(1 - s) y + s mean(y)`` of a reading ``y``.
+    ``s`` of it makes ``(1 - s) y + s mean(y)`` of a measurement ``y``.
 
     Args:
         geometry: the nominal camera.
@@ -144,7 +144,7 @@ def align(
     optics = Optics(geometry, weights, [sight.image for sight in sights], reach)
     scales = np.array([sight.scale for sight in sights])
     observed = np.stack(
-        [sight.readings.ravel() / scale for sight, scale in zip(sights, scales, strict=True)]
+        [sight.measurements.ravel() / scale for sight, scale in zip(sights, scales, strict=True)]
     )
     begin = np.array([getattr(start, name) for name in NAMES]) / _UNITS
     gains = _gains(optics.predict(torch.tensor(begin * _UNITS)).numpy(), observed)
@@ -194,11 +194,11 @@ def align(
     )
 
 
-def strayed(readings: Values, share: float, size: int) -> Values:
-    """Spread a share of the light of every reading of so many values evenly over it."""
-    each = readings.reshape(*readings.shape[:-1], -1, size)
+def strayed(measurements: Values, share: float, size: int) -> Values:
+    """Spread a share of the light of every measurement of so many values evenly over it."""
+    each = measurements.reshape(*measurements.shape[:-1], -1, size)
     spread: Values = (1 - share) * each + share * each.mean(-1, keepdims=True)
-    return spread.reshape(readings.shape)
+    return spread.reshape(measurements.shape)
 
 
 def _gains(predicted: Values, observed: Values) -> Values:

@@ -34,7 +34,7 @@ def split_darkness(
     Args:
         geometry: the nominal camera.
         opaque: scenes behind the opaque panel, one pattern each.
-        gains: reading per predicted reading of those scenes.
+        gains: measurement per predicted measurement of those scenes.
         known: where the mask is, which lines are dead, and how much light goes astray.
         reach: which sub-pixels interfere.
 
@@ -47,12 +47,12 @@ def split_darkness(
     optics = Optics(
         geometry, torch.stack([alive, ones - alive]), [sight.image for sight in opaque], reach
     )
-    predicted = optics.readings(known).reshape(len(opaque), 2, -1)
+    predicted = optics.measurements(known).reshape(len(opaque), 2, -1)
     columns, values = [], []
     for sight, gain, each in zip(opaque, gains, predicted, strict=True):
         # Not scaled to each other: what little comes of a lamp is below a step of the converter.
         columns.append(each.T * gain)
-        values.append(sight.readings.ravel())
+        values.append(sight.measurements.ravel())
     matrix, seen = np.concatenate(columns), np.concatenate(values)
     # Amplitudes are the roots of what is fitted, and so are their uncertainties, to first order.
     shares, _ = nnls(matrix, seen)
@@ -68,7 +68,7 @@ def split_darkness(
 
 
 _MISFIT = 0.1
-"""Largest relative error of predicted readings behind patterns that no fit has seen."""
+"""Largest relative error of predicted measurements behind patterns that no fit has seen."""
 _ROUNDS = 2
 """How often light of the floor, light of dead lines, and gain are fitted in turn."""
 _FARTHEST, _TURNED = 1e-3, 20e-3
@@ -140,14 +140,17 @@ class _Fit:
             dead_columns=lines.dead_columns,
         )
         added = (
-            [replace(each, readings=each.readings - each.readings[0]) for each in sights]
+            [
+                replace(each, measurements=each.measurements - each.measurements[0])
+                for each in sights
+            ]
             if dead
             else sights
         )
         alignment = self._align(levels, added, known, coarse)
         alignment = self._align(levels, added, alignment.imperfections, every)
         for _ in range(_ROUNDS if dead else 0):
-            opaque = [replace(sight, readings=sight.readings[:1]) for sight in sights]
+            opaque = [replace(sight, measurements=sight.measurements[:1]) for sight in sights]
             known, floor_spread, self.stuck_uncertainty = split_darkness(
                 self.geometry,
                 opaque,
@@ -172,7 +175,7 @@ class _Fit:
         return align(
             self.geometry,
             self._shown(levels[used], start),
-            [replace(sight, readings=sight.readings[used]) for sight in sights],
+            [replace(sight, measurements=sight.measurements[used]) for sight in sights],
             start,
             reach=self.reach,
             check=self.check,
@@ -185,7 +188,7 @@ class _Fit:
     def _verdict(
         self, levels: Sequence[Levels], sights: Sequence[Sight], alignment: Alignment
     ) -> tuple[Values, tuple[float, ...]]:
-        """Predicted readings of the held-out patterns, and their relative error for each scene."""
+        """Predicted measurements of held-out patterns, and their relative error for each scene."""
         found = alignment.imperfections
         for name, amount, limit, unit in (
             ("shifted", max(abs(found.shift_y), abs(found.shift_x)), _FARTHEST, 1e-3),
@@ -206,14 +209,15 @@ class _Fit:
         )
         gains = np.array(alignment.gains)[:, None, None, None]
         shape = (len(sights), -1, *self.geometry.embedding.shape)
-        predicted: Values = gains * optics.readings(found).reshape(shape)
-        seen = np.stack([sight.readings[held_out] for sight in sights])
+        predicted: Values = gains * optics.measurements(found).reshape(shape)
+        seen = np.stack([sight.measurements[held_out] for sight in sights])
         axes = (1, 2, 3)
         errors = np.sqrt(((predicted - seen) ** 2).sum(axes) / (seen**2).sum(axes))
         for name, error in zip(("white card", "lamp"), errors, strict=True):
             if error > _MISFIT:
                 raise CalibrationError(
-                    f"readings of the {name} are {100 * error:.2g} % off what the optics predict: "
-                    "check that card and lamp were where they should be, and no other light was on"
+                    f"measurements of the {name} are {100 * error:.2g} % off the optics' "
+                    "prediction: check that card and lamp were where they should be, and no other "
+                    "light was on"
                 )
         return predicted, tuple(errors.tolist())

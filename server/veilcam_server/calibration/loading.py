@@ -65,7 +65,7 @@ def panel_tab(settings: Settings) -> str | None:
 
 
 def make_opener(settings: Settings, bundle: Bundle, signed: SignedCalibration | None) -> Opener:
-    """What opens keyrings, their readers made for the camera as it was measured."""
+    """What opens bundles, their readers made for the camera as it was measured."""
     imperfections = NOMINAL if signed is None else imperfections_of(signed.record)
     return Opener(bundle, lambda keys: open_source(settings, keys, imperfections))
 

@@ -25,7 +25,7 @@ class Budget:
     """How much is read."""
 
     repeats: int = 2
-    """Exposures for one reading."""
+    """Exposures for one measurement."""
     samples: int = 10
     """Of each step of settling, in each of two passes."""
     patterns: Patterns = field(default_factory=Patterns)
@@ -120,10 +120,10 @@ def measure(
 
 
 def _look(rig: Rig, levels: Sequence[Levels], scene: CalibrationScene, black: float) -> Sight:
-    readings = np.stack([rig.read(each) for each in levels]) - black
-    if not readings.mean() > 0:
+    measurements = np.stack([rig.read(each) for each in levels]) - black
+    if not measurements.mean() > 0:
         raise CalibrationError(f"there is no light from the {scene.name}: light it, try again")
-    return Sight(scene.image.astype(np.float64), readings)
+    return Sight(scene.image.astype(np.float64), measurements)
 
 
 def _check_light(light: float, black: float, rig: Rig) -> None:

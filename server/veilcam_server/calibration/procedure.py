@@ -48,10 +48,10 @@ def calibrate(
         geometry: the nominal camera.
         set_scene: brings a scene before the camera and returns once it is there.
         longest: what the panel's settling may take [s].
-        exposure: of readings, for the record [s].
+        exposure: of measurements, for the record [s].
         tab: of the panel, for the record.
         reach: which sub-pixels decoders let interfere.
-        timeout: longest wait for one reading [s].
+        timeout: longest wait for one measurement [s].
         budget: how much is read.
         advance: called after each of ``budget.captures(geometry)`` exposures; what it raises ends
             the calibration, as what ``check`` does.

@@ -17,7 +17,7 @@ _MISFIT = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Staircase:
-    """Mean readings of uniform levels, without the black level."""
+    """Mean measurements of uniform levels, without the black level."""
 
     weights: Values = field(repr=False)
     """Levels over the highest one."""

@@ -25,7 +25,7 @@ class CalibrationResult:
     stuck_uncertainty: float
     """Standard uncertainty of what dead lines let through."""
     card_error: float
-    """Relative error of predicted readings of the white card, behind patterns held out."""
+    """Relative error of predicted measurements of the white card, behind patterns held out."""
     lamp_error: float
     """The same of the lamp."""
     lamp_predicted: Values = field(repr=False)
@@ -34,7 +34,7 @@ class CalibrationResult:
     @property
     def lamp(self) -> Values:
         """What was read there."""
-        seen: Values = self.measured.sights[1].readings[-1]
+        seen: Values = self.measured.sights[1].measurements[-1]
         return seen
 
 
@@ -46,7 +46,7 @@ def make_record(
     Args:
         found: measured and fitted.
         device: that it is of.
-        exposure: that readings are given for [s].
+        exposure: that measurements are given for [s].
         tab: of the panel.
         geometry: digest of the nominal camera, scene and embedding.
     """

@@ -49,7 +49,7 @@ class Patterns:
 
     @property
     def count(self) -> int:
-        """Readings of one scene; an opaque one is among them."""
+        """Measurements of one scene; an opaque one is among them."""
         return 1 + self.coarse + self.fine + self.held_out
 
     def draw(self, camera: Camera) -> list[Levels]:
@@ -77,7 +77,7 @@ Values = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Mean of one reading, and when its light was collected, since the panel's last byte [s]."""
+    """Mean of a measurement, and when its light was collected, since the panel's last byte [s]."""
 
     started: float
     ended: float
@@ -91,8 +91,8 @@ class Rig:
         device: panel and sensor; it is not closed here.
         camera: whose window patterns are for.
         shape: of an embedding.
-        fence: that every reading keeps to, except where settling itself is measured.
-        repeats: exposures for one reading, which is their mean.
+        fence: that every measurement keeps to, except where settling itself is measured.
+        repeats: exposures for one measurement, which is their mean.
         advance: called after every exposure.
         clock: monotonic time [s].
     """
@@ -114,7 +114,7 @@ class Rig:
 
     @property
     def full_scale(self) -> float:
-        """Reading of saturated pixels."""
+        """Measurement of saturated pixels."""
         return self._device.sensor.full_scale
 
     def uniform(self, level: int) -> Levels:
@@ -136,18 +136,18 @@ class Rig:
 
         Raises:
             DeviceError: panel or sensor failed.
-            FenceError: the reading cannot be trusted.
+            FenceError: the measurement cannot be trusted.
         """
         not_before = self._device.display.show(levels).completed_at + self._fence.settle
-        readings = [self._expose(not_before)[0] for _ in range(self._repeats)]
-        mean: Values = np.mean(readings, axis=0)
+        measurements = [self._expose(not_before)[0] for _ in range(self._repeats)]
+        mean: Values = np.mean(measurements, axis=0)
         return mean
 
     def after(self, levels: Levels, delay: float) -> Moment:
         """Show a pattern and read ``delay`` [s] later, settled or not."""
         completed = self._device.display.show(levels).completed_at
-        reading, started, ended = self._expose(completed + delay)
-        return Moment(started - completed, ended - completed, float(reading.mean()))
+        measurement, started, ended = self._expose(completed + delay)
+        return Moment(started - completed, ended - completed, float(measurement.mean()))
 
     def _expose(self, not_before: float) -> tuple[Values, float, float]:
         exposure = self._device.sensor.capture(not_before, self._fence.timeout)

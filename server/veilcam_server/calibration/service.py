@@ -23,7 +23,7 @@ from veilcam_client.wire.calibration import (
 from veilcam_client.wire.events import CalibrationChanged
 from veilcam_optics.transfer.operator import Reach
 from veilcam_server.bundles.loader import LoadedBundle
-from veilcam_server.bundles.manager import Keyrings
+from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.loading import (
     check_record,
     make_opener,
@@ -72,13 +72,13 @@ class Served:
 
     Attributes:
         camera: whose device is measured, and which goes on with what was found.
-        keyrings: of which the one in use is opened anew for what was found.
+        bundles: of which the one in use is opened anew for what was found.
         on_device: does work on the device's thread.
         publish: takes every change of a calibration; on any thread.
     """
 
     camera: CameraEngine
-    keyrings: Keyrings
+    bundles: BundleManager
     on_device: OnDevice
     publish: Publish
 
@@ -108,7 +108,7 @@ class CalibrationService:
         """Return a calibration to measure.
 
         Args:
-            repeats: exposures for one reading.
+            repeats: exposures for one measurement.
             report: takes every change of it.
 
         Raises:
@@ -192,7 +192,7 @@ class CalibrationService:
         """Begin to measure the camera that is served.
 
         Args:
-            repeats: exposures for one reading.
+            repeats: exposures for one measurement.
 
         Raises:
             CalibrationError: this camera cannot be measured, or no record be kept.
@@ -279,7 +279,7 @@ class CalibrationService:
             await asyncio.to_thread(self.write, signed)
             await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source))
 
-        await served.keyrings.reopen(make_opener(self._settings, self._bundle, signed), change)
+        await served.bundles.reopen(make_opener(self._settings, self._bundle, signed), change)
         self._signed = signed
 
     @property

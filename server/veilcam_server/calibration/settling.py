@@ -22,7 +22,7 @@ class Settling:
     uncertainty: float
     """Distance of the samples there [s]."""
     residual: float
-    """How far the readings taken as settled scatter, root mean square over the step."""
+    """How far the measurements taken as settled scatter, root mean square over the step."""
     rising: tuple[Moment, ...]
     """From opaque to open; means from 0 to 1."""
     falling: tuple[Moment, ...]

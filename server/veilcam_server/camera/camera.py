@@ -1,4 +1,4 @@
-"""The engine: one panel, one sensor, one lock, and the rule that no reading mixes two masks.
+"""The engine: one panel, one sensor, one lock, and the rule that no measurement mixes two masks.
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
 checked before and after (the fence), or it is an error. No capture is taken unless a self test has
@@ -56,7 +56,7 @@ class MaskedCamera:
         fence: times to keep.
         policy: when masks change.
         test_every: longest time from one test to the next [s].
-        calibration: what readings are corrected by.
+        calibration: what measurements are corrected by.
 
     Raises:
         RotationImpossibleError: the policy needs another mask, and there is none.
@@ -195,7 +195,7 @@ class MaskedCamera:
         """Within :meth:`exclusive`: go on with another calibration.
 
         Args:
-            calibration: what readings are corrected by.
+            calibration: what measurements are corrected by.
             settle: what the panel is given [s].
             source: whose readers are made for that calibration.
         """
@@ -235,7 +235,7 @@ class MaskedCamera:
         with self._lock:
             if not (isinstance(self._policy, RotationOff) or source.renewable):
                 raise RotationImpossibleError(
-                    "this keyring holds one mask only: turn the rotation of masks off first"
+                    "this bundle holds one mask only: turn the rotation of masks off first"
                 )
             self._require_running()
             self._panel.show(first, source)
@@ -247,14 +247,14 @@ class MaskedCamera:
                 self._rotate()
 
     def capture(self) -> Captured:
-        """Take one reading under one mask.
+        """Take one measurement under one mask.
 
         If the mask is due and the next is not ready, what the policy says is done: this capture
         reuses the mask, or it waits.
 
         Raises:
             NotReadyError: no mask is shown, or the panel is not proven to hide the scene.
-            SensorError: the sensor gave no reading.
+            SensorError: the sensor gave no measurement.
             FenceError: it gave one that cannot be trusted.
             RotationImpossibleError, EpochError, DisplayError: the mask was due to change and
                 could not; it is not used beyond what the policy allows.

@@ -11,19 +11,19 @@ import numpy as np
 
 from veilcam_client.wire.captures import Replay
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
-from veilcam_server.devices.base import Exposure, Reading
+from veilcam_server.devices.base import Exposure, Measurement
 from veilcam_server.errors import FenceError
 from veilcam_server.masks.source import Mask, Reader
 
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """How a reading is kept from mixing two masks."""
+    """How a measurement is kept from mixing two masks."""
 
     settle: float = 0.1
     """Given to the panel after a write; measured once per panel, 100 ms to start from [s]."""
     timeout: float = 5.0
-    """Longest wait for one reading [s]."""
+    """Longest wait for one measurement [s]."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.settle) and self.settle >= 0):
@@ -35,7 +35,7 @@ class Fence:
 def check_exposure(
     exposure: Exposure, *, not_before: float, ended: float, shape: tuple[int, ...]
 ) -> None:
-    """Refuse a reading that cannot be trusted.
+    """Refuse a measurement that cannot be trusted.
 
     Args:
         exposure: as the sensor gave it.
@@ -53,11 +53,11 @@ def check_exposure(
         )
     if exposure.embedding.shape != shape:
         raise FenceError(
-            f"the sensor gave a reading of shape {exposure.embedding.shape}, "
+            f"the sensor gave a measurement of shape {exposure.embedding.shape}, "
             f"not {shape}: check that the bundle fits this device"
         )
     if not bool(np.isfinite(exposure.embedding).all()):
-        raise FenceError("the sensor gave a reading that is not finite: try again")
+        raise FenceError("the sensor gave a measurement that is not finite: try again")
 
 
 def due_in(policy: RotationPolicy, *, shown_for: float, captures: int, chance: float) -> float:
@@ -122,9 +122,9 @@ class ActiveMask:
 
 @dataclass(frozen=True, slots=True)
 class Captured:
-    """One reading, proof of its mask, and the one reader that may read it."""
+    """One measurement, proof of its mask, and the one reader that may read it."""
 
-    embedding: Reading = field(repr=False)
+    embedding: Measurement = field(repr=False)
     taken_at: datetime
     epoch: str
     reader: Reader = field(repr=False)

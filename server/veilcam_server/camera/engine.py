@@ -56,7 +56,7 @@ class CameraEngine(Protocol):
         """Show another mask if the policy wants it and one is ready."""
 
     def capture(self) -> Captured:
-        """Take one reading under one mask."""
+        """Take one measurement under one mask."""
 
     def first_of(self, source: MaskSource) -> Prepared:
         """Prepare a mask of another source, while the camera goes on; any thread may ask."""

@@ -17,7 +17,7 @@ from veilcam_server.devices.base import Device, Levels
 from veilcam_server.errors import SelfTestError, UndecidedError
 
 _DARK = 5e-4
-"""Mean reading through the open window, over that of saturated pixels, too low to tell anything."""
+"""Mean measurement through the open window, over that of saturated pixels, that tells nothing."""
 _OPAQUE = 0.5
 """Most light that an opaque panel may let through, over that of the open window."""
 _SHARE = 0.15
@@ -32,7 +32,7 @@ _APART, _OVERLAP = 2, 16
 """Least distance of two shadows, along each axis, and size of what they share, to compare them by
 [boxes]: a coarser embedding cannot tell where a shadow is."""
 
-_Reading = npt.NDArray[np.float64]
+_Measurement = npt.NDArray[np.float64]
 
 
 class SelfTest(Protocol):
@@ -73,12 +73,12 @@ class OpticalSelfTest:
         self._moved = _boxes_between_corners(camera, scene, embedding)
 
     def run(self, device: Device, fence: Fence) -> None:
-        """Take 9 readings and judge them."""
+        """Take 9 measurements and judge them."""
         quarter = self._quarter()
         corner = np.zeros(self._camera.mask_shape, bool)
         corner[: corner.shape[0] // 2, : corner.shape[1] // 2] = True
 
-        def seen(opened: npt.NDArray[np.bool_]) -> _Reading:
+        def seen(opened: npt.NDArray[np.bool_]) -> _Measurement:
             return self._seen(device, fence, opened)
 
         nothing, everything = np.zeros_like(corner), np.ones_like(corner)
@@ -95,7 +95,7 @@ class OpticalSelfTest:
             raise SelfTestError("the panel does not hide the scene: check its power and its wiring")
         # From here on the light that the window lets through, without what always comes through.
         light, few, most, again, first, last = (
-            reading - floor for reading in (light, few, most, again, first, last)
+            measurement - floor for measurement in (light, few, most, again, first, last)
         )
         share = quarter.mean()
         errors = (
@@ -110,7 +110,7 @@ class OpticalSelfTest:
             )
         self._judge_place(first, last)
 
-    def _judge_light(self, before: _Reading, after: _Reading, full_scale: float) -> None:
+    def _judge_light(self, before: _Measurement, after: _Measurement, full_scale: float) -> None:
         if before.mean() <= _DARK * full_scale or after.mean() <= _DARK * full_scale:
             raise UndecidedError(
                 "it is too dark to see whether the panel hides the scene: give the scene light"
@@ -120,7 +120,7 @@ class OpticalSelfTest:
                 "the light changes too much to see whether the panel hides the scene: hold it still"
             )
 
-    def _judge_place(self, first: _Reading, last: _Reading) -> None:
+    def _judge_place(self, first: _Measurement, last: _Measurement) -> None:
         """Compare the shadows of two corners, moved as they lie apart, and in other directions."""
         down, right = self._moved
         rows, columns = self._shape
@@ -135,8 +135,8 @@ class OpticalSelfTest:
                     "is mounted"
                 )
 
-    def _seen(self, device: Device, fence: Fence, opened: npt.NDArray[np.bool_]) -> _Reading:
-        """The reading behind a pattern."""
+    def _seen(self, device: Device, fence: Fence, opened: npt.NDArray[np.bool_]) -> _Measurement:
+        """The measurement behind a pattern."""
         if opened.any():
             levels: Levels = np.where(opened, self._camera.panel.levels - 1, 0).astype(np.uint8)
             device.display.show(levels)
@@ -170,12 +170,12 @@ def _boxes_between_corners(camera: Camera, scene: Scene, embedding: Embedding) -
     )
 
 
-def _difference(one: _Reading, other: _Reading) -> float:
+def _difference(one: _Measurement, other: _Measurement) -> float:
     """Relative L2."""
     return float(np.linalg.norm(one - other) / np.linalg.norm((one + other) / 2))
 
 
-def _likeness(first: _Reading, last: _Reading, down: int, right: int) -> float:
+def _likeness(first: _Measurement, last: _Measurement, down: int, right: int) -> float:
     """Correlation of ``first`` with ``last`` moved back, where they overlap."""
     rows, columns = first.shape
 

@@ -34,7 +34,7 @@ def calibrate(
             "decode what it releases."
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Exposures for one reading.")] = 2,
+    repeats: Annotated[int, typer.Option(min=1, help="Exposures for one measurement.")] = 2,
 ) -> None:
     """Measure settling, black level, gain, the panel's response, dead lines, and where the mask is.
 

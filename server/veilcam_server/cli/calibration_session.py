@@ -43,7 +43,7 @@ def calibrate_device(
         out: record to write; by default that of the state directory.
         picture: to draw; beside the record by default.
         frame: of the camera as it was built, for whoever decodes elsewhere; none by default.
-        repeats: exposures for one reading.
+        repeats: exposures for one measurement.
 
     Raises:
         CalibrationError: the measurement is refused, or the record cannot be written.

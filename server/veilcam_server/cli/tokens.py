@@ -34,7 +34,7 @@ def create(
         list[str],
         typer.Option(
             help="What it allows; give it several times. read:status, classify, read:embedding, "
-            "read:embedding:raw, mask:rotate, calibrate, admin:keyring, admin:tokens, metrics."
+            "read:embedding:raw, mask:rotate, calibrate, admin:bundles, admin:tokens, metrics."
         ),
     ],
     days: Annotated[

@@ -15,14 +15,14 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.keys.epoch_names import EpochNames
 from veilcam_optics.keys.masks import Secret, epoch_levels
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_server.devices.base import Levels, Reading
+from veilcam_server.devices.base import Levels, Measurement
 from veilcam_training.bundle import Bundle
 
 
 class Observer(Protocol):
     """Knows every mask."""
 
-    def which(self, image: npt.NDArray[np.uint8], embedding: Reading, epoch: str) -> int:
+    def which(self, image: npt.NDArray[np.uint8], embedding: Measurement, epoch: str) -> int:
         """Return a number for the mask behind which ``embedding`` of ``image`` was taken."""
 
     def levels(self, mask: int) -> Levels:
@@ -40,7 +40,7 @@ class PairObserver:
                 operator(to_weights(pair.levels, bundle.camera.panel)) for pair in bundle.pairs
             ]
 
-    def which(self, image: npt.NDArray[np.uint8], embedding: Reading, epoch: str) -> int:  # noqa: ARG002
+    def which(self, image: npt.NDArray[np.uint8], embedding: Measurement, epoch: str) -> int:  # noqa: ARG002
         """Return the index of the pair whose predicted raw embedding lies nearest."""
         scene = torch.from_numpy(image / np.float32(255)).reshape(1, -1)
         seen = torch.from_numpy(embedding.ravel())
@@ -62,7 +62,7 @@ class KeyObserver:
         self._names = EpochNames(secret, bundle.fresh.device)
         self._counters: list[int] = []
 
-    def which(self, image: npt.NDArray[np.uint8], embedding: Reading, epoch: str) -> int:  # noqa: ARG002
+    def which(self, image: npt.NDArray[np.uint8], embedding: Measurement, epoch: str) -> int:  # noqa: ARG002
         """Return how many masks came before that of ``epoch``."""
         counter = self._names.counter(epoch)
         if counter not in self._counters:

@@ -16,7 +16,7 @@ from veilcam_server.demo.daemon import running
 from veilcam_server.demo.observer import KeyObserver, Observer, PairObserver
 from veilcam_server.demo.report import Row, write_report
 from veilcam_server.demo.tally import Sample, Tally
-from veilcam_server.demo_data import DIGITS, FRESH, KEYRING, Digits, load_digits
+from veilcam_server.demo_data import BUNDLE, DIGITS, FRESH, Digits, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
 from veilcam_server.masks.secret import find_secret, write_secret
@@ -45,7 +45,7 @@ class Plan:
     @property
     def path(self) -> Path:
         """File of the bundle."""
-        return self.bundle or (FRESH if self.fresh else KEYRING)
+        return self.bundle or (FRESH if self.fresh else BUNDLE)
 
     @property
     def captures_per_mask(self) -> int:
@@ -174,7 +174,7 @@ def _titles(bundle: Bundle, tally: Tally, plan: Plan) -> tuple[str, str]:
     rows, columns = bundle.embedding.shape
     caption = (
         f"{len(tally.samples)} handwritten digits never trained on, {tally.masks} masks, "
-        f"{rows} x {columns} readings without a lens: {100 * tally.accuracy:.1f} % right"
+        f"{rows} x {columns} measurements without a lens: {100 * tally.accuracy:.1f} % right"
     )
     if plan.wrong_classifier:
         caption += ", read as if another mask had been shown"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from veilcam_server.errors import StartError
 
 DIGITS = Path(__file__).with_name("mnist-sample.npz")
-KEYRING = Path(__file__).with_name("keyring.veilcam")
+BUNDLE = Path(__file__).with_name("keyring.veilcam")
 FRESH = Path(__file__).with_name("fresh.veilcam")
 
 

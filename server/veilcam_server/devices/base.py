@@ -16,7 +16,7 @@ import numpy.typing as npt
 from veilcam_server.devices.simulated.scenes import Scenes
 
 Levels = npt.NDArray[np.uint8]
-Reading = npt.NDArray[np.float32]
+Measurement = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,18 +28,18 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """One reading and the time in which all of its light was collected.
+    """One measurement and the time in which all of its light was collected.
 
     ``started_at`` [s] is when the *first* sensor row began to integrate, ``ended_at`` [s] when the
     last one stopped: under a rolling shutter that is more than the exposure time.
     """
 
-    embedding: Reading = field(repr=False)
+    embedding: Measurement = field(repr=False)
     """Binned on the device, shape of the embedding; the raw frame is gone."""
     started_at: float
     ended_at: float
     integration: float = 0.0
-    """How long each row collected light [s]: it may change from one reading to the next."""
+    """How long each row collected light [s]: it may change from one measurement to the next."""
 
 
 class Display(Protocol):
@@ -83,18 +83,18 @@ class Sensor(Protocol):
 
     @property
     def full_scale(self) -> float:
-        """Reading of saturated pixels."""
+        """Measurement of saturated pixels."""
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """Expose once, starting no earlier than ``not_before``, and bin on the device.
 
         Args:
             not_before: monotonic time [s] at which the mask is settled.
-            timeout: longest wait for the reading after ``not_before`` [s].
+            timeout: longest wait for the measurement after ``not_before`` [s].
 
         Raises:
-            SensorTimeoutError: no reading in time.
-            SensorError: no reading.
+            SensorTimeoutError: no measurement in time.
+            SensorError: no measurement.
         """
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""A sensor whose readings are those that decoders expect."""
+"""A sensor whose measurements are those that decoders expect."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from typing import Self
 import numpy as np
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_server.devices.base import Device, Exposure, Reading, Sensor
+from veilcam_server.devices.base import Device, Exposure, Measurement, Sensor
 
 
 def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
-    """The device with readings as decoders expect them."""
+    """The device with measurements as decoders expect them."""
     if signed is None:
         return device
     return replace(device, sensor=CalibratedSensor.of(device.sensor, signed.record))
 
 
 class CalibratedSensor:
-    """Takes black level and stray light off, and the gain out of every reading.
+    """Takes black level and stray light off, and the gain out of every measurement.
 
     Stray light falls evenly on the sensor: a share ``s`` makes ``(1 - s) y + s mean(y)`` of a
-    reading ``y``. The mean stays what it was, so ``y`` can be had back.
+    measurement ``y``. The mean stays what it was, so ``y`` can be had back.
 
     Args:
         sensor: closed with this.
-        black_level: its reading without light.
-        gain: its reading where a decoder expects 1.
+        black_level: its measurement without light.
+        gain: its measurement where a decoder expects 1.
         stray_light: share of the light that is spread evenly, in [0, 1).
     """
 
@@ -38,7 +38,7 @@ class CalibratedSensor:
         self._stray_light = stray_light
         self.name = sensor.name
         self.full_scale = (sensor.full_scale - black_level) / gain
-        """Reading of saturated pixels."""
+        """Measurement of saturated pixels."""
 
     @classmethod
     def of(cls, sensor: Sensor, record: CalibrationRecord) -> Self:
@@ -55,11 +55,11 @@ class CalibratedSensor:
         exposure = self._sensor.capture(not_before, timeout)
         return replace(exposure, embedding=self.corrected(exposure.embedding))
 
-    def corrected(self, reading: Reading) -> Reading:
-        """Return what a decoder expects for a reading of the sensor."""
-        light = (reading.astype(np.float64) - self._black_level) / self._gain
+    def corrected(self, measurement: Measurement) -> Measurement:
+        """Return what a decoder expects for a measurement of the sensor."""
+        light = (measurement.astype(np.float64) - self._black_level) / self._gain
         straight = (light - self._stray_light * light.mean()) / (1 - self._stray_light)
-        expected: Reading = straight.astype(np.float32)
+        expected: Measurement = straight.astype(np.float32)
         return expected
 
     def close(self) -> None:

@@ -71,7 +71,7 @@ class EmulateSensor(Protocol):
             mode: of these frames.
             shape: of an embedding.
             exposure: of every frame [s].
-            full_scale: reading of saturated pixels.
+            full_scale: measurement of saturated pixels.
             clock: monotonic time [s].
             sleep: waits so many seconds.
         """

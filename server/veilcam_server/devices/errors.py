@@ -1,4 +1,4 @@
-"""What can go wrong with a panel or a sensor. No message ever holds a level or a reading."""
+"""What can go wrong with a panel or a sensor. No message ever holds a level or a measurement."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ class SensorError(
     title="The sensor failed",
     retryable=True,
 ):
-    """The sensor gave no reading."""
+    """The sensor gave no measurement."""
 
 
 class SensorTimeoutError(
     SensorError,
     code="sensor_timeout",
     status=503,
-    title="The sensor gave no reading in time",
+    title="The sensor gave no measurement in time",
     retryable=True,
 ):
-    """The sensor gave no reading in time."""
+    """The sensor gave no measurement in time."""
 
 
 class SensorLostError(SensorError):

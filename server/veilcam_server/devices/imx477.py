@@ -1,4 +1,4 @@
-"""The IMX477 through picamera2: one reading for one exposure that is known to the microsecond.
+"""The IMX477 through picamera2: one measurement for one exposure that is known to the microsecond.
 
 Row r integrates from ``S - E + r L`` to ``S + r L``: S the start of readout that the camera reports
 (``SensorTimestamp``), E the exposure, L the time of a line. Everything here concerns the raw plane:
@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.base import Exposure, Reading
+from veilcam_server.devices.base import Exposure, Measurement
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
     DeviceError,
@@ -36,7 +36,7 @@ HALF = SensorMode(1520, 2028, line_time=15.17e-6, frame_duration=0.025)
 
 _NANO, _MICRO = 1_000_000_000, 1_000_000
 _SATURATED = 1e-3
-"""Share of saturated pixels from which on a reading is no longer linear in the light."""
+"""Share of saturated pixels from which on a measurement is no longer linear in the light."""
 _DIM, _MIDDLE = 0.2, 0.5
 """A brightest value below the one asks for an exposure that brings it to the other."""
 _CLOSING = 5.0
@@ -75,7 +75,7 @@ class IMX477:
         shape: of the embedding.
         mode: pinned; another one is refused.
         exposures: fixed or bounded; the gain is always 1.
-        full_scale: reading of saturated pixels at the exposure to begin with.
+        full_scale: measurement of saturated pixels at the exposure to begin with.
         failures: in a row, after which the camera counts as lost.
         clock: monotonic time [s].
 
@@ -100,7 +100,7 @@ class IMX477:
         self._open_camera, self._mode, self._exposures = open_camera, mode, exposures
         self._most_failures, self._clock = failures, clock
         self.full_scale = full_scale
-        """Reading of saturated pixels at the exposure to begin with."""
+        """Measurement of saturated pixels at the exposure to begin with."""
         self._binning = Binning((mode.rows, mode.columns), shape)
         self._asked = exposures.start
         self._failures = 0
@@ -112,8 +112,8 @@ class IMX477:
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """Wait for a frame that was exposed wholly after ``not_before``, and bin it.
 
-        The exposure may change from one reading to the next if it may at all; the reading does not,
-        as it is given for the exposure to begin with.
+        The exposure may change from one measurement to the next if it may at all; the measurement
+        does not, as it is given for the exposure to begin with.
         """
         deadline = max(not_before, self._clock()) + timeout
         try:
@@ -175,7 +175,7 @@ class IMX477:
     def _exposure(self, frame: Frame, share: npt.NDArray[np.float64]) -> Exposure:
         integration = frame.exposure / _NANO
         scale = self._exposures.start / integration if integration > 0 else 1.0
-        embedding: Reading = (self.full_scale * scale * share).astype(np.float32)
+        embedding: Measurement = (self.full_scale * scale * share).astype(np.float32)
         return Exposure(
             embedding,
             started_at=(frame.stamp - frame.exposure) / _NANO,
@@ -194,7 +194,7 @@ class IMX477:
         return "the sensor was saturated"
 
     def _follow(self, camera: Picamera, brightest: float) -> None:
-        """After a dim reading, expose the next one longer."""
+        """After a dim measurement, expose the next one longer."""
         if 0 < brightest < _DIM:
             longer = self._exposures.bounded(self._asked * _MIDDLE / brightest)
             if longer > self._asked:

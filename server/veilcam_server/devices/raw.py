@@ -88,7 +88,7 @@ class RawFormat:
 
 
 GAIN = 1.0
-"""Analogue, of every frame that is used: the reading is linear in the light."""
+"""Analogue, of every frame that is used: the measurement is linear in the light."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.epoch_names import EpochNames
 from veilcam_optics.keys.masks import Secret, epoch_levels
-from veilcam_server.devices.base import Levels, Reading
+from veilcam_server.devices.base import Levels, Measurement
 from veilcam_server.devices.errors import SensorError
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
@@ -31,7 +31,7 @@ class FreshReader:
     whitening: Whitening | None = field(repr=False)
     """Made only where embeddings leave white: it takes longer than the decoder."""
 
-    def classify(self, embedding: Reading) -> Prediction:
+    def classify(self, embedding: Measurement) -> Prediction:
         """Decode and classify one embedding."""
         with torch.inference_mode():
             inputs = classifier_inputs(
@@ -39,7 +39,7 @@ class FreshReader:
             )
         return self.classifier.classify(inputs)
 
-    def release(self, embedding: Reading, form: Form) -> Reading:
+    def release(self, embedding: Measurement, form: Form) -> Measurement:
         """Bring one embedding into ``form``; white only if this was made to release white."""
         if form == "white" and self.whitening is None:
             raise ValueError("nothing was prepared to whiten with: make the source for white")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import torch
 
 from veilcam_client.wire.captures import Form, Prediction
-from veilcam_server.devices.base import Reading
+from veilcam_server.devices.base import Measurement
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
 from veilcam_server.masks.source import Mask
@@ -24,11 +24,11 @@ class PairReader:
 
     classifier: Classifier = field(repr=False)
 
-    def classify(self, embedding: Reading) -> Prediction:
+    def classify(self, embedding: Measurement) -> Prediction:
         """Classify one embedding of any shape."""
         return self.classifier.classify(torch.from_numpy(embedding).reshape(1, -1))
 
-    def release(self, embedding: Reading, form: Form) -> Reading:
+    def release(self, embedding: Measurement, form: Form) -> Measurement:
         """Return the embedding as it was read."""
         if form != "raw":
             raise ValueError(f"a pair has no scene statistics to make {form!r} with: use raw")

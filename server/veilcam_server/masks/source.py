@@ -9,20 +9,20 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from veilcam_client.wire.captures import Form, Prediction
-from veilcam_server.devices.base import Levels, Reading
+from veilcam_server.devices.base import Levels, Measurement
 
 
 class Reader(Protocol):
     """Makes sense of embeddings taken behind one mask. It is as secret as the mask."""
 
-    def classify(self, embedding: Reading) -> Prediction:
+    def classify(self, embedding: Measurement) -> Prediction:
         """Return the label of one embedding."""
 
-    def release(self, embedding: Reading, form: Form) -> Reading:
+    def release(self, embedding: Measurement, form: Form) -> Measurement:
         """Bring one embedding into the form in which it may leave.
 
         Raises:
-            SensorError: the reading has no such form, for want of light.
+            SensorError: the measurement has no such form, for want of light.
         """
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from veilcam_client.wire.tokens import NewToken, Scope, Token
+from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
 from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
 from veilcam_server.security.caller import Caller
 
@@ -92,10 +92,17 @@ class TokenStore:
             self._reader = self._connect()
             self._reader.executescript(_SCHEMA)
             self._seen = float(self._reader.execute("SELECT seen FROM clock").fetchone()[0])
+            held = self._reader.execute("SELECT scopes FROM token").fetchall()
         except (sqlite3.Error, OSError) as error:
             raise StartError(
                 f"{self._path} cannot be used ({error}): check it, or give another --state-dir"
             ) from None
+        unknown = {scope for row in held for scope in row[0].split()} - set(SCOPES)
+        if unknown:
+            raise StartError(
+                f"{self._path} has tokens of an earlier version, with the scopes "
+                f"{' '.join(sorted(unknown))}: move it away and make the tokens again"
+            )
         self._since = monotonic()
 
     def create(self, label: str, scopes: tuple[Scope, ...], lifetime: float | None) -> NewToken:

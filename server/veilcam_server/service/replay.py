@@ -28,7 +28,7 @@ from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import Publish
 from veilcam_server.camera.epochs import EpochStore, Prepared
 from veilcam_server.devices import Device
-from veilcam_server.devices.base import Reading
+from veilcam_server.devices.base import Measurement
 from veilcam_server.errors import ReplayingError, ReplayOverError, StartError
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.service.service import Service
@@ -189,7 +189,7 @@ class _Recollection:
 
     recorded: Recorded = field(repr=False)
 
-    def classify(self, embedding: Reading) -> Prediction:  # noqa: ARG002 - nothing is inferred
+    def classify(self, embedding: Measurement) -> Prediction:  # noqa: ARG002 - nothing is inferred
         verdict = self.recorded.verdict
         if verdict is None:
             raise ReplayingError(
@@ -197,6 +197,6 @@ class _Recollection:
             )
         return verdict
 
-    def release(self, embedding: Reading, form: Form) -> Reading:  # noqa: ARG002 - it was checked
+    def release(self, embedding: Measurement, form: Form) -> Measurement:  # noqa: ARG002 - it was checked
         """It was released before it was recorded."""
         return embedding

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from veilcam_client import __version__
 from veilcam_client.wire.base import API_VERSION
-from veilcam_client.wire.bundles import Keyring
+from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.captures import (
     Capture,
     Classification,
@@ -28,11 +28,11 @@ from veilcam_client.wire.captures import (
     Release,
 )
 from veilcam_client.wire.events import (
+    BundleChanged,
     CaptureTaken,
     Classified,
     Event,
     Fault,
-    KeyringChanged,
     RotationChanged,
     StateChanged,
 )
@@ -40,7 +40,7 @@ from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.simulation import HeldScene
 from veilcam_client.wire.status import Queue, Status
 from veilcam_server.bundles.loader import Identity, LoadedBundle
-from veilcam_server.bundles.manager import Keyrings
+from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
@@ -48,7 +48,7 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
-    KeyringInvalidError,
+    BundleInvalidError,
     ReplayingError,
     SceneApiOffError,
     SceneInvalidError,
@@ -72,7 +72,7 @@ class Service:
     Args:
         camera: with its first mask on the panel.
         identity: for the status.
-        keyrings: of which one is in use; None: labels and masks come from a recording.
+        bundles: of which one is in use; None: labels and masks come from a recording.
         calibration: that measures the camera.
         form: in which embeddings leave.
         queue_limit: how many requests may wait for the device, the one at work included.
@@ -84,7 +84,7 @@ class Service:
         self,
         camera: CameraEngine,
         identity: Identity,
-        keyrings: Keyrings | None,
+        bundles: BundleManager | None,
         calibration: CalibrationService,
         *,
         form: Release = "none",
@@ -95,14 +95,14 @@ class Service:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self.release = form
         """In which form embeddings leave."""
-        self._keyrings, self._scenes = keyrings, scenes
+        self._bundles, self._scenes = bundles, scenes
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
         self._queue = DeviceQueue(queue_limit, publish)
         self._scheduler = Scheduler(camera, self._queue)
         self.calibration = calibration
-        if keyrings is not None:
-            calibration.serve(Served(camera, keyrings, self._queue.run, publish))
+        if bundles is not None:
+            calibration.serve(Served(camera, bundles, self._queue.run, publish))
         for take in (self.history.add, log_event, tell_systemd, self._scheduler.wake):
             self._events.subscribe(take)
         self._since = time.monotonic()
@@ -117,8 +117,8 @@ class Service:
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
         with self._events.open():
-            for fault in () if self._keyrings is None else self._keyrings.faults:
-                self._events.publish(partial(Fault, code=KeyringInvalidError.code, detail=fault))
+            for fault in () if self._bundles is None else self._bundles.faults:
+                self._events.publish(partial(Fault, code=BundleInvalidError.code, detail=fault))
             try:
                 async with self._scheduler.running():
                     yield
@@ -148,16 +148,16 @@ class Service:
         self._events.log.close()
 
     @property
-    def keyrings(self) -> Keyrings:
+    def bundles(self) -> BundleManager:
         """Of which one is in use; raises :class:`ReplayingError` where there are none."""
-        if self._keyrings is None:
+        if self._bundles is None:
             raise ReplayingError
-        return self._keyrings
+        return self._bundles
 
     @property
     def upload_limit(self) -> int:
-        """Of a keyring [bytes]; 0 where there are none."""
-        return 0 if self._keyrings is None else self._keyrings.limit
+        """Of a bundle [bytes]; 0 where there are none."""
+        return 0 if self._bundles is None else self._bundles.limit
 
     def status(self) -> Status:
         """State, device, bundle, rotation and queue."""
@@ -258,9 +258,9 @@ class Service:
             number = await self._queue.run(lambda: scenes.hold(picture))
         return HeldScene(scene=number)
 
-    async def activate_keyring(self, digest: str) -> Keyring:
-        """Use another keyring from now on; raises as :meth:`Keyrings.activate`, or as `rotate`."""
-        return await self.keyrings.activate(digest, self._use)
+    async def activate_bundle(self, digest: str) -> InstalledBundle:
+        """Use another bundle from now on; raises as :meth:`Bundles.activate`, or as `rotate`."""
+        return await self.bundles.activate(digest, self._use)
 
     async def _use(self, keys: LoadedBundle) -> None:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
@@ -268,7 +268,7 @@ class Service:
             first = await asyncio.to_thread(self._camera.first_of, keys.source)
             await self._queue.run(lambda: self._camera.change_source(keys.source, first))
         self._identity = replace(self._identity, bundle=keys.info)
-        self._events.publish(partial(KeyringChanged, digest=keys.info.digest, task=keys.info.task))
+        self._events.publish(partial(BundleChanged, digest=keys.info.digest, task=keys.info.task))
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
@@ -284,7 +284,7 @@ class Service:
     async def _take(
         self, begun: float, aside: Callable[[Captured], ResultT]
     ) -> tuple[Captured, float, Future[ResultT]]:
-        """Take one reading, and begin ``aside`` on it while the device serves the next request."""
+        """Take one measurement, and begin ``aside`` on it while the device serves the next one."""
 
         def work() -> tuple[Captured, float, Future[ResultT]]:
             queued = time.monotonic() - begun

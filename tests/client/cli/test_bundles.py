@@ -1,4 +1,4 @@
-"""Keyrings through both cameras and the command line."""
+"""Bundles through both cameras and the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import httpx
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_client import AsyncCamera, Camera, KeyringChanged
+from veilcam_client import AsyncCamera, BundleChanged, Camera
 from veilcam_client.cli import main as commands
 from veilcam_client.cli.format import event_in_words
 from veilcam_client.wire.events import EVENT
@@ -24,7 +24,7 @@ runner = CliRunner()
 
 
 @pytest.mark.parametrize("kind", [Camera, AsyncCamera])
-async def test_keyrings_by_both_cameras(daemon: Daemon, kind: type) -> None:
+async def test_bundles_by_both_cameras(daemon: Daemon, kind: type) -> None:
     client = httpx.Client if kind is Camera else httpx.AsyncClient
     camera = kind(
         "http://camera.local:1", http_client=client(transport=httpx.MockTransport(daemon))
@@ -33,21 +33,21 @@ async def test_keyrings_by_both_cameras(daemon: Daemon, kind: type) -> None:
     async def result(answer: Any) -> Any:
         return await answer if inspect.isawaitable(answer) else answer
 
-    active, other = await result(camera.keyrings())
+    active, other = await result(camera.bundles())
     assert (active.active, active.configured, active.bundle) == (True, True, None)
     assert other.bundle.task == "fashion"
-    assert (await result(camera.install_keyring(b"bundle"))).digest == DIGEST
+    assert (await result(camera.install_bundle(b"bundle"))).digest == DIGEST
     assert daemon.requests[-1].content == b"bundle"
     assert daemon.requests[-1].headers["content-type"] == "application/octet-stream"
-    assert (await result(camera.activate_keyring(DIGEST))).active
-    assert len(await result(camera.remove_keyring(DIGEST))) == 1
+    assert (await result(camera.activate_bundle(DIGEST))).active
+    assert len(await result(camera.remove_bundle(DIGEST))) == 1
 
 
 def test_a_digest_is_no_path(daemon: Daemon) -> None:
     client = httpx.Client(transport=httpx.MockTransport(daemon))
     with pytest.raises(KeyError):
-        Camera("http://camera.local:1", http_client=client).activate_keyring("../status?x")
-    assert daemon.requests[0].url.raw_path == b"/v1/keyrings/..%2Fstatus%3Fx/activate"
+        Camera("http://camera.local:1", http_client=client).activate_bundle("../status?x")
+    assert daemon.requests[0].url.raw_path == b"/v1/bundles/..%2Fstatus%3Fx/activate"
 
 
 @pytest.mark.usefixtures("url")
@@ -57,7 +57,7 @@ def test_a_file_is_handed_over(
 ) -> None:
     path = tmp_path / "a.veilcam"
     path.write_bytes(b"bundle")
-    result = runner.invoke(commands.app, ["keyring", "install", str(path), *options])
+    result = runner.invoke(commands.app, ["bundle", "install", str(path), *options])
     assert result.exit_code == 0
     assert result.stdout.startswith(f"{star} abababababab")
     assert daemon.requests[0].content == b"bundle"
@@ -69,12 +69,12 @@ def test_a_file_is_handed_over(
     ("arguments", "reason"),
     [
         (["install", "/nowhere/a.veilcam"], "/nowhere/a.veilcam cannot be read"),
-        (["activate", "12"], "0 keyrings begin with '12': see 'veilcam keyring list'"),
-        (["remove", ""], "2 keyrings begin with ''"),
+        (["activate", "12"], "0 bundles begin with '12': see 'veilcam bundle list'"),
+        (["remove", ""], "2 bundles begin with ''"),
     ],
 )
 def test_what_cannot_be_asked_is_said(arguments: list[str], reason: str) -> None:
-    result = runner.invoke(commands.app, ["keyring", *arguments])
+    result = runner.invoke(commands.app, ["bundle", *arguments])
     assert result.exit_code == 2
     assert reason in result.stderr
 
@@ -82,7 +82,7 @@ def test_what_cannot_be_asked_is_said(arguments: list[str], reason: str) -> None
 def test_a_change_in_words() -> None:
     event = EVENT.validate_python(
         {
-            "kind": "keyring",
+            "kind": "bundle",
             "id": "a-1",
             "at": "2026-01-02T03:04:05Z",
             "digest": DIGEST,
@@ -90,5 +90,5 @@ def test_a_change_in_words() -> None:
         },
         strict=False,
     )
-    assert isinstance(event, KeyringChanged)
-    assert event_in_words(event) == "mnist  keyring abababababab"
+    assert isinstance(event, BundleChanged)
+    assert event_in_words(event) == "mnist  bundle abababababab"

@@ -32,11 +32,11 @@ runner = CliRunner()
         (["token", "create", "--label", "a lamp", "--scope", "classify"], ["vc_0123456789ab_5"]),
         (["token", "revoke", "0123456789ab"], ["revoked 0123456789ab"]),
         (
-            ["keyring", "list"],
+            ["bundle", "list"],
             ["* cdcdcdcdcdcd", "damaged  configured", "  abab", "fashion, 5 masks"],
         ),
-        (["keyring", "activate", "ab"], ["* abababababab      2.3 MB"]),
-        (["keyring", "remove", "ab"], ["* cdcdcdcdcdcd"]),
+        (["bundle", "activate", "ab"], ["* abababababab      2.3 MB"]),
+        (["bundle", "remove", "ab"], ["* cdcdcdcdcdcd"]),
         (["diagnostics"], ["veilcam 9.9", "queue_limit 8", "5 capture", "sensor_failed: no frame"]),
     ],
 )

@@ -19,8 +19,8 @@ from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.decoding import (
     DEFAULT_NOISE,
     Decoder,
+    MeasurementNoise,
     Precision,
-    ReadingNoise,
     SceneDecoding,
     SceneFrame,
     SceneStatistics,
@@ -63,7 +63,7 @@ def make(
     embedding: Embedding,
     *,
     statistics: SceneStatistics = STATISTICS,
-    noise: ReadingNoise = DEFAULT_NOISE,
+    noise: MeasurementNoise = DEFAULT_NOISE,
     precision: Precision = Precision.DOUBLE,
 ) -> SceneDecoding:
     operator = TransferOperator(CAMERA, SCENE, embedding, dtype=precision.products)
@@ -71,7 +71,7 @@ def make(
 
 
 def textbook(
-    decoding: SceneDecoding, weights: Tensor, readings: Tensor, noise: Tensor
+    decoding: SceneDecoding, weights: Tensor, measurements: Tensor, noise: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Estimate and posterior covariance by the formula as it is written, in float64."""
     A = decoding.operator(weights.double()).T
@@ -79,7 +79,7 @@ def textbook(
     S = statistics.basis @ statistics.basis.T + torch.diag(statistics.residual)
     C = A @ S @ A.T + torch.diag(noise)
     gain = S @ A.T @ torch.linalg.inv(C)
-    centred = readings.double().flatten(1) - A @ statistics.mean
+    centred = measurements.double().flatten(1) - A @ statistics.mean
     return statistics.mean + centred @ gain.T, S - gain @ A @ S
 
 
@@ -89,10 +89,10 @@ def test_is_the_textbook_estimate(shape: tuple[int, int]) -> None:
     decoding = make(Embedding(*shape))
     weights, scenes = mask().double(), smooth_scenes(20, 1).double()
     generator = torch.Generator().manual_seed(2)
-    readings = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
+    measurements = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
     decoder = decoding.prepare(weights)
-    wanted, covariance = textbook(decoding, weights, readings, decoder.noise)
-    estimate = decoder(readings)
+    wanted, covariance = textbook(decoding, weights, measurements, decoder.noise)
+    estimate = decoder(measurements)
     assert estimate.shape == (20, *SCENE.shape)
     assert float((estimate.flatten(1) - wanted).abs().max()) < 1e-7
     deviation = covariance.diagonal().clamp_min(0).sqrt().reshape(SCENE.shape)
@@ -107,21 +107,21 @@ def test_low_rank_counts_what_it_leaves_out_as_noise() -> None:
     full, reduced = make(Embedding(12, 16)), make(Embedding(12, 16), statistics=low)
     scenes, weights = smooth_scenes(400, 1).double(), mask().double()
     generator = torch.Generator().manual_seed(2)
-    readings = shot_noise(full.operator.embed(scenes, weights), 40.0, generator)
+    measurements = shot_noise(full.operator.embed(scenes, weights), 40.0, generator)
     exact, cheap = full.prepare(weights), reduced.prepare(weights)
     assert bool((cheap.noise > exact.noise).all())
-    errors = [float((d(readings) - scenes).square().sum()) for d in (exact, cheap)]
+    errors = [float((d(measurements) - scenes).square().sum()) for d in (exact, cheap)]
     assert errors[0] < errors[1]
     # Without counting it, the strong components would be distorted by the weak ones.
     ignoring = SceneStatistics(low.mean, low.basis, torch.zeros_like(low.residual))
     naive = make(Embedding(12, 16), statistics=ignoring).prepare(weights)
-    assert errors[1] < float((naive(readings) - scenes).square().sum())
+    assert errors[1] < float((naive(measurements) - scenes).square().sum())
 
 
 @pytest.mark.parametrize("rank", [8, 12, 30])
 def test_a_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) -> None:
-    """Fewer, as many and more components than the 12 numbers of a reading."""
-    noise = ReadingNoise(30.0, model_error=0.02)
+    """Fewer, as many and more components than the 12 numbers of a measurement."""
+    noise = MeasurementNoise(30.0, model_error=0.02)
     decoding = make(Embedding(3, 4), statistics=STATISTICS.truncate(rank), noise=noise)
     statistics, weights = decoding.statistics, mask().double()
     A = decoding.operator(weights).T
@@ -130,20 +130,20 @@ def test_a_low_rank_is_the_textbook_with_what_is_left_out_as_noise(rank: int) ->
     N = noise.variance(mean, spread) + lost
     S = statistics.basis @ statistics.basis.T
     gain = S @ A.T @ torch.linalg.inv(A @ S @ A.T + torch.diag(N))
-    readings = torch.rand(4, 3, 4, generator=torch.Generator().manual_seed(3), dtype=DOUBLE)
+    measurements = torch.rand(4, 3, 4, generator=torch.Generator().manual_seed(3), dtype=DOUBLE)
     decoder = decoding.prepare(weights)
     assert float(lost.min()) > 0
     assert torch.allclose(decoder.noise, N, rtol=1e-9)
-    wanted = statistics.mean + (readings.flatten(1) - mean) @ gain.T
+    wanted = statistics.mean + (measurements.flatten(1) - mean) @ gain.T
     # The matrices' condition is below 1e6, so ten digits of sixteen are left.
-    assert torch.allclose(decoder(readings).flatten(1), wanted, atol=1e-7)
-    assert torch.equal(decoder(readings.flatten(1)), decoder(readings))
+    assert torch.allclose(decoder(measurements).flatten(1), wanted, atol=1e-7)
+    assert torch.equal(decoder(measurements.flatten(1)), decoder(measurements))
     variance = (S - gain @ A @ S).diagonal() + statistics.residual
     assert torch.allclose(decoder.deviation.flatten().square(), variance, atol=1e-9)
     share = float(variance.sum() / statistics.variance.sum())
     assert decoder.remaining == pytest.approx(share, abs=1e-6)
     by_hand = decoding.prepare_transfer(decoding.operator(weights))
-    assert torch.equal(by_hand(readings), decoder(readings))
+    assert torch.equal(by_hand(measurements), decoder(measurements))
 
 
 @pytest.mark.parametrize(("rank", "size"), [(8, 8), (30, 12)])
@@ -172,8 +172,8 @@ def test_scenes_in_another_unit_are_decoded_in_that_unit(scale: float) -> None:
         for statistics in (STATISTICS, scaled)
     )
     scenes = smooth_scenes(3, 1).double()
-    readings = make(Embedding(6, 8)).operator.embed(scenes, mask().double())
-    found, wanted = other(scale * readings), scale * one(readings)
+    measurements = make(Embedding(6, 8)).operator.embed(scenes, mask().double())
+    found, wanted = other(scale * measurements), scale * one(measurements)
     # Statistics are float32: scaling rounds them by 6e-8, which 40 dB can amplify a hundredfold.
     assert float((found - wanted).norm() / wanted.norm()) < 1e-5
     assert other.remaining == pytest.approx(one.remaining, rel=1e-5)
@@ -229,11 +229,11 @@ def test_precision_is_bounded(shape: tuple[int, int]) -> None:
     exact = make(Embedding(*shape))
     scenes = smooth_scenes(50, 4).double()
     generator = torch.Generator().manual_seed(2)
-    readings = shot_noise(exact.operator.embed(scenes, weights.double()), 40.0, generator)
-    wanted = exact.prepare(weights)(readings)
+    measurements = shot_noise(exact.operator.embed(scenes, weights.double()), 40.0, generator)
+    wanted = exact.prepare(weights)(measurements)
 
     def error(precision: Precision) -> float:
-        estimate = make(Embedding(*shape), precision=precision).prepare(weights)(readings)
+        estimate = make(Embedding(*shape), precision=precision).prepare(weights)(measurements)
         assert estimate.dtype == precision.products
         return float((estimate - wanted).norm() / wanted.norm())
 
@@ -250,11 +250,11 @@ def test_posterior_deviation_is_the_error_that_is_made() -> None:
     scenes = statistics.mean + white @ statistics.basis.T
     weights = mask().double()
     decoder = decoding.prepare(weights)
-    readings = scenes @ decoding.operator(weights)
-    readings = readings + decoder.noise.sqrt() * torch.randn(
-        readings.shape, generator=generator, dtype=DOUBLE
+    measurements = scenes @ decoding.operator(weights)
+    measurements = measurements + decoder.noise.sqrt() * torch.randn(
+        measurements.shape, generator=generator, dtype=DOUBLE
     )
-    error = (decoder(readings).flatten(1) - scenes).square().mean(0).sqrt()
+    error = (decoder(measurements).flatten(1) - scenes).square().mean(0).sqrt()
     assert torch.allclose(error, decoder.deviation.flatten(), rtol=0.03, atol=1e-4)
 
 
@@ -262,13 +262,15 @@ def test_posterior_deviation_is_the_error_that_is_made() -> None:
 def test_gain_is_undone(gain: float) -> None:
     decoding = make(Embedding(6, 8))
     weights, scenes = mask().double(), smooth_scenes(10, 1).double()
-    readings = decoding.operator.embed(scenes, weights)
-    wanted = decoding.prepare(weights)(readings)
-    assert torch.allclose(decoding.prepare(weights, gain=gain)(gain * readings), wanted, atol=1e-9)
+    measurements = decoding.operator.embed(scenes, weights)
+    wanted = decoding.prepare(weights)(measurements)
+    assert torch.allclose(
+        decoding.prepare(weights, gain=gain)(gain * measurements), wanted, atol=1e-9
+    )
     per_pixel = torch.linspace(0.5, gain + 1, 48, dtype=DOUBLE)
-    uneven = decoding.prepare(weights, gain=per_pixel)(readings.flatten(1) * per_pixel)
+    uneven = decoding.prepare(weights, gain=per_pixel)(measurements.flatten(1) * per_pixel)
     assert float((uneven - scenes).square().mean()) < 1.2 * float((wanted - scenes).square().mean())
-    ignored = decoding.prepare(weights)(readings.flatten(1) * per_pixel)
+    ignored = decoding.prepare(weights)(measurements.flatten(1) * per_pixel)
     assert float((ignored - scenes).square().mean()) > float((wanted - scenes).square().mean())
 
 
@@ -279,10 +281,10 @@ def test_dead_rows_are_decoded_if_known() -> None:
     assert torch.equal(shown[17], torch.full((22,), 0.8, dtype=DOUBLE))
     assert torch.equal(shown[16], told[16])
     assert float(told[17].std()) > 0.1  # the argument is left as it was
-    readings = decoding.operator.embed(scenes, shown)
+    measurements = decoding.operator.embed(scenes, shown)
 
     def error(weights: Tensor) -> float:
-        return float((decoding.prepare(weights)(readings) - scenes).square().mean())
+        return float((decoding.prepare(weights)(measurements) - scenes).square().mean())
 
     healthy = decoding.prepare(told)(decoding.operator.embed(scenes, told))
     assert error(shown) < 1.5 * float((healthy - scenes).square().mean())
@@ -294,17 +296,17 @@ def test_model_error_makes_a_displaced_panel_bearable() -> None:
     displaced = replace(CAMERA, distance=CAMERA.distance + 600e-6)
     truth = TransferOperator(displaced, SCENE, embedding, dtype=DOUBLE)
     scenes, weights = smooth_scenes(100, 1).double(), mask().double()
-    readings = truth.embed(scenes, weights)
+    measurements = truth.embed(scenes, weights)
     trusting = make(embedding).prepare(weights)
-    wary = make(embedding, noise=ReadingNoise(model_error=0.03)).prepare(weights)
+    wary = make(embedding, noise=MeasurementNoise(model_error=0.03)).prepare(weights)
     assert bool((wary.noise > trusting.noise).all())
     assert wary.remaining > trusting.remaining
-    error = [float((d(readings) - scenes).square().mean()) for d in (trusting, wary)]
+    error = [float((d(measurements) - scenes).square().mean()) for d in (trusting, wary)]
     assert error[1] < error[0]
 
 
 def test_expected_noise_is_the_noise_that_is_made() -> None:
-    decoding = make(Embedding(6, 8), noise=ReadingNoise(snr_db=20.0))
+    decoding = make(Embedding(6, 8), noise=MeasurementNoise(snr_db=20.0))
     scenes, weights = smooth_scenes(3000, 6).double(), mask().double()
     clean = decoding.operator.embed(scenes, weights).flatten(1)
     noisy = shot_noise(clean, 20.0, torch.Generator().manual_seed(0))
@@ -323,11 +325,11 @@ def test_a_closed_mask_gives_the_mean_scene() -> None:
 def test_gradients_reach_the_mask() -> None:
     decoding = make(Embedding(3, 4))
     weights = mask().double().requires_grad_()
-    readings = torch.rand(3, 12, dtype=DOUBLE)
+    measurements = torch.rand(3, 12, dtype=DOUBLE)
 
     def loss(values: Tensor) -> Tensor:
         decoder = decoding.prepare(values)
-        return decoder(readings).square().sum() + decoder.deviation.sum()
+        return decoder(measurements).square().sum() + decoder.deviation.sum()
 
     (gradient,) = torch.autograd.grad(loss(weights), weights)
     assert bool(gradient.isfinite().all())
@@ -350,14 +352,14 @@ def test_decoder_shows_nothing_of_the_mask() -> None:
 def test_refuses_what_does_not_fit() -> None:
     decoding = make(Embedding(3, 4))
     decoder = decoding.prepare(mask().double())
-    with pytest.raises(OpticsError, match=r"readings\.shape"):
+    with pytest.raises(OpticsError, match=r"measurements\.shape"):
         decoder(torch.zeros(2, 4, 3))
     with pytest.raises(OpticsError, match=r"gain\.shape"):
         decoding.prepare(mask().double(), gain=torch.ones(11))
     for gain in (0.0, -1.0, math.inf, math.nan, torch.tensor([math.inf, *[1.0] * 11])):
         with pytest.raises(OpticsError, match="gain is not valid"):
             decoding.prepare(mask().double(), gain=gain)
-    with pytest.raises(OpticsError, match=r"readings\.shape"):
+    with pytest.raises(OpticsError, match=r"measurements\.shape"):
         decoder(torch.zeros(2, 5, 3, 4))
     with pytest.raises(OpticsError, match=r"statistics\.pixels"):
         SceneDecoding(TransferOperator(CAMERA, Scene(5, 5), Embedding(3, 4)), STATISTICS)
@@ -368,9 +370,9 @@ def test_refuses_what_does_not_fit() -> None:
     with pytest.raises(OpticsError, match="rows"):
         Imperfections(dead_rows=(51,)).shown(mask())
     with pytest.raises(OpticsError, match="snr_db"):
-        ReadingNoise(math.inf)
+        MeasurementNoise(math.inf)
     with pytest.raises(OpticsError, match="model_error"):
-        ReadingNoise(model_error=-1)
+        MeasurementNoise(model_error=-1)
 
 
 def test_statistics_are_mean_and_covariance() -> None:
@@ -413,7 +415,7 @@ def make_frame() -> SceneFrame:
         SCENE,
         Embedding(6, 8),
         STATISTICS.truncate(30),
-        ReadingNoise(35.0, 0.01),
+        MeasurementNoise(35.0, 0.01),
         distribution=MaskDistribution.power(CAMERA, 3.0),
     )
 
@@ -440,11 +442,11 @@ def test_frame_file_round_trip(tmp_path: Path) -> None:
     assert read_frame(path).distribution is None
     write_frame(path, frame)
     assert path.read_bytes() == dump_frame(again)
-    readings = torch.rand(2, 6, 8)
+    measurements = torch.rand(2, 6, 8)
     cheap, same = (f.decoding(rank=20).prepare(mask()) for f in (frame, again))
-    assert torch.allclose(cheap(readings), same(readings), rtol=1e-3)
+    assert torch.allclose(cheap(measurements), same(measurements), rtol=1e-3)
     assert not torch.allclose(
-        cheap(readings), frame.decoding().prepare(mask())(readings), rtol=1e-3
+        cheap(measurements), frame.decoding().prepare(mask())(measurements), rtol=1e-3
     )
 
 

@@ -44,59 +44,59 @@ def decoding() -> SceneDecoding:
 def make(
     decoding: SceneDecoding, seed: int, count: int = 400
 ) -> tuple[Decoder, Whitening, Tensor, Tensor]:
-    """Decoder and whitening of a random mask, scenes, and readings of them behind that mask."""
+    """Decoder and whitening of a random mask, scenes, and measurements of them behind that mask."""
     generator = torch.Generator().manual_seed(seed)
     levels = to_levels(random_mask(CAMERA, generator), CAMERA.panel)
     weights = to_weights(levels, CAMERA.panel)
     scenes = smooth_scenes(count, seed + 1000)
-    readings = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
+    measurements = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
     decoder = decoding.prepare(weights)
-    return decoder, Whitening(decoder, levels), scenes, readings
+    return decoder, Whitening(decoder, levels), scenes, measurements
 
 
 def test_none_releases_nothing(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, readings = make(decoding, 1)
-    assert release(readings, ReleaseForm.NONE, decoder) is None
+    decoder, _whitening, _, measurements = make(decoding, 1)
+    assert release(measurements, ReleaseForm.NONE, decoder) is None
 
 
-def test_raw_is_the_reading(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, readings = make(decoding, 1)
-    raw = release(readings, ReleaseForm.RAW, decoder)
+def test_raw_is_the_measurement(decoding: SceneDecoding) -> None:
+    decoder, _whitening, _, measurements = make(decoding, 1)
+    raw = release(measurements, ReleaseForm.RAW, decoder)
     assert raw is not None
-    assert torch.equal(raw, readings)
-    assert torch.equal(recover(raw, ReleaseForm.RAW, decoder), readings)
+    assert torch.equal(raw, measurements)
+    assert torch.equal(recover(raw, ReleaseForm.RAW, decoder), measurements)
 
 
 def test_flat_has_neither_exposure_nor_mean(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, readings = make(decoding, 2)
-    flat = release(readings, ReleaseForm.FLAT, decoder)
-    brighter = release(3 * readings, ReleaseForm.FLAT, decoder)
+    decoder, _whitening, _, measurements = make(decoding, 2)
+    flat = release(measurements, ReleaseForm.FLAT, decoder)
+    brighter = release(3 * measurements, ReleaseForm.FLAT, decoder)
     assert flat is not None
     assert brighter is not None
-    assert torch.allclose(flat, brighter, atol=1e-6 * float(readings.max()))
-    assert float(flat.sum((1, 2)).abs().max()) < 1e-5 * float(readings.sum((1, 2)).mean())
-    assert float(flat.mean(0).norm()) < 0.2 * float(readings.mean(0).norm())
+    assert torch.allclose(flat, brighter, atol=1e-6 * float(measurements.max()))
+    assert float(flat.sum((1, 2)).abs().max()) < 1e-5 * float(measurements.sum((1, 2)).mean())
+    assert float(flat.mean(0).norm()) < 0.2 * float(measurements.mean(0).norm())
 
 
 def test_flat_comes_back_at_the_mean_exposure(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, readings = make(decoding, 2)
-    flat = release(readings, ReleaseForm.FLAT, decoder)
+    decoder, _whitening, _, measurements = make(decoding, 2)
+    flat = release(measurements, ReleaseForm.FLAT, decoder)
     assert flat is not None
     restored = recover(flat, ReleaseForm.FLAT, decoder)
-    exposure = readings.sum((1, 2), keepdim=True) / decoder.mean_reading.sum()
-    assert torch.allclose(restored, readings / exposure, rtol=1e-5, atol=1e-7)
+    exposure = measurements.sum((1, 2), keepdim=True) / decoder.mean_measurement.sum()
+    assert torch.allclose(restored, measurements / exposure, rtol=1e-5, atol=1e-7)
 
 
 def test_white_is_white(decoding: SceneDecoding) -> None:
-    decoder, whitening, _, readings = make(decoding, 3, count=20_000)
-    white = release(readings, ReleaseForm.WHITE, decoder, whitening)
+    decoder, whitening, _, measurements = make(decoding, 3, count=20_000)
+    white = release(measurements, ReleaseForm.WHITE, decoder, whitening)
     assert white is not None
     flat = white.flatten(1).double()
     covariance = flat.T @ flat / len(flat)
     assert float(flat.mean(0).abs().max()) < 0.1
     assert float((covariance - torch.eye(EMBEDDING.size)).abs().max()) < 0.25
-    # The raw readings of the same mask are anything but.
-    raw = readings.flatten(1).double()
+    # The raw measurements of the same mask are anything but.
+    raw = measurements.flatten(1).double()
     correlation = torch.corrcoef(raw.T) - torch.eye(EMBEDDING.size)
     assert float(correlation.abs().max()) > 0.9
 
@@ -105,29 +105,31 @@ def test_white_is_white(decoding: SceneDecoding) -> None:
 def test_decodes_with_the_key_and_is_noise_without(
     decoding: SceneDecoding, form: ReleaseForm
 ) -> None:
-    decoder, whitening, scenes, readings = make(decoding, 4)
+    decoder, whitening, scenes, measurements = make(decoding, 4)
     other, other_whitening, _, _ = make(decoding, 5)
-    released = release(readings, form, decoder, whitening)
+    released = release(measurements, form, decoder, whitening)
     assert released is not None
-    exposure = readings.sum((1, 2), keepdim=True) / decoder.mean_reading.sum()
+    exposure = measurements.sum((1, 2), keepdim=True) / decoder.mean_measurement.sum()
     wanted = scenes / exposure if form is ReleaseForm.FLAT else scenes
     right = decoder(recover(released, form, decoder, whitening))
     wrong = other(recover(released, form, other, other_whitening))
     spread = (wanted - decoder.mean.reshape(SCENE.shape)).square().mean()
     assert float((right - wanted).square().mean() / spread) < 0.2
     assert float((wrong - wanted).square().mean() / spread) > 0.8  # the mean scene has 1
-    direct = decoder(readings) if form is not ReleaseForm.FLAT else decoder(readings / exposure)
+    direct = (
+        decoder(measurements) if form is not ReleaseForm.FLAT else decoder(measurements / exposure)
+    )
     assert torch.allclose(right, direct, atol=2e-3)
 
 
 def test_white_comes_back(decoding: SceneDecoding) -> None:
-    decoder, whitening, _, readings = make(decoding, 6)
-    white = release(readings, ReleaseForm.WHITE, decoder, whitening)
+    decoder, whitening, _, measurements = make(decoding, 6)
+    white = release(measurements, ReleaseForm.WHITE, decoder, whitening)
     assert white is not None
     restored = recover(white, ReleaseForm.WHITE, decoder, whitening)
-    error = (restored - readings).norm() / readings.norm()
+    error = (restored - measurements).norm() / measurements.norm()
     assert float(error) < 1e-5
-    again = release(readings, ReleaseForm.WHITE, decoder, whitening)
+    again = release(measurements, ReleaseForm.WHITE, decoder, whitening)
     assert again is not None
     assert torch.allclose(white, again, atol=1e-5)
 
@@ -137,9 +139,9 @@ def test_mean_of_each_mask_is_gone(decoding: SceneDecoding) -> None:
     means: dict[ReleaseForm, list[Tensor]] = {ReleaseForm.RAW: [], ReleaseForm.WHITE: []}
     scatter: dict[ReleaseForm, list[float]] = {ReleaseForm.RAW: [], ReleaseForm.WHITE: []}
     for seed in range(10, 16):
-        decoder, whitening, _, readings = make(decoding, seed)
-        exposed = readings / readings.sum((1, 2), keepdim=True)
-        for form, values in ((ReleaseForm.RAW, exposed), (ReleaseForm.WHITE, readings)):
+        decoder, whitening, _, measurements = make(decoding, seed)
+        exposed = measurements / measurements.sum((1, 2), keepdim=True)
+        for form, values in ((ReleaseForm.RAW, exposed), (ReleaseForm.WHITE, measurements)):
             released = release(values, form, decoder, whitening)
             assert released is not None
             means[form].append(released.mean(0).flatten())
@@ -153,19 +155,19 @@ def test_mean_of_each_mask_is_gone(decoding: SceneDecoding) -> None:
 
 
 def test_refuses_what_cannot_be_released(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, readings = make(decoding, 7, count=3)
-    with pytest.raises(OpticsError, match=r"readings\.shape"):
-        release(readings[:, :5], ReleaseForm.RAW, decoder)
-    dark = torch.zeros_like(readings)
+    decoder, _whitening, _, measurements = make(decoding, 7, count=3)
+    with pytest.raises(OpticsError, match=r"measurements\.shape"):
+        release(measurements[:, :5], ReleaseForm.RAW, decoder)
+    dark = torch.zeros_like(measurements)
     with pytest.raises(OpticsError, match="holds no light"):
         release(dark, ReleaseForm.FLAT, decoder)
-    assert release(readings[:0], ReleaseForm.FLAT, decoder) is not None
+    assert release(measurements[:0], ReleaseForm.FLAT, decoder) is not None
     with pytest.raises(OpticsError, match="needs the mask's whitening"):
-        release(readings, ReleaseForm.WHITE, decoder)
+        release(measurements, ReleaseForm.WHITE, decoder)
     with pytest.raises(OpticsError, match="needs the mask's whitening"):
-        recover(readings, ReleaseForm.WHITE, decoder)
+        recover(measurements, ReleaseForm.WHITE, decoder)
     with pytest.raises(OpticsError, match="holds nothing to recover"):
-        recover(readings, ReleaseForm.NONE, decoder)
+        recover(measurements, ReleaseForm.NONE, decoder)
 
 
 def test_whitening_shows_nothing_of_the_mask(decoding: SceneDecoding) -> None:
@@ -199,11 +201,11 @@ def test_decode_on_the_command_line(
     weights = to_weights(levels, CAMERA.panel)
     scenes = smooth_scenes(60, 77)
     exposed = frame.decoding().prepare(weights)
-    readings = decoding.operator.embed(scenes, weights)
+    measurements = decoding.operator.embed(scenes, weights)
     wanted = scenes
     if form == "flat":
-        wanted = scenes * exposed.mean_reading.sum() / readings.sum((1, 2), keepdim=True)
-    released = release(readings, ReleaseForm(form), exposed, Whitening(exposed, levels))
+        wanted = scenes * exposed.mean_measurement.sum() / measurements.sum((1, 2), keepdim=True)
+    released = release(measurements, ReleaseForm(form), exposed, Whitening(exposed, levels))
     assert released is not None
     np.save(tmp_path / "in.npy", released.numpy())
 

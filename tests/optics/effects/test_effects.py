@@ -109,7 +109,7 @@ def model_of(called: Called, **sampling: object) -> Model:
     )
 
 
-def readings(model: Model, pictures: Tensor | None = None) -> Tensor:
+def measurements(model: Model, pictures: Tensor | None = None) -> Tensor:
     generator = torch.Generator().manual_seed(2)
     used = scenes() if pictures is None else pictures
     return LightOperator(model).embed(used, mask(model.camera), generator)
@@ -129,7 +129,7 @@ def test_it_changes_the_output_where_it_matters(effect: Effect) -> None:
     points = torch.eye(20, dtype=torch.float64).reshape(20, *SCENE.shape)
     white = torch.ones(2, *SCENE.shape, dtype=torch.float64)
     pictures = white if effect.name in OF_THE_SENSOR else points
-    found = relative(readings(effect.without(model), pictures), readings(model, pictures))
+    found = relative(measurements(effect.without(model), pictures), measurements(model, pictures))
     assert effect.present(model)
     assert found > called.least
     estimated = effect.error(
@@ -243,8 +243,8 @@ def test_methods_agree_under_all_linear_conditions(method: str) -> None:
     )
     called = Called(conditions, panel=LEAKY)
     sampling = {"zones": 2, "wavelengths": 2, "layers": 2, "oversampling": 2.0}
-    by_matrix = readings(model_of(called, **sampling))
-    other = readings(model_of(called, method=method, **sampling))
+    by_matrix = measurements(model_of(called, **sampling))
+    other = measurements(model_of(called, method=method, **sampling))
     assert relative(other, by_matrix) < (1e-12 if method == "factors" else 4e-2)
 
 
@@ -354,7 +354,7 @@ def test_zones_cut_the_field_without_a_seam() -> None:
     """Where nothing depends on the angle, many zones are as good as one."""
     # With depth: every layer of a zone has its own place in the image.
     called = Called(Conditions(off_axis=1e-9, depth_range=0.2))
-    one, many = (readings(model_of(called, zones=zones, layers=2)) for zones in (1, 3))
+    one, many = (measurements(model_of(called, zones=zones, layers=2)) for zones in (1, 3))
     assert relative(many, one) < 1e-7
 
 
@@ -370,8 +370,8 @@ def test_small_rotation_against_every_sub_pixel_on_its_own() -> None:
             alone[row, column] = mask(camera)[row, column]
             moved = Conditions(imperfections=Imperfections(shift_y=angle * x, shift_x=-angle * y))
             total += LightOperator(replace(straight, conditions=moved)).embed(scenes(), alone)
-    assert relative(readings(straight), total) > 3e-3
-    assert relative(readings(turned), total) < 3e-4
+    assert relative(measurements(straight), total) > 3e-3
+    assert relative(measurements(turned), total) < 3e-4
 
 
 def test_turned_mask_lets_the_same_power_through() -> None:

@@ -1,4 +1,4 @@
-"""Readings: counted photons, saturation, offset and rounding."""
+"""Measurements: counted photons, saturation, offset and rounding."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from tests.contracts.setting import reading_model
+from tests.contracts.setting import measurement_model
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
@@ -17,50 +17,52 @@ from veilcam_optics.effects.composition import read
 def test_counted_photons_have_the_variance_of_their_mean() -> None:
     values = torch.full((1, 200_000), 0.02, dtype=torch.float64)
     counted = read(
-        reading_model(Conditions(electrons=500.0)), values, torch.Generator().manual_seed(0)
+        measurement_model(Conditions(electrons=500.0)), values, torch.Generator().manual_seed(0)
     )
     electrons = counted * 500
     assert float(electrons.mean()) == pytest.approx(10, rel=0.01)
     assert float(electrons.var()) == pytest.approx(10, rel=0.02)
     assert float((electrons - electrons.round()).abs().max()) < 1e-9
-    quiet = read(reading_model(Conditions(electrons=500.0), shot=False), values)
+    quiet = read(measurement_model(Conditions(electrons=500.0), shot=False), values)
     assert torch.allclose(quiet, values)
 
 
-def test_readings_are_noisy_saturate_and_are_rounded() -> None:
+def test_measurements_are_noisy_saturate_and_are_rounded() -> None:
     values = torch.linspace(0, 1, 4001, dtype=torch.float64)[None]
     generator = torch.Generator().manual_seed(0)
     noisy = read(
-        reading_model(Conditions(electrons=1e4, read_noise=50), shot=False), values, generator
+        measurement_model(Conditions(electrons=1e4, read_noise=50), shot=False), values, generator
     )
     assert float((noisy - values).std()) == pytest.approx(50 / 1e4, rel=0.05)
-    full = read(reading_model(Conditions(electrons=1e4, full_well=3e3), shot=False), values)
+    full = read(measurement_model(Conditions(electrons=1e4, full_well=3e3), shot=False), values)
     assert float(full.max()) == pytest.approx(0.3)
-    rounded = read(reading_model(Conditions(adc_bits=3, black_level=0.1)), values)
+    rounded = read(measurement_model(Conditions(adc_bits=3, black_level=0.1)), values)
     assert len(set(rounded.flatten().tolist())) == 7  # 0.1 is above the lowest of eight
     assert float(rounded.max()) == 1
-    assert torch.allclose(read(reading_model(Conditions(black_level=0.1)), values), values + 0.1)
+    assert torch.allclose(
+        read(measurement_model(Conditions(black_level=0.1)), values), values + 0.1
+    )
 
 
-def test_reading_passes_gradients_straight_through() -> None:
+def test_measurement_passes_gradients_straight_through() -> None:
     values = torch.rand(2, 9, dtype=torch.float64, requires_grad=True)
     conditions = Conditions(electrons=1e3, read_noise=2.0, adc_bits=8, adc_range=2.0)
-    readings_ = read(reading_model(conditions), values, torch.Generator().manual_seed(0))
-    (gradient,) = torch.autograd.grad(readings_.sum(), values)
+    measurements_ = read(measurement_model(conditions), values, torch.Generator().manual_seed(0))
+    (gradient,) = torch.autograd.grad(measurements_.sum(), values)
     assert torch.allclose(gradient, torch.ones_like(gradient))
 
 
-def test_every_setting_changes_the_readings() -> None:
+def test_every_setting_changes_the_measurements() -> None:
     values = torch.rand(50, 50, generator=torch.Generator().manual_seed(5)) * 1.2
     base = Conditions(
         electrons=8000.0, read_noise=3.0, full_well=8000.0, adc_bits=12, black_level=0.06
     )
 
-    def readings(conditions: Conditions, *, shot: bool = True) -> Tensor:
+    def measurements(conditions: Conditions, *, shot: bool = True) -> Tensor:
         generator = torch.Generator().manual_seed(0)
-        return read(reading_model(conditions, shot=shot), values, generator)
+        return read(measurement_model(conditions, shot=shot), values, generator)
 
-    first = readings(base)
+    first = measurements(base)
     changes: list[dict[str, Any]] = [
         {"electrons": 4000.0},
         {"read_noise": 30.0},
@@ -70,6 +72,6 @@ def test_every_setting_changes_the_readings() -> None:
         {"black_level": 0.0},
     ]
     for change in changes:
-        assert not torch.equal(readings(dataclasses.replace(base, **change)), first), change
-    assert not torch.equal(readings(base, shot=False), first)
-    assert torch.equal(readings(base), first)
+        assert not torch.equal(measurements(dataclasses.replace(base, **change)), first), change
+    assert not torch.equal(measurements(base, shot=False), first)
+    assert torch.equal(measurements(base), first)

@@ -63,8 +63,10 @@ class Yellowing(Effect):
         """Electrons by (1 - share)^5."""
         return electrons * (1 - _share(model)) ** 5
 
-    def reading(self, values: Tensor, model: Model, generator: torch.Generator | None) -> Tensor:
-        """Readings by (1 - share)^6."""
+    def measurement(
+        self, values: Tensor, model: Model, generator: torch.Generator | None
+    ) -> Tensor:
+        """Measurements by (1 - share)^6."""
         return values * (1 - _share(model)) ** 6
 
 
@@ -100,7 +102,7 @@ def test_a_plan_weighs_it() -> None:
     found = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Aged(yellowing=0.1))
     own = found.assessments[-1]
     assert (own.name, own.matters, own.reason) == ("yellowing", True, "yellow by 0.1")
-    # Amplitudes squared, beams and light: the eighth power; scenes and readings are not probed.
+    # Amplitudes squared, beams and light: the eighth power; scenes and measurements are not probed.
     assert own.error == pytest.approx(1 / 0.9**8 - 1, rel=1e-6)
     assert "yellow by 0.1" in found.explain()
     faint = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Aged(yellowing=1e-5))

@@ -76,7 +76,7 @@ def test_finer_cells_converge() -> None:
 
 @pytest.mark.parametrize("shape", [(61, 81), (60, 80), (1, 7)])
 def test_psf_cells_hold_the_same_light_as_the_transfer(shape: tuple[int, int]) -> None:
-    """Cells that cover the sensor: their mean is the reading of a point by one big pixel."""
+    """Cells that cover the sensor: their mean is the measurement of a point by one big pixel."""
     weights = mask(SMALL)
     sensor = SMALL.sensor
     grid = Grid(*shape, sensor.height / shape[0], sensor.width / shape[1])

@@ -57,25 +57,25 @@ async def test_status(running: Running, bench: Bench) -> None:
 
 
 async def test_capture_as_json_and_as_npy(running: Running, bench: Bench) -> None:
-    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     async with running(settle=0.01) as client:
         answer = await client.post("/v1/captures")
         capture = Capture.model_validate_json(answer.content)
         npy = await client.post("/v1/captures", headers={"Accept": NPY_MEDIA_TYPE})
     assert capture.epoch == bench.epochs[0]
-    assert np.array_equal(np.asarray(capture), bench.sensor.reading)
+    assert np.array_equal(np.asarray(capture), bench.sensor.measurement)
     assert capture.exposure is not None
     assert capture.exposure.started_after_shown_s >= capture.exposure.settle_s == 0.01
     assert npy.headers["content-type"] == NPY_MEDIA_TYPE
     assert npy.headers["veilcam-epoch"] == capture.epoch
     assert npy.headers["veilcam-capture"] != capture.id
-    assert np.array_equal(np.load(io.BytesIO(npy.content)), bench.sensor.reading)
+    assert np.array_equal(np.load(io.BytesIO(npy.content)), bench.sensor.measurement)
 
 
 async def test_classification_is_what_the_pair_s_own_network_says(
     running: Running, bench: Bench
 ) -> None:
-    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     labels = set()
     async with running() as client:
         for _ in range(6):
@@ -84,12 +84,12 @@ async def test_classification_is_what_the_pair_s_own_network_says(
             index = bench.pair_shown()
             assert index is not None
             weights = bench.bundle.pairs[index].weights["0.weight"].numpy()
-            logits = weights @ bench.sensor.reading.ravel()
+            logits = weights @ bench.sensor.measurement.ravel()
             assert result.label == bench.bundle.labels[int(np.argmax(logits))]
             assert result.confidence == max(result.scores.values())
             assert sum(result.scores.values()) == pytest.approx(1)
             assert result.embedding is not None
-            assert np.array_equal(np.asarray(result.embedding), bench.sensor.reading)
+            assert np.array_equal(np.asarray(result.embedding), bench.sensor.measurement)
             labels.add((index, result.label))
             await client.post("/v1/rotation/advance")
     assert len(labels) > 1

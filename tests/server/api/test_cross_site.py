@@ -93,7 +93,7 @@ async def requests(
             method,
             "/".join("0" * 12 if "{" in part else part for part in path.split("/")),
             bundle
-            if (method, path) == ("post", "/v1/keyrings")
+            if (method, path) == ("post", "/v1/bundles")
             else json.dumps(BODIES[method, path]).encode()
             if (method, path) in BODIES
             else b"",
@@ -105,7 +105,7 @@ async def requests(
 
 async def state(client: httpx.AsyncClient, token: dict[str, str], bench: Bench) -> dict[str, Any]:
     """All that a request could have changed, but for how long the epoch has lasted."""
-    paths = ("rotation", "keyrings", "tokens", "lease", "calibration")
+    paths = ("rotation", "bundles", "tokens", "lease", "calibration")
     found = {path: (await client.get(f"/v1/{path}", headers=token)).json() for path in paths}
     found["rotation"] = {name: found["rotation"][name] for name in ("policy", "epoch")}
     found["panel"], found["captures"] = len(bench.display.shown), bench.sensor.captures
@@ -133,7 +133,7 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
 
     async with running(admission=admission) as client:
         asked = await requests(client, token, upload)
-        assert {("get", "/v1/events"), ("post", "/v1/keyrings")} <= {each[:2] for each in asked}
+        assert {("get", "/v1/events"), ("post", "/v1/bundles")} <= {each[:2] for each in asked}
         asked += [("options", "/v1/rotation", b""), ("get", "/", b""), ("get", "/docs", b"")]
         before = await state(client, token, bench)
         for method, path, body in asked:
@@ -201,7 +201,7 @@ async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they
     assert codes["get", "/v1/events"] == "too_many_streams"
     assert all(codes[each] is None for each in BODIES if "calibration" not in each[1])
     changed = {name for name in before if before[name] != after[name]}
-    assert changed == {"rotation", "keyrings", "tokens", "panel", "captures"}
+    assert changed == {"rotation", "bundles", "tokens", "panel", "captures"}
 
 
 async def test_a_port_that_is_no_default_is_compared(running: Running) -> None:

@@ -1,4 +1,4 @@
-"""Keyrings: taken in, used, rolled back, and never a change of what runs but on purpose."""
+"""Bundles: taken in, used, rolled back, and never a change of what runs but on purpose."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_client.wire.bundles import Keyring, Keyrings
+from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
-from veilcam_client.wire.events import Event, Fault, KeyringChanged
+from veilcam_client.wire.events import BundleChanged, Event, Fault
 from veilcam_client.wire.problems import Problem
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
-from veilcam_server.bundles import store as keyring_store
+from veilcam_server.bundles import store as bundle_store
 from veilcam_server.bundles.loader import Opener, last_good
-from veilcam_server.bundles.store import KeyringStore
+from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
-from veilcam_server.errors import KeyringInvalidError, KeyringStoreError
+from veilcam_server.errors import BundleInvalidError, BundleStoreError, StartError
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
@@ -61,20 +61,20 @@ def data(bundle: Bundle, tmp_path: Path) -> bytes:
     return path.read_bytes()
 
 
-async def install(client: httpx.AsyncClient, data: bytes) -> Keyring:
-    answer = await client.post("/v1/keyrings", content=data)
+async def install(client: httpx.AsyncClient, data: bytes) -> InstalledBundle:
+    answer = await client.post("/v1/bundles", content=data)
     assert answer.status_code == 201, answer.text
-    return Keyring.model_validate_json(answer.content)
+    return InstalledBundle.model_validate_json(answer.content)
 
 
 async def activate(client: httpx.AsyncClient, digest: str) -> httpx.Response:
-    return await client.post(f"/v1/keyrings/{digest}/activate")
+    return await client.post(f"/v1/bundles/{digest}/activate")
 
 
 async def active(client: httpx.AsyncClient) -> str:
     """Of list and status, which must agree."""
-    answer = Keyrings.model_validate_json((await client.get("/v1/keyrings")).content)
-    (digest,) = [keyring.digest for keyring in answer.keyrings if keyring.active]
+    answer = InstalledBundles.model_validate_json((await client.get("/v1/bundles")).content)
+    (digest,) = [installed.digest for installed in answer.bundles if installed.active]
     status = Status.model_validate_json((await client.get("/v1/status")).content)
     assert status.bundle.digest == digest
     return digest
@@ -89,7 +89,7 @@ async def label(client: httpx.AsyncClient) -> Classification:
 def expected(bundle: Bundle, bench: Bench) -> str:
     """What the classifier of the mask on the panel says."""
     (pair,) = [p for p in bundle.pairs if np.array_equal(p.levels, bench.display.shown[-1])]
-    logits = pair.weights["0.weight"] @ torch.from_numpy(bench.sensor.reading).ravel()
+    logits = pair.weights["0.weight"] @ torch.from_numpy(bench.sensor.measurement).ravel()
     return bundle.labels[int((logits + pair.weights["0.bias"]).argmax())]
 
 
@@ -100,18 +100,18 @@ def code(answer: httpx.Response) -> str:
 async def test_what_is_taken_in_is_not_used(running: Running, bench: Bench, data: bytes) -> None:
     async with running() as client:
         before = await active(client)
-        keyring = await install(client, data)
-        assert (keyring.active, keyring.configured, keyring.size) == (False, False, len(data))
-        assert keyring.bundle is not None
-        assert keyring.bundle.task == "other"
+        installed = await install(client, data)
+        assert (installed.active, installed.configured, installed.size) == (False, False, len(data))
+        assert installed.bundle is not None
+        assert installed.bundle.task == "other"
         again = await install(client, data)
-        assert again == keyring
+        assert again == installed
         assert await active(client) == before
-        answer = Keyrings.model_validate_json((await client.get("/v1/keyrings")).content)
-        assert [one.digest for one in answer.keyrings] == [before, keyring.digest]
+        answer = InstalledBundles.model_validate_json((await client.get("/v1/bundles")).content)
+        assert [one.digest for one in answer.bundles] == [before, installed.digest]
     assert len(bench.display.shown) == 2  # a mask, and opaque at the end
-    (path,) = (bench.state_dir / "keyrings").iterdir()
-    assert path.name == f"{keyring.digest}.veilcam"
+    (path,) = (bench.state_dir / "bundles").iterdir()
+    assert path.name == f"{installed.digest}.veilcam"
     assert path.stat().st_mode & 0o077 == 0
     assert path.parent.stat().st_mode & 0o077 == 0
 
@@ -119,13 +119,13 @@ async def test_what_is_taken_in_is_not_used(running: Running, bench: Bench, data
 async def test_mask_and_classifier_change_together_and_back(
     running: Running, bench: Bench, data: bytes, bundle: Bundle
 ) -> None:
-    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     async with running() as client:
         first = await active(client)
-        keyring = await install(client, data)
-        answer = await activate(client, keyring.digest)
-        assert Keyring.model_validate_json(answer.content).active
-        assert await active(client) == keyring.digest
+        installed = await install(client, data)
+        answer = await activate(client, installed.digest)
+        assert InstalledBundle.model_validate_json(answer.content).active
+        assert await active(client) == installed.digest
         changed = other(bundle)
         for _ in range(4):
             result = await label(client)
@@ -146,28 +146,28 @@ async def test_the_change_is_an_event(bench: Bench, data: bytes) -> None:
             yield data[:1000]
             yield data[1000:]
 
-        keyring = await service.keyrings.install(chunks())
+        installed = await service.bundles.install(chunks())
         start = f"{service._events.log._boot}-0"
-        await service.activate_keyring(keyring.digest)
+        await service.activate_bundle(installed.digest)
         heard = []
         async for event in service.events(start):
             if event is None:
                 break
             heard.append(event)
-    (change,) = [event for event in heard if isinstance(event, KeyringChanged)]
-    assert (change.digest, change.task) == (keyring.digest, "other")
+    (change,) = [event for event in heard if isinstance(event, BundleChanged)]
+    assert (change.digest, change.task) == (installed.digest, "other")
 
 
 @pytest.mark.parametrize("faults", [1, 3])
-async def test_a_panel_that_fails_keeps_the_keyring_or_is_opaque(
+async def test_a_panel_that_fails_keeps_the_bundle_or_is_opaque(
     running: Running, bench: Bench, data: bytes, bundle: Bundle, faults: int
 ) -> None:
-    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     async with running() as client:
         before = await active(client)
-        keyring = await install(client, data)
+        installed = await install(client, data)
         bench.display.faults = [DisplayError("no answer") for _ in range(faults)]
-        answer = await activate(client, keyring.digest)
+        answer = await activate(client, installed.digest)
         assert code(answer) == "display_failed"
         assert await active(client) == before
         if faults == 1:
@@ -176,11 +176,11 @@ async def test_a_panel_that_fails_keeps_the_keyring_or_is_opaque(
             assert (await client.get("/v1/status")).json()["state"] in ("safe", "ready")
             await client.post("/v1/rotation/advance")
             assert (await label(client)).label == expected(bundle, bench)
-    assert not list((bench.state_dir / "keyrings").glob(".new-*"))
-    assert not (bench.state_dir / "keyrings" / "active.json").exists()
+    assert not list((bench.state_dir / "bundles").glob(".new-*"))
+    assert not (bench.state_dir / "bundles" / "active.json").exists()
 
 
-async def test_an_epoch_that_cannot_be_recorded_keeps_the_keyring(
+async def test_an_epoch_that_cannot_be_recorded_keeps_the_bundle(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from veilcam_server.errors import EpochError
@@ -190,26 +190,26 @@ async def test_an_epoch_that_cannot_be_recorded_keeps_the_keyring(
 
     async with running() as client:
         before = await active(client)
-        keyring = await install(client, data)
+        installed = await install(client, data)
         with monkeypatch.context() as patch:
             patch.setattr(EpochStore, "next", full)
-            assert code(await activate(client, keyring.digest)) == "epoch_not_recorded"
+            assert code(await activate(client, installed.digest)) == "epoch_not_recorded"
         assert await active(client) == before
-        assert (await activate(client, keyring.digest)).status_code == 200
+        assert (await activate(client, installed.digest)).status_code == 200
 
 
 async def test_what_cannot_be_made_durable_is_rolled_back(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch, bundle: Bundle
 ) -> None:
     def refuse(*_: object) -> None:
-        raise KeyringStoreError("the disk is gone")
+        raise BundleStoreError("the disk is gone")
 
-    bench.sensor.reading = np.random.default_rng(0).random((4, 5), np.float32)
+    bench.sensor.measurement = np.random.default_rng(0).random((4, 5), np.float32)
     async with running() as client:
         before = await active(client)
-        keyring = await install(client, data)
-        monkeypatch.setattr(KeyringStore, "commit", refuse)
-        assert code(await activate(client, keyring.digest)) == "keyring_not_stored"
+        installed = await install(client, data)
+        monkeypatch.setattr(BundleStore, "commit", refuse)
+        assert code(await activate(client, installed.digest)) == "bundle_not_stored"
         assert await active(client) == before
         assert (await label(client)).label == expected(bundle, bench)
 
@@ -220,10 +220,10 @@ async def test_a_lone_mask_does_not_fit_a_policy_that_wants_another(
     path = tmp_path / "lone.veilcam"
     write_bundle(path, other(bundle, pairs=1))
     async with running(policy=EveryCaptures(captures=5)) as client:
-        keyring = await install(client, path.read_bytes())
-        assert code(await activate(client, keyring.digest)) == "rotation_impossible"
+        installed = await install(client, path.read_bytes())
+        assert code(await activate(client, installed.digest)) == "rotation_impossible"
         await client.put("/v1/rotation", json={"mode": "off"})
-        assert (await activate(client, keyring.digest)).status_code == 200
+        assert (await activate(client, installed.digest)).status_code == 200
         assert code(await client.post("/v1/rotation/advance")) == "rotation_impossible"
 
 
@@ -244,59 +244,59 @@ async def test_what_cannot_be_used_is_refused_with_the_reason(
     async with running() as client:
         before = await active(client)
         for content, wanted, word in (
-            (b"", "keyring_invalid", "not a whole bundle"),
-            (data[:-100], "keyring_invalid", "not a whole bundle"),
-            (unfit.read_bytes(), "keyring_unfit", "another embedding"),
-            (fresh_file.read_bytes(), "keyring_unfit", "another mode"),
+            (b"", "bundle_invalid", "not a whole bundle"),
+            (data[:-100], "bundle_invalid", "not a whole bundle"),
+            (unfit.read_bytes(), "bundle_unfit", "another embedding"),
+            (fresh_file.read_bytes(), "bundle_unfit", "another mode"),
         ):
-            answer = await client.post("/v1/keyrings", content=content)
+            answer = await client.post("/v1/bundles", content=content)
             assert code(answer) == wanted
             assert word in answer.json()["detail"]
             assert str(bench.state_dir) not in answer.text
         assert await active(client) == before
-        answer = await client.post("/v1/keyrings", content=bytes(2**20 + 1))
+        answer = await client.post("/v1/bundles", content=bytes(2**20 + 1))
         assert code(answer) == "body_too_large"
-        answer = await client.post(f"/v1/keyrings/{'0' * 64}/activate")
-        assert code(answer) == "unknown_keyring"
+        answer = await client.post(f"/v1/bundles/{'0' * 64}/activate")
+        assert code(answer) == "unknown_bundle"
         assert code(await activate(client, "../../etc/passwd")) == "not_found"
         assert code(await activate(client, "A" * 64)) == "invalid_request"
-    assert list((bench.state_dir / "keyrings").iterdir()) == []
+    assert list((bench.state_dir / "bundles").iterdir()) == []
 
 
 async def test_removed_for_good_but_not_what_is_in_use(running: Running, data: bytes) -> None:
     async with running() as client:
         configured = await active(client)
-        keyring = await install(client, data)
-        await activate(client, keyring.digest)
-        for digest in (configured, keyring.digest):
-            assert code(await client.delete(f"/v1/keyrings/{digest}")) == "keyring_in_use"
+        installed = await install(client, data)
+        await activate(client, installed.digest)
+        for digest in (configured, installed.digest):
+            assert code(await client.delete(f"/v1/bundles/{digest}")) == "bundle_in_use"
         await activate(client, configured)
-        answer = await client.delete(f"/v1/keyrings/{keyring.digest}")
-        assert [one["digest"] for one in answer.json()["keyrings"]] == [configured]
-        assert code(await activate(client, keyring.digest)) == "unknown_keyring"
+        answer = await client.delete(f"/v1/bundles/{installed.digest}")
+        assert [one["digest"] for one in answer.json()["bundles"]] == [configured]
+        assert code(await activate(client, installed.digest)) == "unknown_bundle"
 
 
 async def test_there_is_room_for_so_many(
     running: Running, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keyring_store, "CAPACITY", 1)
+    monkeypatch.setattr(bundle_store, "CAPACITY", 1)
     async with running() as client:
-        keyring = await install(client, data)
-        assert code(await client.post("/v1/keyrings", content=data)) == "keyrings_full"
-        assert (await activate(client, keyring.digest)).status_code == 200
+        installed = await install(client, data)
+        assert code(await client.post("/v1/bundles", content=data)) == "bundles_full"
+        assert (await activate(client, installed.digest)).status_code == 200
 
 
 async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
-    from veilcam_server.errors import KeyringsBusyError
+    from veilcam_server.errors import BundlesBusyError
 
-    keyrings = bench.service(bench.camera()).keyrings
+    bundles = bench.service(bench.camera()).bundles
 
     async def chunks() -> AsyncIterator[bytes]:
-        with pytest.raises(KeyringsBusyError):
-            await keyrings.remove("0" * 64)
+        with pytest.raises(BundlesBusyError):
+            await bundles.remove("0" * 64)
         yield data
 
-    assert (await keyrings.install(chunks())).bundle is not None
+    assert (await bundles.install(chunks())).bundle is not None
 
 
 async def test_a_full_disk_leaves_nothing_behind(
@@ -307,15 +307,15 @@ async def test_a_full_disk_leaves_nothing_behind(
 
     async with running() as client:
         monkeypatch.setattr(os, "fsync", full)
-        answer = await client.post("/v1/keyrings", content=data)
+        answer = await client.post("/v1/bundles", content=data)
         monkeypatch.undo()
-        assert code(answer) == "keyring_not_stored"
+        assert code(answer) == "bundle_not_stored"
         assert "No space left" in answer.json()["detail"]
-    assert list((bench.state_dir / "keyrings").iterdir()) == []
+    assert list((bench.state_dir / "bundles").iterdir()) == []
 
 
 class Restarts:
-    """What a start finds after another has activated keyrings."""
+    """What a start finds after another has activated bundles."""
 
     def __init__(self, bundle: Bundle, directory: Path) -> None:
         self.directory = directory
@@ -326,15 +326,15 @@ class Restarts:
             self.files.append(path)
         self.digests = [read_bundle(path).digest for path in self.files]
 
-    def store(self, configured: int = 0) -> KeyringStore:
+    def store(self, configured: int = 0) -> BundleStore:
         path, digest = self.files[configured], self.digests[configured]
-        return KeyringStore(self.directory / "keyrings", path, digest)
+        return BundleStore(self.directory / "bundles", path, digest)
 
     def use(self, number: int, before: int) -> None:
         """Install and activate."""
         store = self.store()
         with store.incoming() as (path, stream):
-            keyring_store.append(stream, self.files[number].read_bytes())
+            bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
         store.commit(store.stage(self.digests[number], self.digests[before]))
 
@@ -350,7 +350,7 @@ def restarts(bundle: Bundle, tmp_path: Path) -> Restarts:
     return Restarts(bundle, tmp_path)
 
 
-def test_a_restart_goes_on_with_the_keyring_in_use(restarts: Restarts) -> None:
+def test_a_restart_goes_on_with_the_bundle_in_use(restarts: Restarts) -> None:
     assert restarts.start() == ("task 0", [])
     restarts.use(1, before=0)
     assert restarts.start() == ("task 1", [])
@@ -364,10 +364,10 @@ def test_a_restart_with_another_bundle_uses_that(restarts: Restarts) -> None:
     assert restarts.start() == ("task 1", [])
 
 
-def test_a_damaged_keyring_gives_way_to_the_last_good_one(restarts: Restarts) -> None:
+def test_a_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> None:
     restarts.use(1, before=0)
     restarts.use(2, before=1)
-    installed = restarts.directory / "keyrings" / f"{restarts.digests[2]}.veilcam"
+    installed = restarts.directory / "bundles" / f"{restarts.digests[2]}.veilcam"
     data = installed.read_bytes()
     installed.write_bytes(data[:1000])
     task, (fault,) = restarts.start()
@@ -380,7 +380,7 @@ def test_a_damaged_keyring_gives_way_to_the_last_good_one(restarts: Restarts) ->
     task, (fault,) = restarts.start()
     assert task == "task 1"
     assert "changed on the disk" in fault
-    (restarts.directory / "keyrings" / f"{restarts.digests[1]}.veilcam").unlink()
+    (restarts.directory / "bundles" / f"{restarts.digests[1]}.veilcam").unlink()
     task, faults = restarts.start()
     assert task == "task 0"
     assert len(faults) == 2
@@ -389,13 +389,13 @@ def test_a_damaged_keyring_gives_way_to_the_last_good_one(restarts: Restarts) ->
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"active": "../x"}', bytes(100)])
 def test_a_damaged_record_is_none(restarts: Restarts, content: bytes) -> None:
     restarts.use(1, before=0)
-    (restarts.directory / "keyrings" / "active.json").write_bytes(content)
+    (restarts.directory / "bundles" / "active.json").write_bytes(content)
     assert restarts.start() == ("task 0", [])
 
 
 def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
     restarts.use(1, before=0)
-    left = restarts.directory / "keyrings" / ".new-abc"
+    left = restarts.directory / "bundles" / ".new-abc"
     left.write_bytes(b"half")
     assert restarts.start() == ("task 1", [])
     assert not left.exists()
@@ -403,12 +403,12 @@ def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
 
 async def test_faults_of_the_start_are_events(bench: Bench) -> None:
     service = bench.service(bench.camera())
-    service.keyrings.faults = ("keyring 0123 is not in use any more",)
+    service.bundles.faults = ("bundle 0123 is not in use any more",)
     async with service.open():
         heard = [event async for event in _until_quiet(service.events("x-0"))]
     (fault,) = [event for event in heard if isinstance(event, Fault)]
-    assert fault.code == "keyring_invalid"
-    assert fault.detail == service.keyrings.faults[0]
+    assert fault.code == "bundle_invalid"
+    assert fault.detail == service.bundles.faults[0]
 
 
 async def _until_quiet(events: AsyncIterator[Event | None]) -> AsyncIterator[Event]:
@@ -422,6 +422,17 @@ def test_reasons_hold_no_path(restarts: Restarts, bundle: Bundle) -> None:
     opener = Opener(bundle, load_pairs)
     bad = restarts.directory / "bad"
     bad.write_bytes(b"x")
-    with pytest.raises(KeyringInvalidError) as caught:
+    with pytest.raises(BundleInvalidError) as caught:
         opener.read(bad)
     assert str(restarts.directory) not in str(caught.value)
+
+
+def test_state_of_an_earlier_version_is_refused(restarts: Restarts) -> None:
+    restarts.use(1, before=0)
+    (restarts.directory / "bundles").rename(restarts.directory / "keyrings")
+    with pytest.raises(
+        StartError, match=r"keyrings is of an earlier version: rename it to bundles"
+    ):
+        restarts.store()
+    (restarts.directory / "keyrings").rename(restarts.directory / "bundles")
+    assert restarts.start()[0] == "task 1"

@@ -96,8 +96,8 @@ def test_it_finds_what_light_goes_astray_and_puts_it_back() -> None:
         shown = each.device.display.show(levels)
         seen.append(each.device.sensor.capture(shown.completed_at + 0.1, 1.0).embedding)
     corrected = CalibratedSensor.of(built.device.sensor, record).corrected(seen[0])
-    for reading, low, high in ((corrected, 0.0, 0.03), (seen[0], 0.03, 1.0)):
-        difference = np.linalg.norm(reading - seen[1]) / np.linalg.norm(seen[1])
+    for measurement, low, high in ((corrected, 0.0, 0.03), (seen[0], 0.03, 1.0)):
+        difference = np.linalg.norm(measurement - seen[1]) / np.linalg.norm(seen[1])
         assert low < difference < high
 
 

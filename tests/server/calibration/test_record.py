@@ -224,7 +224,7 @@ class Sensor:
         self.closed = True
 
 
-def test_readings_are_those_that_decoders_expect() -> None:
+def test_measurements_are_those_that_decoders_expect() -> None:
     sensor = Sensor()
     corrected = CalibratedSensor(sensor, black_level=0.02, gain=0.5, stray_light=0.0)
     exposure = corrected.capture(1.0, 2.0)

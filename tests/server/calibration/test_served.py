@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from veilcam_client import Camera
 from veilcam_client.cli.main import app as client
-from veilcam_optics.decoding import ReadingNoise, fit_statistics
+from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_server.cli.main import app as server
 from veilcam_server.demo.daemon import running
@@ -54,7 +54,7 @@ def nearest_template() -> Bundle:
             device="test camera",
             distribution=MaskDistribution.uniform(GEOMETRY.camera),
             statistics=fit_statistics([seen], pixels),
-            noise=ReadingNoise(40.0),
+            noise=MeasurementNoise(40.0),
             features=("estimate",),
             layers=(Linear(inputs=pixels, outputs=CLASSES),),
             weights={

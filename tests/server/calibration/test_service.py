@@ -56,7 +56,7 @@ class Measuring(CalibrationService):
             exposure_s=self._settings.exposure,
             settling_s=Quantity(value=0.02, uncertainty=0.01, residual=0.0),
         )
-        self.before_reading: Callable[[], None] = lambda: None
+        self.before_measurement: Callable[[], None] = lambda: None
         self.fault: Exception | None = None
 
     def begin(self, repeats: int, report: Callable[[CalibrationRun], None]) -> Run:
@@ -68,7 +68,7 @@ class Measuring(CalibrationService):
         for wanted in (dark(self.scene), white(self.scene), lamp(self.scene)):
             run.wait_for(wanted)
             for _ in range(run.budget.repeats * READS):
-                self.before_reading()
+                self.before_measurement()
                 device.display.show(np.zeros((9, 5), np.uint8))
                 device.sensor.capture(0.0, 1.0)
                 run.advance()
@@ -138,7 +138,7 @@ async def state(client: httpx.AsyncClient) -> str:
     return Status.model_validate_json((await client.get("/v1/status")).content).state
 
 
-async def reading(client: httpx.AsyncClient) -> Capture:
+async def measurement(client: httpx.AsyncClient) -> Capture:
     return Capture.model_validate_json((await client.post("/v1/captures")).content)
 
 
@@ -147,14 +147,14 @@ async def test_what_is_found_is_used_from_then_on(
 ) -> None:
     async with running() as client:
         assert await status(client) == CalibrationStatus(signed=None, run=None)
-        assert np.asarray(await reading(client)) == pytest.approx(1.0)
+        assert np.asarray(await measurement(client)) == pytest.approx(1.0)
         tests = bench.test.runs
         run = await measured(client, repeats=1)
         assert (run.stage, run.exposures, run.total, run.detail) == ("done", 12, 12, None)
         assert (run.scene, run.instruction) == (None, None)
         assert await state(client) == "ready"
         assert bench.test.runs == tests + 1
-        after = await reading(client)
+        after = await measurement(client)
         assert np.asarray(after) == pytest.approx((1 - 0.02) / 0.5)
         assert after.exposure is not None
         assert after.exposure.settle_s == 0.03
@@ -200,13 +200,13 @@ async def test_it_can_be_cancelled_while_it_waits_and_while_it_reads(
             await start(client)
             await until(client, waits_for("dark"))
             if not at_once:
-                service.before_reading = reads.set
+                service.before_measurement = reads.set
                 await present(client, "dark")
                 await asyncio.to_thread(reads.wait, 10)
             ended_as = (await client.delete("/v1/calibration")).json()
             assert (ended_as["stage"], ended_as["detail"]) == ("cancelled", None)
             assert await state(client) == "ready"
-            assert np.asarray(await reading(client)) == pytest.approx(1.0)
+            assert np.asarray(await measurement(client)) == pytest.approx(1.0)
             again = await client.delete("/v1/calibration")
             assert (again.status_code, again.json()["code"]) == (409, "not_calibrating")
             assert (await present(client, "dark")).json()["code"] == "not_calibrating"
@@ -227,7 +227,7 @@ def defective() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before_reading", "detail"),
+    ("before_measurement", "detail"),
     [
         (refused, "too little light: light it"),
         (broken, "the bus gave no answer"),
@@ -237,16 +237,16 @@ def defective() -> None:
 async def test_a_failure_changes_nothing(
     running: Running,
     service: Measuring,
-    before_reading: Callable[[], None],
+    before_measurement: Callable[[], None],
     detail: str,
 ) -> None:
-    service.before_reading = before_reading
+    service.before_measurement = before_measurement
     async with running() as client:
         run = await measured(client)
         assert (run.stage, run.detail) == ("failed", detail)
         assert (await status(client)).signed is None
         assert await state(client) == "ready"
-        assert np.asarray(await reading(client)) == pytest.approx(1.0)
+        assert np.asarray(await measurement(client)) == pytest.approx(1.0)
 
 
 async def test_what_cannot_be_kept_is_not_used(running: Running, service: Measuring) -> None:
@@ -255,10 +255,10 @@ async def test_what_cannot_be_kept_is_not_used(running: Running, service: Measur
         run = await measured(client)
         assert (run.stage, run.detail) == ("failed", "the disk is full: check it")
         assert (await status(client)).signed is None
-        assert np.asarray(await reading(client)) == pytest.approx(1.0)
+        assert np.asarray(await measurement(client)) == pytest.approx(1.0)
         service.fault = None
         assert (await measured(client)).stage == "done"
-        assert np.asarray(await reading(client)) == pytest.approx(1.96)
+        assert np.asarray(await measurement(client)) == pytest.approx(1.96)
 
 
 async def test_a_panel_that_fails_afterwards_is_told_by_the_state(

@@ -1,4 +1,4 @@
-"""The engine: one mask per reading, whatever fails."""
+"""The engine: one mask per measurement, whatever fails."""
 
 from __future__ import annotations
 
@@ -136,11 +136,11 @@ def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None
 
 
 @pytest.mark.parametrize(
-    "reading", [np.ones((5, 4), np.float32), np.full((4, 5), np.nan, np.float32)]
+    "measurement", [np.ones((5, 4), np.float32), np.full((4, 5), np.nan, np.float32)]
 )
-def test_a_reading_that_cannot_be_is_refused(bench: Bench, reading: np.ndarray) -> None:
+def test_a_measurement_that_cannot_be_is_refused(bench: Bench, measurement: np.ndarray) -> None:
     camera = bench.camera()
-    bench.sensor.reading = reading
+    bench.sensor.measurement = measurement
     with pytest.raises(FenceError):
         camera.capture()
 
@@ -342,7 +342,7 @@ def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
                 refused()
         with pytest.raises(CalibratingError), camera.exclusive():
             pass
-        assert np.array_equal(device.sensor.capture(0.0, 1.0).embedding, bench.sensor.reading)
+        assert np.array_equal(device.sensor.capture(0.0, 1.0).embedding, bench.sensor.measurement)
     assert bench.states[-1] == ("ready", None)
     assert bench.test.runs == tests + 1
     assert camera.capture().epoch == bench.epochs[-1] != bench.epochs[0]
@@ -361,7 +361,7 @@ def test_what_ends_early_gives_the_device_back(bench: Bench, display_fault: Disp
 
 def test_secrets_stay_out_of_representations(bench: Bench) -> None:
     camera = bench.camera()
-    bench.sensor.reading = np.full((4, 5), 0.123456, np.float32)
+    bench.sensor.measurement = np.full((4, 5), 0.123456, np.float32)
     captured = camera.capture()
     assert "0.123" not in repr(captured)
     assert camera._panel.active is not None

@@ -1,6 +1,6 @@
-"""Engine, drivers and emulators together, on a real clock: no reading ever mixes two masks.
+"""Engine, drivers and emulators together, on a real clock: no measurement ever mixes two masks.
 
-Each mask is one level all over, so a reading tells which mask made it, or that it was several.
+Each mask is one level all over, so a measurement tells which mask made it, or that it was several.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class Rig:
         return self.frames(begin, end)
 
     def capture(self) -> tuple[int, Captured]:
-        """A reading, and the level of the mask that the engine says it was taken under."""
+        """A measurement, and the level of the mask that the engine says it was taken under."""
         captured = self.camera.capture()
         return self.shown[-1], captured
 
@@ -171,11 +171,11 @@ def rigged(tmp_path: Path) -> Iterator[Rigged]:
 
 
 def mixed(level: int, captured: Captured) -> bool:
-    """Whether a reading is of any other light than that through a mask of one level."""
+    """Whether a measurement is of any other light than that through a mask of one level."""
     return bool(np.abs(captured.embedding - level / 63).max() > ROUNDING)
 
 
-def test_every_reading_is_of_its_own_mask_alone(rigged: Rigged) -> None:
+def test_every_measurement_is_of_its_own_mask_alone(rigged: Rigged) -> None:
     rig = rigged()
     for _ in range(8):
         level, captured = rig.capture()
@@ -196,7 +196,7 @@ def test_a_panel_that_takes_longer_is_waited_for_and_mixes_if_it_is_not(
     for _ in range(3):
         assert not mixed(*patient.capture())
     patient.camera.stop()
-    # The proof that these readings would tell.
+    # The proof that these measurements would tell.
     hasty = rigged(crystal=crystal, granted=0.0)
     assert sum(mixed(*hasty.capture()) for _ in range(6)) > 0
 
@@ -239,7 +239,7 @@ class Dim(Plain):
         return 0.1 * super().collect(scenes, response)
 
 
-def test_a_frame_that_is_given_out_twice_is_an_error_and_not_a_reading(rigged: Rigged) -> None:
+def test_a_frame_that_is_given_out_twice_is_an_error_and_not_a_measurement(rigged: Rigged) -> None:
     rig = rigged()
     rig.capture()
     rig.faults.stuck = True

@@ -1,4 +1,4 @@
-"""The fence: which times can be kept, and which readings are thrown away."""
+"""The fence: which times can be kept, and which measurements are thrown away."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from veilcam_server.devices import Exposure
 from veilcam_server.errors import FenceError
 
 SHAPE = (4, 5)
-READING = np.ones(SHAPE, np.float32)
+MEASUREMENT = np.ones(SHAPE, np.float32)
 
 
-def check(started: float, ended: float, reading: np.ndarray = READING) -> None:
+def check(started: float, ended: float, measurement: np.ndarray = MEASUREMENT) -> None:
     """An exposure behind a mask that had settled at 10 s, given out at 12 s."""
-    check_exposure(Exposure(reading, started, ended), not_before=10.0, ended=12.0, shape=SHAPE)
+    check_exposure(Exposure(measurement, started, ended), not_before=10.0, ended=12.0, shape=SHAPE)
 
 
 def test_times_to_start_from() -> None:
@@ -73,14 +73,14 @@ def test_how_much_too_early_it_began_is_said() -> None:
 
 
 @pytest.mark.parametrize("shape", [(5, 4), (4, 5, 1), (20,), ()])
-def test_a_reading_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
+def test_a_measurement_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(FenceError, match="check that the bundle fits this device"):
         check(10.5, 11.5, np.ones(shape, np.float32))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_one_number_that_is_not_finite_is_enough(value: float) -> None:
-    reading = READING.copy()
-    reading[2, 3] = value
+    measurement = MEASUREMENT.copy()
+    measurement[2, 3] = value
     with pytest.raises(FenceError, match="not finite"):
-        check(10.5, 11.5, reading)
+        check(10.5, 11.5, measurement)

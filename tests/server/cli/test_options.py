@@ -60,7 +60,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "rate_burst": (("--rate-burst", "6"), 6),
     "concurrency_limit": (("--concurrency-limit", "7"), 7),
     "stream_limit": (("--stream-limit", "8"), 8),
-    "keyring_limit": (("--keyring-limit", "2048"), 2048),
+    "bundle_limit": (("--bundle-limit", "2048"), 2048),
     "heartbeat": (("--heartbeat", "2"), 2.0),
     "wrong_classifier": ((*SIMULATED, "--wrong-classifier"), True),
     "log_level": (("--log-level", "error"), "error"),

@@ -114,9 +114,9 @@ def test_the_observer_with_the_key_finds_the_mask_of_an_epoch(
     fresh_bundle: Bundle, secret: Secret
 ) -> None:
     source, observer = FreshSource(fresh_bundle, secret), KeyObserver(fresh_bundle, secret)
-    image, reading = np.zeros((28, 28), np.uint8), np.zeros((4, 5), np.float32)
+    image, measurement = np.zeros((28, 28), np.uint8), np.zeros((4, 5), np.float32)
     for counter, number in ((70, 0), (9, 1), (70, 0), (12, 2)):
-        assert observer.which(image, reading, source.name(counter)) == number
+        assert observer.which(image, measurement, source.name(counter)) == number
         assert np.array_equal(observer.levels(number), source.make(counter, "").levels)
 
 

@@ -1,4 +1,4 @@
-"""The camera's driver on a fake picamera2: what a reading is, its proof in time, and failures."""
+"""The camera's driver on a fake picamera2: what a measurement is, when it was, and failures."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Bench:
         return self.sensor.capture(self.clock.now + after, timeout)
 
 
-def test_a_reading_is_the_light_without_the_black_level() -> None:
+def test_a_measurement_is_the_light_without_the_black_level() -> None:
     bench = Bench(full_scale=2.0)
     embedding = bench.capture().embedding
     assert embedding.shape == SHAPE
@@ -179,12 +179,12 @@ def test_a_camera_that_cannot_be_set_up_is_let_go(monkeypatch: pytest.MonkeyPatc
 def test_an_exposure_of_whole_lines_is_taken_though_images_were_amplified(exposure: float) -> None:
     mode = replace(MODE, line_time=15.17e-6)
     bench = Bench(mode=mode, exposures=ExposureRange(exposure))
-    reading = bench.capture()
+    measurement = bench.capture()
     assert bench.cameras[0]._before is not None
     assert bench.cameras[0]._before.get_metadata()["DigitalGain"] != 1
-    assert reading.integration == pytest.approx(exposure, abs=mode.line_time)
+    assert measurement.integration == pytest.approx(exposure, abs=mode.line_time)
     expected = 100_000 * exposure / (4095 - 256)
-    np.testing.assert_allclose(reading.embedding, expected, rtol=0.1)
+    np.testing.assert_allclose(measurement.embedding, expected, rtol=0.1)
 
 
 def test_another_mode_is_refused_and_the_camera_let_go() -> None:

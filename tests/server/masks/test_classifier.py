@@ -41,7 +41,7 @@ def test_a_network_without_numbers_is_not_loaded() -> None:
         Classifier.load(LAYERS * 2, weights, labels=("a", "b"), inputs=2)
 
 
-def test_a_reading_without_probabilities_is_an_error() -> None:
+def test_a_measurement_without_probabilities_is_an_error() -> None:
     with pytest.raises(InferenceError):
         classifier(3e38).classify(torch.tensor([[2.0, 2.0]]))
 

@@ -62,12 +62,12 @@ def counter_of(bundle: Bundle, secret: Secret, name: str) -> int:
     return EpochNames(secret, bundle.fresh.device).counter(name)
 
 
-def a_reading(bundle: Bundle, levels: np.ndarray, seed: int = 0) -> np.ndarray:
+def a_measurement(bundle: Bundle, levels: np.ndarray, seed: int = 0) -> np.ndarray:
     operator = TransferOperator(bundle.camera, bundle.scene, bundle.embedding)
     scene = torch.rand(1, *bundle.scene.shape, generator=torch.Generator().manual_seed(seed))
     weights = to_weights(levels, bundle.camera.panel)
-    reading: np.ndarray = operator.embed(scene, weights)[0].numpy()
-    return reading
+    measurement: np.ndarray = operator.embed(scene, weights)[0].numpy()
+    return measurement
 
 
 def test_every_capture_has_the_mask_of_its_own_epoch(
@@ -84,7 +84,7 @@ def test_every_capture_has_the_mask_of_its_own_epoch(
     camera.preparation.close()
 
 
-def test_the_label_is_what_decoder_and_network_make_of_the_reading(
+def test_the_label_is_what_decoder_and_network_make_of_the_measurement(
     fresh_bench: Bench, fresh_bundle: Bundle, secret: Secret
 ) -> None:
     fresh = fresh_bundle.fresh
@@ -96,10 +96,10 @@ def test_the_label_is_what_decoder_and_network_make_of_the_reading(
         captured = camera.capture()
         levels = levels_of(fresh_bundle, secret, counter_of(fresh_bundle, secret, captured.epoch))
         decoder = decoder_of(fresh_bundle, levels)
-        reading = a_reading(fresh_bundle, levels)
-        inputs = classifier_inputs(decoder, torch.from_numpy(reading)[None], fresh.features)
+        measurement = a_measurement(fresh_bundle, levels)
+        inputs = classifier_inputs(decoder, torch.from_numpy(measurement)[None], fresh.features)
         expected = network(inputs).double().softmax(dim=1)[0]
-        verdict = captured.reader.classify(reading)
+        verdict = captured.reader.classify(measurement)
         np.testing.assert_allclose(list(verdict.scores.values()), expected, atol=1e-5)
         scores.append(verdict.scores)
     camera.preparation.close()
@@ -113,9 +113,9 @@ def test_who_has_the_secret_decodes_what_was_released(
     source = FreshSource(fresh_bundle, secret, form=form)  # type: ignore[arg-type]
     name = source.name(17)
     mask = source.make(17, "")
-    reading = a_reading(fresh_bundle, mask.levels)
-    released = mask.reader.release(reading, form)  # type: ignore[arg-type]
-    assert released.shape == reading.shape
+    measurement = a_measurement(fresh_bundle, mask.levels)
+    released = mask.reader.release(measurement, form)  # type: ignore[arg-type]
+    assert released.shape == measurement.shape
     assert released.dtype == np.float32
     # Elsewhere: the name, the secret and the released numbers are all there is.
     levels = levels_of(fresh_bundle, secret, counter_of(fresh_bundle, secret, name))
@@ -123,27 +123,27 @@ def test_who_has_the_secret_decodes_what_was_released(
     recovered = recover(
         torch.from_numpy(released)[None], ReleaseForm(form), decoder, Whitening(decoder, levels)
     )
-    tolerance = 1e-4 * float(reading.max())
+    tolerance = 1e-4 * float(measurement.max())
     if form == "flat":
-        exposure = reading.sum() / float(decoder.mean_reading.sum())
-        np.testing.assert_allclose(recovered[0] * exposure, reading, atol=tolerance)
-        assert not np.allclose(recovered[0], reading, atol=10 * tolerance)
+        exposure = measurement.sum() / float(decoder.mean_measurement.sum())
+        np.testing.assert_allclose(recovered[0] * exposure, measurement, atol=tolerance)
+        assert not np.allclose(recovered[0], measurement, atol=10 * tolerance)
     else:
-        np.testing.assert_allclose(recovered[0], reading, atol=tolerance)
+        np.testing.assert_allclose(recovered[0], measurement, atol=tolerance)
 
 
 def test_forms_differ(fresh_bundle: Bundle, secret: Secret) -> None:
     mask = FreshSource(fresh_bundle, secret, form="white").make(1, "")
-    reading = a_reading(fresh_bundle, mask.levels)
-    raw, flat, white = (mask.reader.release(reading, form) for form in ("raw", "flat", "white"))
-    assert np.array_equal(raw, reading)
+    measurement = a_measurement(fresh_bundle, mask.levels)
+    raw, flat, white = (mask.reader.release(measurement, form) for form in ("raw", "flat", "white"))
+    assert np.array_equal(raw, measurement)
     assert np.abs(flat).sum() < 0.5 * np.abs(raw).sum()
     assert np.abs(white).max() > 10 * np.abs(raw).max()
     with pytest.raises(ValueError, match="make the source for white"):
-        FreshSource(fresh_bundle, secret).make(1, "").reader.release(reading, "white")
+        FreshSource(fresh_bundle, secret).make(1, "").reader.release(measurement, "white")
 
 
-def test_a_reading_without_light_has_no_exposure(fresh_bundle: Bundle, secret: Secret) -> None:
+def test_a_measurement_without_light_has_no_exposure(fresh_bundle: Bundle, secret: Secret) -> None:
     mask = FreshSource(fresh_bundle, secret, form="flat").make(1, "")
     with pytest.raises(SensorError, match="no light"):
         mask.reader.release(np.zeros(fresh_bundle.embedding.shape, np.float32), "flat")
@@ -171,8 +171,8 @@ def test_the_wrong_decoder_is_another_mask_s(fresh_bundle: Bundle, secret: Secre
     right = FreshSource(fresh_bundle, secret).make(3, "")
     wrong = FreshSource(fresh_bundle, secret, wrong_decoder=True).make(3, "")
     assert np.array_equal(right.levels, wrong.levels)
-    reading = a_reading(fresh_bundle, right.levels)
-    assert right.reader.classify(reading).scores != wrong.reader.classify(reading).scores
+    measurement = a_measurement(fresh_bundle, right.levels)
+    assert right.reader.classify(measurement).scores != wrong.reader.classify(measurement).scores
 
 
 def test_what_the_simulated_light_gives_can_be_decoded(
@@ -234,7 +234,7 @@ async def test_answers_tell_their_form(running: Running, fresh_bench: Bench) -> 
         assert (status.release, status.bundle.mode, status.bundle.pairs) == ("white", "fresh", 0)
         capture = Capture.model_validate_json((await client.post("/v1/captures")).content)
         assert capture.embedding.form == "white"
-        assert not np.array_equal(np.asarray(capture), fresh_bench.sensor.reading)
+        assert not np.array_equal(np.asarray(capture), fresh_bench.sensor.measurement)
         npy = await client.post("/v1/captures", headers={"Accept": "application/x-npy"})
         assert npy.headers["veilcam-form"] == "white"
         answer = await client.post("/v1/classifications", json={"include_embedding": True})
@@ -265,8 +265,8 @@ async def test_the_sdk_decodes_what_was_released_with_the_secret_alone(
             (await client.post("/v1/classifications")).content
         )
     levels = levels_of(fresh_bundle, secret, counter_of(fresh_bundle, secret, capture.epoch))
-    reading = torch.from_numpy(fresh_bench.sensor.reading)[None]
-    expected = decoder_of(fresh_bundle, levels)(reading)[0].numpy()
+    measurement = torch.from_numpy(fresh_bench.sensor.measurement)[None]
+    expected = decoder_of(fresh_bundle, levels)(measurement)[0].numpy()
     scene = SceneDecoder(frame, tmp_path / "mine", device=fresh.device).decode(capture)
     np.testing.assert_allclose(scene, expected, atol=1e-4 * np.abs(expected).max())
     noise = SceneDecoder(frame, tmp_path / "other", device=fresh.device).decode(capture)
@@ -293,12 +293,12 @@ async def test_nothing_leaves_where_nothing_is_released(
 
 
 @pytest.mark.anyio
-async def test_a_reading_without_light_is_a_problem_of_the_sensor(
+async def test_a_measurement_without_light_is_a_problem_of_the_sensor(
     running: Running, fresh_bench: Bench
 ) -> None:
     fresh_bench.release = "flat"
     async with running(on=fresh_bench) as client:
-        fresh_bench.sensor.reading = np.zeros_like(fresh_bench.sensor.reading)
+        fresh_bench.sensor.measurement = np.zeros_like(fresh_bench.sensor.measurement)
         assert (await client.post("/v1/captures")).json()["code"] == "sensor_failed"
 
 

@@ -1,4 +1,4 @@
-"""The keyring that comes with the package, read through the simulated light."""
+"""The bundle that comes with the package, read through the simulated light."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from veilcam_server.demo_data import KEYRING, load_digits
+from veilcam_server.demo_data import BUNDLE, load_digits
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
 from veilcam_server.masks.pairs import PairSource, load_pairs
 from veilcam_training.bundle import Bundle, read_bundle
@@ -28,7 +28,7 @@ class Held:
 
 @pytest.fixture(scope="module")
 def demo_bundle() -> Bundle:
-    return read_bundle(KEYRING)
+    return read_bundle(BUNDLE)
 
 
 def accuracy(bundle: Bundle, source: PairSource) -> float:
@@ -51,7 +51,7 @@ def accuracy(bundle: Bundle, source: PairSource) -> float:
     return right / (DIGITS * len(source._masks))
 
 
-def test_the_demo_s_keyring_fits_the_demo(demo_bundle: Bundle) -> None:
+def test_the_demo_s_bundle_fits_the_demo(demo_bundle: Bundle) -> None:
     assert demo_bundle.embedding.shape == (24, 32)
     assert len(demo_bundle.pairs) >= 5
     masks = [pair.levels.tobytes() for pair in demo_bundle.pairs]

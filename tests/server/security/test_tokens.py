@@ -7,6 +7,7 @@ import sqlite3
 import stat
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,6 +59,15 @@ def make(store: TokenStore, *scopes: Scope, lifetime: float | None = None) -> Ne
 
 def who(store: TokenStore, token: str) -> Caller:
     return store.caller(f"Bearer {token}")
+
+
+def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
+    with closing(TokenStore(tmp_path)) as store:
+        make(store)
+    with closing(sqlite3.connect(tmp_path / "tokens.sqlite3")) as file, file:
+        file.execute("UPDATE token SET scopes = 'admin:keyring read:status'")
+    with pytest.raises(StartError, match=r"with the scopes admin:keyring: move it away"):
+        TokenStore(tmp_path)
 
 
 def test_a_token_is_its_label_and_scopes(store: TokenStore) -> None:

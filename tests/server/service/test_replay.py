@@ -133,10 +133,10 @@ async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
     async with camera(path) as sdk:
         assert await code(sdk.rotate()) == "replaying"
         assert await code(sdk.set_rotation(EveryCaptures(captures=1))) == "replaying"
-        assert await code(sdk.keyrings()) == "replaying"
-        assert await code(sdk.install_keyring(b"bundle")) == "replaying"
-        assert await code(sdk.activate_keyring("0f" * 32)) == "replaying"
-        assert await code(sdk.remove_keyring("0f" * 32)) == "replaying"
+        assert await code(sdk.bundles()) == "replaying"
+        assert await code(sdk.install_bundle(b"bundle")) == "replaying"
+        assert await code(sdk.activate_bundle("0f" * 32)) == "replaying"
+        assert await code(sdk.remove_bundle("0f" * 32)) == "replaying"
         assert await code(sdk.start_calibration()) == "calibration_impossible"
         assert await code(sdk.hold_scene(None)) == "scene_api_off"
         assert (await sdk.rotation()).epoch is None

@@ -122,7 +122,7 @@ def test_controls_are_those_of_libcamera(bench: Bench) -> None:
     assert taken["NoiseReductionMode"] == off.value
 
 
-def test_a_reading_is_what_lies_in_the_buffers(bench: Bench) -> None:
+def test_a_measurement_is_what_lies_in_the_buffers(bench: Bench) -> None:
     camera, frames = bench.cameras[0], {}
 
     def look(frame: Any) -> None:
@@ -253,18 +253,18 @@ def test_captures_go_on_through_failures_again_and_again(
         wait_until(lambda: bool(camera.frames > frames + 2 * BUFFERS))
 
     failures = [kill_loop, kill_listener, hang, forget] * 5
-    readings = errors = 0
+    measurements = errors = 0
     for number in range(600):
         if number % 30 == 15:
             failures[number // 30](bench.cameras[-1])
         fence = time.monotonic()
         try:
             assert bench.sensor.capture(fence, 0.5).started_at >= fence
-            readings += 1
+            measurements += 1
         except SensorError:
             errors += 1
             assert number % 30 == 15
-    assert (readings, errors) == (580, 20)
+    assert (measurements, errors) == (580, 20)
     assert len(bench.cameras) == 21
     assert [camera.is_open for camera in bench.cameras] == [False] * 20 + [True]
 

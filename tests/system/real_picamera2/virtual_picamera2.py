@@ -4,8 +4,8 @@ That pipeline gives one stream, NV12, as fast as it is asked, and of a frame it 
 ``SensorTimestamp`` alone: when it was asked for. There is no DMA heap either. So buffers are in
 ordinary shared memory, and :class:`RawPicamera2` takes the bytes of an NV12 frame as raw pixels of
 16 bits, knows the controls of an IMX477, and tells exposure and gain as they were asked. All else
-is picamera2's own: configuring and reading back, controls and their types, threads, jobs, requests,
-waiting, flushing, stopping and closing.
+is picamera2's own: configuring and measurement back, controls and their types, threads, jobs,
+requests, waiting, flushing, stopping and closing.
 """
 
 # ruff: noqa: E402 - what picamera2 imports must be there before

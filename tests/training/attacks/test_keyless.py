@@ -33,18 +33,18 @@ def test_without_a_key_one_sees_the_released_form(source: Source, form: ReleaseF
     camera = make_camera(source)
     mask = next(KeylessCamera(camera, form).masks("x"))
     scenes = source.test().scenes(slice(0, 40))
-    readings = shot_noise(mask.embed(scenes), 40.0, torch.Generator().manual_seed(0))
-    seen = mask.decode(readings)
-    assert seen.shape == readings.shape
-    correlation = torch.corrcoef(torch.stack([seen[0], readings[0]]))[0, 1]
+    measurements = shot_noise(mask.embed(scenes), 40.0, torch.Generator().manual_seed(0))
+    seen = mask.decode(measurements)
+    assert seen.shape == measurements.shape
+    correlation = torch.corrcoef(torch.stack([seen[0], measurements[0]]))[0, 1]
     if form is ReleaseForm.RAW:
-        assert torch.allclose(seen, readings / readings.mean(1, keepdim=True), rtol=1e-4)
+        assert torch.allclose(seen, measurements / measurements.mean(1, keepdim=True), rtol=1e-4)
     elif form is ReleaseForm.FLAT:
-        brighter = mask.decode(2 * readings)
+        brighter = mask.decode(2 * measurements)
         assert torch.allclose(seen, brighter, atol=1e-4)
     else:
         assert abs(float(correlation)) < 0.6
         assert 0.3 < float(seen.square().mean()) < 3
     none = KeylessCamera(camera, ReleaseForm.NONE)
     with pytest.raises(TrainingError, match="releases nothing"):
-        next(none.masks("x")).decode(readings)
+        next(none.masks("x")).decode(measurements)

@@ -18,7 +18,7 @@ import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.decoding import ReadingNoise, SceneStatistics
+from veilcam_optics.decoding import MeasurementNoise, SceneStatistics
 from veilcam_optics.keys.masks import CONTEXT, MaskDistribution, Secret, epoch_levels
 from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle import (
@@ -73,7 +73,7 @@ def make_fresh(**changes: Any) -> Fresh:
             torch.randn(PIXELS, RANK, generator=generator),
             torch.rand(PIXELS, generator=generator),
         ),
-        "noise": ReadingNoise(35.0, 0.01),
+        "noise": MeasurementNoise(35.0, 0.01),
         "layers": layers,
         "weights": weights,
         "reach": Reach(2, 1),
@@ -167,8 +167,8 @@ def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -
         )
         frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
         decoder = frame.decoding().prepare(to_weights(levels, bundle.camera.panel))
-        readings = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
-        inputs = classifier_inputs(decoder, readings, fresh.features)
+        measurements = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
+        inputs = classifier_inputs(decoder, measurements, fresh.features)
         assert inputs.shape == (3, fresh.inputs)
         answers.append(build_classifier(fresh.layers, fresh.weights)(inputs))
     # Not to the bit: statistics that were read lie in memory as they lie in the file, and some
@@ -181,13 +181,15 @@ def test_features_choose_what_the_classifier_is_given() -> None:
     turned = make_fresh(features=("deviation", "estimate"))
     frame = both.frame(CAMERA, SCENE, EMBEDDING)
     decoder = frame.decoding().prepare(torch.rand(CAMERA.mask_shape))
-    readings = torch.rand(2, EMBEDDING.size)
-    inputs = classifier_inputs(decoder, readings, both.features)
-    assert torch.equal(inputs[:, :PIXELS], decoder(readings).flatten(1))
+    measurements = torch.rand(2, EMBEDDING.size)
+    inputs = classifier_inputs(decoder, measurements, both.features)
+    assert torch.equal(inputs[:, :PIXELS], decoder(measurements).flatten(1))
     assert torch.equal(inputs[0, PIXELS:], decoder.deviation.flatten())
-    assert torch.equal(classifier_inputs(decoder, readings, estimate.features), inputs[:, :PIXELS])
     assert torch.equal(
-        classifier_inputs(decoder, readings, turned.features), inputs.roll(PIXELS, dims=1)
+        classifier_inputs(decoder, measurements, estimate.features), inputs[:, :PIXELS]
+    )
+    assert torch.equal(
+        classifier_inputs(decoder, measurements, turned.features), inputs.roll(PIXELS, dims=1)
     )
     assert estimate.inputs == PIXELS
 

@@ -62,9 +62,9 @@ def test_keyring_end_to_end(
     operator = TransferOperator(bundle.camera, bundle.scene, bundle.embedding)
     for i, mask in enumerate(bundle.pairs):
         weights = to_weights(mask.levels, bundle.camera.panel)
-        reading = shot_noise(operator.embed(test.scenes(), weights), 40, stream(0, "noise"))
+        binning = shot_noise(operator.embed(test.scenes(), weights), 40, stream(0, "noise"))
         for j, pair in enumerate(bundle.pairs):
-            logits = build_classifier(pair.layers, pair.weights)(reading.flatten(1))
+            logits = build_classifier(pair.layers, pair.weights)(binning.flatten(1))
             share[i, j] = float((logits.argmax(1) == test.labels).float().mean())
     assert min(share[0, 0], share[1, 1]) > 0.8
     assert max(share[0, 1], share[1, 0]) < 0.6
@@ -130,14 +130,14 @@ def test_download_says_what_it_can_fetch(
         (("--epochs", "0"), "epochs is not valid"),
         (("--seed", "-1"), "seed is not valid"),
         (("--device", "tpu"), "use cpu, cuda or auto"),
-        (("--reading", "line"), "reading is not valid"),
+        (("--binning", "line"), "binning is not valid"),
         (("--change", "twist"), "change is not valid"),
         (("--psf", "a.npz"), "leave out --psf"),
         (("--encoder", "fixed_measured"), "give --psf FILE"),
         (("--encoder", "fixed_measured", "--psf", "a.npz"), "a.npz is missing"),
         (("--config", "none.toml"), "none.toml is missing"),
         (("--encoder", "digital", "--out", "a.veilcam"), "no mask that a panel can show"),
-        (("--reading", "point", "--out", "a.veilcam"), "use reading 'area', or leave out --out"),
+        (("--binning", "point", "--out", "a.veilcam"), "use binning 'area', or leave out --out"),
     ],
 )
 def test_bad_input_is_one_line_that_says_what_to_do(
@@ -158,26 +158,26 @@ def test_bad_input_is_one_line_that_says_what_to_do(
     assert not list(tmp_path.glob("*.veilcam"))
 
 
-def test_a_keyring_for_a_reading_that_no_device_makes(
+def test_a_keyring_for_a_binning_that_no_device_makes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     digit_folder: Path,
     tmp_path: Path,
 ) -> None:
     config, out, work = tmp_path / "a.toml", tmp_path / "a.veilcam", tmp_path / "work"
-    config.write_text('reading = "point"')
+    config.write_text('binning = "point"')
     command = ("keyring", "--data", digit_folder, *FIT, "--config", config, "--out", out)
     assert call(monkeypatch, *command, "--seed", 1, "--work", work) == 1
-    assert "a device averages over its pixels: use reading 'area'" in capsys.readouterr().err
+    assert "a device averages over its pixels: use binning 'area'" in capsys.readouterr().err
     assert not work.exists()  # nothing was fitted
     assert not out.exists()
 
 
-def test_no_bundle_of_a_reading_that_no_device_makes(source: Source) -> None:
+def test_no_bundle_of_a_binning_that_no_device_makes(source: Source) -> None:
     recipe = Recipe(epochs=1, batch=300)
-    settings = Settings(embedding="3x4", reading="point", recipe=recipe)
+    settings = Settings(embedding="3x4", binning="point", recipe=recipe)
     outcome = run_fit(settings, source, Camera())
-    with pytest.raises(TrainingError, match="use reading 'area'"):
+    with pytest.raises(TrainingError, match="use binning 'area'"):
         as_bundle([outcome], source, Camera())
 
 

@@ -41,7 +41,7 @@ from veilcam_training.trainer.callbacks import Epoch
 from veilcam_training.trainer.evaluation import confusion
 
 Call = Callable[..., int]
-ONE = ("--encoders", "learned", "--embeddings", "6x8", "--readings", "area", "--classifiers", "LR")
+ONE = ("--encoders", "learned", "--embeddings", "6x8", "--binnings", "area", "--classifiers", "LR")
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_every_number_of_the_paper_has_its_cell() -> None:
 def test_a_table_has_the_papers_sampling_beside_each_learned_mask() -> None:
     places = find_table("mnist").places()
     assert len(set(places)) == len(places) == 2 * 4 * (5 + 1 + 1)
-    sampled = [place for place in places if place.row.reading == "point"]
+    sampled = [place for place in places if place.row.binning == "point"]
     assert {place.row.encoder for place in sampled} == {"learned"}
     assert len(sampled) == 2 * 4
     assert all(p.row.encoder != "fixed_measured" for p in places)
@@ -114,8 +114,8 @@ def settings(place: Place, **changes: Any) -> Settings:
         ("mnist", Part(encoders=["lens", "lens"], classifiers=["LR", "LR"]), 4),
         ("mnist", Part(classifiers=["CNN16"]), 4 * 7),
         ("mnist", Part(embeddings=["3x4"]), 2 * 7),
-        ("mnist", Part(readings=["area"]), 2 * 4 * 6),
-        ("mnist", Part(readings=["point"]), 2 * 4 * 5),
+        ("mnist", Part(binnings=["area"]), 2 * 4 * 6),
+        ("mnist", Part(binnings=["point"]), 2 * 4 * 5),
         ("mnist", Part(encoders=["fixed_measured"]), 2 * 4),
         ("robust", Part(), 5 * 7),
         ("robust", Part(changes=["none", "shift"]), 2 * 7),
@@ -171,10 +171,10 @@ def test_names(place: tuple[str, ...], name: str, figure: str | None) -> None:
         (("mnist", "--encoders", "lens,eye"), "no 'eye' among its encoders"),
         (("mnist", "--classifiers", "FC0"), "classifier 'FC0' is unknown"),
         (("mnist", "--embeddings", "5x5"), "no '5x5' among its embeddings: use one or more of 24"),
-        (("mnist", "--readings", "line"), "no 'line' among its readings"),
+        (("mnist", "--binnings", "line"), "no 'line' among its binnings"),
         (("mnist", "--datasets", "fashion"), "no 'fashion' among its datasets"),
         (("mnist", "--changes", "shift"), "no 'shift' among its changes"),
-        (("mnist", "--encoders", "digital", "--readings", "point"), "has no reading 'point'"),
+        (("mnist", "--encoders", "digital", "--binnings", "point"), "has no binning 'point'"),
         (("mnist", "--encoders", ""), "no '' among its encoders"),
         (("mnist", "--budget", "10"), "--budget '10' is not valid: use e.g. 90s, 10m or 2h"),
         (("mnist", "--recipe", "none"), "recipe 'none' is unknown"),
@@ -449,9 +449,9 @@ def test_budget(
 @pytest.mark.parametrize(
     ("table", "files", "part", "cells"),
     [
-        ("cifar10", "cifar_files", ("--readings", "area"), 1),
+        ("cifar10", "cifar_files", ("--binnings", "area"), 1),
         ("celeba", "celeba_files", (), 4),
-        ("faces", "faces_file", ("--readings", "area"), 3),
+        ("faces", "faces_file", ("--binnings", "area"), 3),
     ],
 )
 def test_every_data_set_has_its_table(
@@ -483,7 +483,7 @@ def test_every_data_set_has_its_table(
 def test_robust_and_fashion(call: Call, digit_folder: Path, tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     options = ("--data", digit_folder, "--work", tmp_path / "work", "--epochs", 1)
-    chosen = ("--encoders", "learned", "--readings", "area", "--figures", figures)
+    chosen = ("--encoders", "learned", "--binnings", "area", "--figures", figures)
     assert call("robust", *options, *chosen, "--changes", "none,rotate,perspective") == 0
     part = (*chosen, "--classifiers", "FC800", "--embeddings", "24x32")
     assert call("fashion", *options, *part) == 0

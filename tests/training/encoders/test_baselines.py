@@ -72,7 +72,7 @@ def test_caustics_are_sharpest_where_the_sensor_is(monkeypatch: pytest.MonkeyPat
     assert max(contrast, key=contrast.__getitem__) == 4e-3
 
 
-def test_point_reading_is_a_fine_area_reading_at_the_same_place() -> None:
+def test_point_binning_is_a_fine_area_measurement_at_the_same_place() -> None:
     """61 pixels side by side: the middle one is nearly a point."""
     psf = Psf(torch.rand(3, 90, 110, generator=stream(0, "psf"), dtype=torch.float64), 30e-6, 4e-3)
     scene, fine = Scene(rows=5, columns=6), Embedding(3 * 61, 4 * 61)

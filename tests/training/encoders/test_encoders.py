@@ -47,7 +47,7 @@ def psf_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fresh(
     name: str, psf: Path | None, seed: int = 0, *, colour: bool = False, point: bool = False
 ) -> LinearEncoder:
-    setup = Setup(CAMERA, SCENE, EMBEDDING, colour=colour, point_reading=point)
+    setup = Setup(CAMERA, SCENE, EMBEDDING, colour=colour, point_binning=point)
     file = psf if name == "fixed_measured" else None
     return make_encoder(name, setup, stream(seed, "encoder"), psf=file)
 
@@ -116,7 +116,7 @@ def test_noise_has_the_ratio_asked_for_after_the_optics(
 
 
 @pytest.mark.parametrize("name", [name for name in ENCODERS if name != "digital"])
-def test_point_reading_is_another_reading(name: str, psf_file: Path) -> None:
+def test_point_binning_is_another_measurement(name: str, psf_file: Path) -> None:
     with torch.no_grad():
         area = make(name, psf_file).transfer()
         point = make(name, psf_file, point=True).transfer()
@@ -211,13 +211,13 @@ def test_gradient_is_the_slope_of_the_unrounded_mask() -> None:
     # And that slope is what a finite difference gives.
     step, values = 0.2, encoder.weights.detach()
     row, column = divmod(int(values.sub(0.5).abs().argmin()), values.shape[1])
-    readings = []
+    measurements = []
     for change in (step, -step):
         with torch.no_grad():
             encoder.weights[row, column] += change
-            readings.append((encoder.eval()(scenes(colour=False)) * torch.arange(12)).sum())
+            measurements.append((encoder.eval()(scenes(colour=False)) * torch.arange(12)).sum())
             encoder.weights[row, column] -= change
-    slope = (readings[0] - readings[1]) / (2 * step)
+    slope = (measurements[0] - measurements[1]) / (2 * step)
     torch.testing.assert_close(slope, gradients[1][row, column], rtol=2e-2, atol=1e-5)
 
 

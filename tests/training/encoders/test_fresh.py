@@ -55,8 +55,8 @@ def test_scenes_are_spread_evenly_over_the_masks(source: Source) -> None:
     (ring,) = islice(camera.rings("x"), 1)
     camera.coming = camera.rings("x")
     seen = camera(scenes)
-    for mask, part, readings in zip(ring, scenes.chunk(4), seen.chunk(4), strict=True):
-        assert torch.equal(mask.embed(part), readings)
+    for mask, part, measurements in zip(ring, scenes.chunk(4), seen.chunk(4), strict=True):
+        assert torch.equal(mask.embed(part), measurements)
     assert camera.decode(seen).shape == (8, len(FEATURES) * 784)
     with pytest.raises(TrainingError, match="6 images cannot be spread evenly over 4 masks"):
         camera(scenes[:6])
@@ -77,7 +77,7 @@ def test_a_mask_is_prepared_for_the_nominal_panel_and_shown_by_a_displaced_one(
 ) -> None:
     exact = next(make_camera(source).masks("x"))
     shown = next(make_camera(source, misalignment=Misalignment(panels=2)).masks("x"))
-    assert torch.equal(exact.decoder.mean_reading, shown.decoder.mean_reading)
+    assert torch.equal(exact.decoder.mean_measurement, shown.decoder.mean_measurement)
     error = (exact.transfer - shown.transfer).norm() / exact.transfer.norm()
     assert 1e-5 < float(error) < 0.05
     assert "tensor" not in repr(exact)

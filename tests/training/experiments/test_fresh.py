@@ -70,9 +70,9 @@ def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
     decoder = fresh.frame(CAMERA, bundle.scene, bundle.embedding).decoding().prepare(weights)
     test = source.test()
     clean = TransferOperator(CAMERA, bundle.scene, bundle.embedding).embed(test.scenes(), weights)
-    readings = shot_noise(clean, 40.0, torch.Generator().manual_seed(0))
+    measurements = shot_noise(clean, 40.0, torch.Generator().manual_seed(0))
     classifier = build_classifier(fresh.layers, fresh.weights)
-    predicted = classifier(classifier_inputs(decoder, readings, fresh.features)).argmax(1)
+    predicted = classifier(classifier_inputs(decoder, measurements, fresh.features)).argmax(1)
     assert float((predicted == test.labels).float().mean()) > 0.8
     # Nothing is left to do, and the same comes of it.
     again = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)

@@ -22,7 +22,7 @@ def test_a_cell_and_its_bundle_say_where_they_come_from(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
 ) -> None:
     options = f"--data {digit_folder} --work {tmp_path} --epochs 1 --seed 3"
-    part = "--encoders learned --readings area --classifiers LR --embeddings 3x4"
+    part = "--encoders learned --binnings area --classifiers LR --embeddings 3x4"
     command = f"veilcam-train table mnist {options} {part}"
     monkeypatch.setattr(sys, "argv", command.split())
     before = datetime.now(UTC).replace(microsecond=0)

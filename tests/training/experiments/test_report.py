@@ -59,7 +59,7 @@ def finish(work: Path, test: float, **settings: object) -> CellResult:
         epochs=(epoch, epoch, epoch),
         confusion=tuple(tuple(int(9 * (i == j) + 1) for i in range(10)) for j in range(10)),
         seconds=12.0,
-        clock="elapsed" if chosen.reading == "point" else "processor",
+        clock="elapsed" if chosen.binning == "point" else "processor",
         inference_seconds=34e-6,
         device="cpu",
         origin=Origin("veilcam-train table mnist <here>", "abc123", "2026-01-31", "a machine"),
@@ -81,7 +81,7 @@ def work(tmp_path: Path) -> Path:
     finish(folder, 0.96, classifier="LR", embedding="24x32")  # the paper: 95.5
     finish(folder, 0.78, classifier="LR", embedding="3x4", seed=0)  # 79.3
     finish(folder, 0.80, classifier="LR", embedding="3x4", seed=1)
-    finish(folder, 0.88, classifier="LR", embedding="3x4", reading="point")
+    finish(folder, 0.88, classifier="LR", embedding="3x4", binning="point")
     finish(folder, 0.99, classifier="CNN16", embedding="24x32")
     return folder
 
@@ -104,10 +104,10 @@ def test_report(work: Path, tmp_path: Path) -> None:
         "– (91.4)",
         "79.00 ± 1.41 (79.3, ▼ −0.3)",
     ]
-    assert rows["LR", "learned mask, point reading"][3] == "88.00 (79.3, ▲ +8.7)"
+    assert rows["LR", "learned mask, point binning"][3] == "88.00 (79.3, ▲ +8.7)"
     assert rows["CNN16", "learned mask"][0] == "99.00"
     assert rows["LR", "fixed mask, measured"] == ["– (92.8)", "– (91.9)", "– (87.7)", "– (73.4)"]
-    assert ("FC800", "learned mask, point reading") not in rows
+    assert ("FC800", "learned mask, point binning") not in rows
     assert "| `mnist_LR_learned_3x4` | 2 | 78.00 % | 79.00 % | 79.3 % | −0.3 | 3 (2) |" in markdown
     assert markdown.count("| 12 s | 34 µs |") == 3
     assert markdown.count("| 12 s* | 34 µs |") == 1

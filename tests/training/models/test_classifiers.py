@@ -66,15 +66,15 @@ def test_gain_comes_first() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_automatic_exposure_reads_bright_and_dim_objects_alike(name: str) -> None:
-    readings = torch.rand(6, 768)
-    dim = readings * torch.logspace(-4, 0, 6)[:, None]
+    measurements = torch.rand(6, 768)
+    dim = measurements * torch.logspace(-4, 0, 6)[:, None]
     found = {}
     for exposure in get_args(Exposure):
         torch.manual_seed(0)
         layers = make_layers(name, dataclasses.replace(task(), gain=2.0, exposure=exposure))
         module = build_untrained(layers).eval()
         with torch.no_grad():
-            found[exposure] = (module(dim) - module(readings))[:-1].norm(dim=1)
+            found[exposure] = (module(dim) - module(measurements))[:-1].norm(dim=1)
     assert float(found["automatic"].max()) < 0.05 * float(found["fixed"].min())
     assert module(torch.zeros(1, 768)).isfinite().all()
 

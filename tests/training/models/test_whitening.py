@@ -20,7 +20,7 @@ from veilcam_training.models.whitening import WhitenedWeights, plain, whiten
 from veilcam_training.trainer.loop import fit
 
 
-def readings(count: int = 4000) -> Tensor:
+def measurements(count: int = 4000) -> Tensor:
     """Twelve numbers that show nearly the same: differences are up to 100 times smaller."""
     generator = torch.Generator().manual_seed(0)
     shared = torch.randn(count, 1, generator=generator)
@@ -29,7 +29,7 @@ def readings(count: int = 4000) -> Tensor:
 
 
 def test_its_inputs_are_decorrelated() -> None:
-    coordinates, values = WhitenedWeights(12), readings()
+    coordinates, values = WhitenedWeights(12), measurements()
     for batch in values.reshape(-1, 200, 12):
         coordinates.observe(batch, torch.zeros(1, 12))
     white = torch.cov((values @ coordinates.matrix).T)
@@ -38,7 +38,7 @@ def test_its_inputs_are_decorrelated() -> None:
 
 
 def test_it_follows_inputs_that_change() -> None:
-    coordinates, before = WhitenedWeights(12), readings()
+    coordinates, before = WhitenedWeights(12), measurements()
     after = before.flip(1)
     # What was 10,000 times the variance of what is there now takes its time to be forgotten.
     for values in (before, *(after for _ in range(15))):
@@ -50,7 +50,7 @@ def test_it_follows_inputs_that_change() -> None:
 
 def test_what_was_learned_stays_when_coordinates_are_renewed() -> None:
     torch.manual_seed(0)
-    coordinates, values, fitted = WhitenedWeights(12), readings(), torch.randn(5, 12)
+    coordinates, values, fitted = WhitenedWeights(12), measurements(), torch.randn(5, 12)
     chosen, renewed = 0, 0
     for number, batch in enumerate(values.reshape(-1, 20, 12), 1):
         matrix, weights = coordinates.matrix.clone(), coordinates(fitted)
@@ -75,7 +75,7 @@ def test_inputs_that_do_not_vary_do_no_harm() -> None:
 def test_a_plain_copy_acts_the_same() -> None:
     torch.manual_seed(0)
     classifier = nn.Sequential(nn.Linear(12, 5, bias=False), nn.BatchNorm1d(5), nn.Linear(5, 2))
-    values = readings()
+    values = measurements()
     names, untouched = set(classifier.state_dict()), classifier.eval()(values)
     whiten(classifier)
     torch.testing.assert_close(classifier(values), untouched)

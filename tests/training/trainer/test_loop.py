@@ -152,7 +152,7 @@ def test_every_option_changes_the_result(
 
 
 @pytest.mark.parametrize(
-    "changes", [{"classifier": "FC20"}, {"embedding": "3x4"}, {"reading": "point"}]
+    "changes", [{"classifier": "FC20"}, {"embedding": "3x4"}, {"binning": "point"}]
 )
 def test_every_setting_changes_the_result(
     source: Source, reference: Fit, changes: dict[str, Any]
@@ -250,7 +250,7 @@ def test_early_stop(source: Source, chosen: Settings | FreshSettings) -> None:
 
 
 @pytest.mark.parametrize("encoder", ["learned", "lens", "digital"])
-def test_the_unit_of_a_reading_does_not_matter(source: Source, encoder: str) -> None:
+def test_the_unit_of_a_measurement_does_not_matter(source: Source, encoder: str) -> None:
     model = make_model(settings(encoder=encoder), source, Camera())
     assert isinstance(model.layers[0], Affine)
     white = model.encoder(torch.ones(1, 28, 28)).detach() * model.layers[0].scale

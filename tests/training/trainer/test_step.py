@@ -1,4 +1,4 @@
-"""What a step takes: readings of a fixed camera are computed once, their noise never is."""
+"""What a step takes: measurements of a fixed camera are computed once, their noise never is."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def model_of(source: Source, **changes: Any) -> LenslessClassifier:
         ({"encoder": "learned"}, Augmentation(), True),
     ],
 )
-def test_readings_of_a_fixed_camera_are_computed_once(
+def test_measurements_of_a_fixed_camera_are_computed_once(
     source: Source, changes: dict[str, Any], jitter: Augmentation, *, steps_encode: bool
 ) -> None:
     model = model_of(source, **changes)
@@ -50,16 +50,16 @@ def test_readings_of_a_fixed_camera_are_computed_once(
 
 @pytest.mark.parametrize("encoder", ["fixed_simulated", "lens", "learned"])
 def test_noise_is_fresh_each_time_an_image_is_seen(source: Source, encoder: str) -> None:
-    """One image, many times over: whatever differs between two readings of it is noise."""
+    """One image, many times over: whatever differs between two measurements of it is noise."""
     model, first = model_of(source, encoder=encoder), source.test().take(torch.zeros(60).long())
     recipe = RECIPE.model_copy(update={"mask_rate": 1e-12})  # the camera stays what it is
     seen: list[torch.Tensor] = []
 
-    def look(_: object, readings: tuple[torch.Tensor]) -> None:
+    def look(_: object, measurements: tuple[torch.Tensor]) -> None:
         if model.training:
-            seen.append(readings[0].detach())
+            seen.append(measurements[0].detach())
 
     model.classifier.register_forward_pre_hook(look)
     fit(model, Split(first, first), recipe, 0)
-    readings = {tuple(reading) for reading in torch.cat(seen).tolist()}
-    assert len(readings) == recipe.epochs * len(first)
+    measurements = {tuple(measurement) for measurement in torch.cat(seen).tolist()}
+    assert len(measurements) == recipe.epochs * len(first)

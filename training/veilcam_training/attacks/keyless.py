@@ -17,20 +17,22 @@ from veilcam_training.errors import TrainingError
 
 @dataclass(frozen=True)
 class ReleasedMask(PreparedMask):
-    """A mask whose holder releases readings; who sees them has no decoder."""
+    """A mask whose holder releases measurements; who sees them has no decoder."""
 
     form: ReleaseForm
     whitening: Whitening | None = field(repr=False)
 
-    def decode(self, readings: Tensor) -> Tensor:
-        """The released form, (batch, E), each in units of its reading's mean unless white."""
-        released = release(readings, self.form, self.decoder, self.whitening)
+    def decode(self, measurements: Tensor) -> Tensor:
+        """The released form, (batch, E), each in units of its measurement's mean unless white."""
+        released = release(measurements, self.form, self.decoder, self.whitening)
         if released is None:
             raise TrainingError("form = none releases nothing: use raw, flat or white")
         flat = released.flatten(1)
         if self.form is ReleaseForm.WHITE:
             return flat
-        scale = readings if self.form is ReleaseForm.RAW else self.decoder.mean_reading[None]
+        scale = (
+            measurements if self.form is ReleaseForm.RAW else self.decoder.mean_measurement[None]
+        )
         return flat / scale.mean(1, keepdim=True).clamp_min(torch.finfo(flat.dtype).tiny)
 
 

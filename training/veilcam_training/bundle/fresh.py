@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.decoding import Decoder, ReadingNoise, SceneFrame, SceneStatistics
+from veilcam_optics.decoding import Decoder, MeasurementNoise, SceneFrame, SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_key
 from veilcam_optics.transfer.operator import Reach
@@ -40,7 +40,7 @@ class Fresh:
     distribution: MaskDistribution
     """What masks are drawn from; its curve holds the levels that the panel can show."""
     statistics: SceneStatistics
-    noise: ReadingNoise
+    noise: MeasurementNoise
     layers: tuple[LayerRecord, ...]
     weights: Mapping[str, Tensor] = field(repr=False)
     """By the names of the built module's ``state_dict``."""
@@ -60,19 +60,19 @@ class Fresh:
 
 
 def classifier_inputs(
-    decoder: Decoder, readings: Tensor, features: tuple[Feature, ...] = FEATURES
+    decoder: Decoder, measurements: Tensor, features: tuple[Feature, ...] = FEATURES
 ) -> Tensor:
-    """What the classifier is given of readings behind one mask.
+    """What the classifier is given of measurements behind one mask.
 
     Args:
         decoder: of that mask.
-        readings: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
+        measurements: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
         features: each as large as the scene, one after the other.
 
     Returns:
         (batch, features x scene pixels).
     """
-    estimate = decoder(readings).flatten(1)
+    estimate = decoder(measurements).flatten(1)
     known = {"estimate": estimate, "deviation": decoder.deviation.flatten().expand_as(estimate)}
     return torch.cat([known[feature] for feature in features], dim=1)
 

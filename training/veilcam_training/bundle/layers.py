@@ -103,7 +103,7 @@ class LayerNorm(_Record):
 
 
 class Affine(_Record):
-    """``scale * x + offset``, two constants: brings a reading to a handy range."""
+    """``scale * x + offset``, two constants: brings a measurement to a handy range."""
 
     kind: Literal["affine"] = "affine"
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0

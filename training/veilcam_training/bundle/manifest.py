@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.decoding import ReadingNoise
+from veilcam_optics.decoding import MeasurementNoise
 from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature
@@ -35,7 +35,7 @@ class FreshManifest(BaseModel):
     scheme: Literal["veilcam mask levels, version 1"] = "veilcam mask levels, version 1"
     """How a key becomes a mask: the context of :mod:`veilcam_optics.keys.masks`."""
     device: str
-    noise: ReadingNoise
+    noise: MeasurementNoise
     reach: Reach
     features: tuple[Feature, ...]
     layers: tuple[LayerRecord, ...]

@@ -63,9 +63,9 @@ Psf = Annotated[Path | None, typer.Option("--psf", help="PSF file (.npz) of fixe
 Shape = Annotated[
     str | None, typer.Option("--embedding", help="ROWSxCOLUMNS; 24x32 unless told otherwise.")
 ]
-Reading = Annotated[
+Binning = Annotated[
     str | None,
-    typer.Option("--reading", help="area: mean of a pixel; point: its centre (the paper's)."),
+    typer.Option("--binning", help="area: mean of a pixel; point: its centre (the paper's)."),
 ]
 ChangeName = Annotated[
     str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
@@ -90,7 +90,7 @@ def fit_command(
     encoder: EncoderName = None,
     psf: Psf = None,
     embedding: Shape = None,
-    reading: Reading = None,
+    binning: Binning = None,
     change: ChangeName = None,
     recipe: RecipeName = None,
     epochs: Epochs = None,
@@ -110,7 +110,7 @@ def fit_command(
         encoder=encoder,
         psf=psf,
         embedding=embedding,
-        reading=reading,
+        binning=binning,
         change=change,
         seed=seed,
         recipe=given(base=recipe, epochs=epochs, batch=batch),

@@ -48,7 +48,7 @@ def table_command(
         str | None, typer.Option(help="Instead of the paper's, e.g. LR,CNN32.")
     ] = None,
     embeddings: Names = None,
-    readings: Annotated[
+    binnings: Annotated[
         str | None, typer.Option(help="area, point or both; point for learned masks by default.")
     ] = None,
     datasets: Names = None,
@@ -85,7 +85,7 @@ def table_command(
         encoders=_names(encoders),
         classifiers=_names(classifiers),
         embeddings=_names(embeddings),
-        readings=_names(readings),
+        binnings=_names(binnings),
         datasets=_names(datasets),
         changes=_names(changes),
     )

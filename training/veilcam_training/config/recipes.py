@@ -55,9 +55,9 @@ class Recipe(BaseModel):
     steps_every: Annotated[int, Field(ge=1)] = 20
     """Epochs between two divisions of a ``steps`` schedule."""
     normalisation: Normalisation = "per_pixel"
-    """How a classifier takes a reading, see :mod:`veilcam_training.models.classifiers`."""
+    """How a classifier takes a measurement, see :mod:`veilcam_training.models.classifiers`."""
     exposure: Exposure = "fixed"
-    """Of a reading, see :data:`veilcam_training.models.classifiers.Exposure`."""
+    """Of a measurement, see :data:`veilcam_training.models.classifiers.Exposure`."""
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Of the classifier's hidden layers."""
@@ -70,7 +70,7 @@ class Recipe(BaseModel):
     panel_errors: PanelErrors = PanelErrors()
     """How the panel errs in training."""
     snr_db: Annotated[float, Field(allow_inf_nan=False, ge=-20, le=200)] | None = 40.0
-    """Signal-to-noise ratio of a reading [dB]; None for no noise."""
+    """Signal-to-noise ratio of a measurement [dB]; None for no noise."""
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:

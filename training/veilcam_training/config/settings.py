@@ -68,7 +68,7 @@ class Settings(BaseModel):
     psf: Path | None = None
     """File of the point spread function of the encoder ``fixed_measured``."""
     embedding: str = "24x32"
-    reading: Literal["area", "point"] = "area"
+    binning: Literal["area", "point"] = "area"
     """Averaged over each embedding pixel, or at its centre as in the paper's code."""
     change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
     """How images are shown to the camera, in training and in testing."""

@@ -21,16 +21,16 @@ from veilcam_optics.transfer.regions import Region, embed_lit
 class Setup:
     """Camera, scene, and how the sensor is read.
 
-    ``point_reading`` reads the sensor at the centre of each embedding pixel, as the paper's code
-    does when it shrinks a reading without antialiasing. A real camera averages over the pixel.
+    ``point_binning`` reads the sensor at the centre of each embedding pixel, as the paper's code
+    does when it shrinks a measurement without antialiasing. A real camera averages over the pixel.
     """
 
     camera: Camera = field(default_factory=Camera)
     scene: Scene = field(default_factory=Scene)
     embedding: Embedding = field(default_factory=Embedding)
     colour: bool = False
-    """False sums the colours to a gray reading, True keeps three."""
-    point_reading: bool = False
+    """False sums the colours to a gray measurement, True keeps three."""
+    point_binning: bool = False
     finer: tuple[Scene, ...] = ()
     """Scenes of smaller pixels that are shown too; each has a transfer of its own."""
 
@@ -66,8 +66,8 @@ class Setup:
 class Encoder(nn.Module, ABC):
     """A camera; ``trainable`` says whether it has parameters.
 
-    ``constant`` says whether it sees the same in every step, so that a noiseless reading need be
-    computed only once.
+    ``constant`` says whether it sees the same in every step, so that a noiseless measurement need
+    be computed only once.
     """
 
     trainable: bool = False
@@ -94,9 +94,9 @@ class Encoder(nn.Module, ABC):
         """Noise of the sensor at the delivered signal-to-noise ratio ``snr_db`` [dB]."""
         return shot_noise(values, snr_db, generator)
 
-    def decode(self, readings: Tensor) -> Tensor:
-        """What the classifier is given of the noisy readings of the last scenes: the readings."""
-        return readings
+    def decode(self, measurements: Tensor) -> Tensor:
+        """What the classifier is given of noisy measurements of the last scenes: the same."""
+        return measurements
 
     def project(self) -> None:
         """Bring the parameters back into what the device can show, after an optimiser's step."""
@@ -143,7 +143,7 @@ class FixedEncoder(LinearEncoder):
     """A camera that does not learn: its transfer is a constant.
 
     Args:
-        setup: camera, scene and reading.
+        setup: camera, scene and measurement.
         matrices: T on each of ``setup.grids``.
     """
 

@@ -1,4 +1,4 @@
-"""The camera whose mask changes all the time: masks from a distribution, and readings decoded.
+"""The camera whose mask changes all the time: masks from a distribution, and measurements decoded.
 
 Small embeddings tell little apart behind a mask drawn uniformly. So the distribution itself may be
 learned, together with the classifier: not a mask, but where the secret may draw. The ranges are
@@ -109,12 +109,12 @@ class PreparedMask:
     """Of the camera as it is thought to be."""
 
     def embed(self, scenes: Tensor) -> Tensor:
-        """Noiseless readings (batch, embedding pixels) of scenes (batch, rows, columns)."""
+        """Noiseless measurements (batch, embedding pixels) of scenes (batch, rows, columns)."""
         return scenes.flatten(1) @ self.transfer
 
-    def decode(self, readings: Tensor) -> Tensor:
+    def decode(self, measurements: Tensor) -> Tensor:
         """Input of the classifier, (batch, features x pixels of the decoded scene)."""
-        return classifier_inputs(self.decoder, readings)
+        return classifier_inputs(self.decoder, measurements)
 
 
 @dataclass(frozen=True)
@@ -187,9 +187,9 @@ class FreshCamera(Encoder):
             )
         return self._each(PreparedMask.embed, scenes)
 
-    def decode(self, readings: Tensor) -> Tensor:
-        """Input of the classifier, from readings behind the masks of the last scenes."""
-        return self._each(lambda mask, part: mask.decode(part), readings)
+    def decode(self, measurements: Tensor) -> Tensor:
+        """Input of the classifier, from measurements behind the masks of the last scenes."""
+        return self._each(lambda mask, part: mask.decode(part), measurements)
 
     def _each(self, act: Callable[[PreparedMask, Tensor], Tensor], values: Tensor) -> Tensor:
         parts = values.chunk(len(self._ring))
@@ -291,7 +291,7 @@ class FreshCamera(Encoder):
 
         Args:
             purpose: masks for one are never those for another.
-            wrong_key: True has each mask's readings decoded with the decoder of another one.
+            wrong_key: True has each mask's measurements decoded with the decoder of another one.
         """
         source = self.masks(*purpose)
         for mask in source:

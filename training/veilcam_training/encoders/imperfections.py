@@ -51,11 +51,11 @@ def make_operators(
 ) -> tuple[TransferOperator, ...]:
     """Transfer operators of ``setup``, one for each grid, with the panel out of place.
 
-    A point reading averages the fringes over a scene pixel's image alone, which is several times
+    A point binning averages the fringes over a scene pixel's image alone, which is several times
     smaller than an embedding pixel: neighbouring columns and rows of one colour count there too.
 
     Args:
-        setup: camera, scene and reading.
+        setup: camera, scene and measurement.
         imperfections: of the camera as it was built.
     """
     return tuple(
@@ -64,8 +64,8 @@ def make_operators(
             scene,
             setup.embedding,
             colour=setup.colour,
-            reach=Reach(3, 1) if setup.point_reading else Reach(),
-            approximation=Approximation(point_reading=setup.point_reading),
+            reach=Reach(3, 1) if setup.point_binning else Reach(),
+            approximation=Approximation(point_binning=setup.point_binning),
             imperfections=imperfections,
         )
         for scene in setup.grids

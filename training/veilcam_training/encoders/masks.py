@@ -68,7 +68,7 @@ class LearnedMask(Mask):
     few large pixels need.
 
     Args:
-        setup: camera, scene and reading; the masks are those of ``setup.camera.panel``.
+        setup: camera, scene and measurement; the masks are those of ``setup.camera.panel``.
         generator: draws the mask that training starts from.
         errors: of the panel, in training.
     """
@@ -117,7 +117,7 @@ class FixedMask(Mask):
     """A mask drawn at random once.
 
     Args:
-        setup: camera, scene and reading; the masks are those of ``setup.camera.panel``.
+        setup: camera, scene and measurement; the masks are those of ``setup.camera.panel``.
         generator: draws the mask.
         errors: of the panel, in training.
     """

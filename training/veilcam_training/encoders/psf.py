@@ -39,7 +39,7 @@ class PsfEncoder(FixedEncoder):
 
 def _transfer(setup: Setup, scene: Scene, psf: Psf) -> Tensor:
     camera = replace(setup.camera, distance=psf.distance)
-    if setup.point_reading:
+    if setup.point_binning:
         image = scene.pixel_at_sensor(camera)
         channels = point_transfer(psf, camera.sensor, scene, setup.embedding, image=image)
     else:

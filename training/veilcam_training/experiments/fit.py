@@ -55,7 +55,7 @@ class FreshResult:
     masks: int
     """How many different masks were tested on, none of which it was fitted to."""
     wrong_key_accuracy: float
-    """The same, every reading decoded with the mask of another epoch."""
+    """The same, every measurement decoded with the mask of another epoch."""
 
 
 def run_fit(

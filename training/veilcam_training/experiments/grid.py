@@ -36,7 +36,7 @@ class Row(NamedTuple):
 
     classifier: str
     encoder: str
-    reading: str
+    binning: str
 
 
 class Column(NamedTuple):
@@ -58,7 +58,7 @@ class Place:
     def of(cls, settings: Settings) -> Self:
         """Where a fit with ``settings`` stands."""
         return cls(
-            Row(settings.classifier, settings.encoder, settings.reading),
+            Row(settings.classifier, settings.encoder, settings.binning),
             Column(settings.data, settings.change, settings.embedding),
         )
 
@@ -72,7 +72,7 @@ class Place:
     @property
     def name(self) -> str:
         """The title, with ``_point`` for the paper's sampling of the sensor."""
-        return self.title + ("_point" if self.row.reading == "point" else "")
+        return self.title + ("_point" if self.row.binning == "point" else "")
 
     @property
     def figure(self) -> str:
@@ -82,7 +82,7 @@ class Place:
         name = f"{data}_{classifier}_{row.encoder}_{embedding}"
         if change != "none":
             name = f"robust_{change}_{row.classifier}_{row.encoder}"
-        return name + ("_point" if row.reading == "point" else "")
+        return name + ("_point" if row.binning == "point" else "")
 
     @property
     def paper(self) -> float | None:
@@ -107,7 +107,7 @@ class Cell:
         return self.place.name + (f"_seed{self.settings.seed}" if self.settings.seed else "")
 
 
-READINGS = ("area", "point")
+BINNINGS = ("area", "point")
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Part:
     encoders: Sequence[str] | None = None
     classifiers: Sequence[str] | None = None
     embeddings: Sequence[str] | None = None
-    readings: Sequence[str] | None = None
+    binnings: Sequence[str] | None = None
     datasets: Sequence[str] | None = None
     changes: Sequence[str] | None = None
 
@@ -130,7 +130,7 @@ class Table:
     """Every combination of its parts.
 
     ``classifiers`` are the paper's; others may be asked for. Of its own accord it has the area
-    reading for every encoder, and beside that of a learned mask the paper's sampling.
+    binning for every encoder, and beside that of a learned mask the paper's sampling.
     """
 
     name: str
@@ -140,7 +140,7 @@ class Table:
     embeddings: tuple[str, ...]
     changes: tuple[str, ...] = ("none",)
     encoders: tuple[str, ...] = tuple(ENCODERS)
-    readings: tuple[str, ...] = READINGS
+    binnings: tuple[str, ...] = BINNINGS
 
     def places(self, part: Part = Part(), *, psf: bool = False) -> tuple[Place, ...]:
         """The places of ``part`` of the table, in the order in which they are run.
@@ -163,23 +163,23 @@ class Table:
             if field.name != "classifiers"
         }
         places = []
-        for data, change, classifier, encoder, embedding, reading in product(
+        for data, change, classifier, encoder, embedding, binning in product(
             wanted["datasets"],
             wanted["changes"],
             self._classifiers(part.classifiers),
             wanted["encoders"],
             wanted["embeddings"],
-            wanted["readings"],
+            wanted["binnings"],
         ):
-            sampled = reading == "point"
+            sampled = binning == "point"
             if sampled and encoder == "digital":
                 continue  # there is no sensor to sample
-            if sampled and part.readings is None and encoder != "learned":
+            if sampled and part.binnings is None and encoder != "learned":
                 continue
-            places.append(Place(Row(classifier, encoder, reading), Column(data, change, embedding)))
+            places.append(Place(Row(classifier, encoder, binning), Column(data, change, embedding)))
         if not places:
             raise TrainingError(
-                f"table {self.name!r} has no such cells: digital has no reading 'point'"
+                f"table {self.name!r} has no such cells: digital has no binning 'point'"
             )
         return tuple(places)
 
@@ -193,10 +193,10 @@ class Table:
         )
 
     def rows(self, finished: Sequence[Row]) -> Iterator[Row]:
-        """The table's rows in order: its own with the area reading, and those of ``finished``."""
+        """The table's rows in order: its own with the area binning, and those of ``finished``."""
         classifiers = dict.fromkeys((*self.classifiers, *(row.classifier for row in finished)))
-        for row in starmap(Row, product(classifiers, self.encoders, self.readings)):
-            own = row.classifier in self.classifiers and row.reading == "area"
+        for row in starmap(Row, product(classifiers, self.encoders, self.binnings)):
+            own = row.classifier in self.classifiers and row.binning == "area"
             if own or row in finished:
                 yield row
 

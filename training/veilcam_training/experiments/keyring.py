@@ -81,15 +81,15 @@ def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
     Raises:
         TrainingError: settings that cannot be used, or that no device can.
     """
-    _check_reading(settings)
+    _check_binning(settings)
     as_pair(make_model(settings, source, camera))
 
 
-def _check_reading(settings: Settings) -> None:
-    if settings.reading == "point":
+def _check_binning(settings: Settings) -> None:
+    if settings.binning == "point":
         raise TrainingError(
-            "reading 'point' is for comparison alone, a device averages over its pixels: "
-            "use reading 'area', or leave out --out"
+            "binning 'point' is for comparison alone, a device averages over its pixels: "
+            "use binning 'area', or leave out --out"
         )
 
 
@@ -157,7 +157,7 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
         TrainingError: pairs that no device can use.
     """
     settings, first = results[0].settings, results[0].accuracy
-    _check_reading(settings)
+    _check_binning(settings)
     setup = results[0].fit.model.encoder.setup
     record = provenance(settings.model_dump(mode="json", exclude={"seed"}), source.digests())
     record["pairs"] = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from veilcam_optics.camera.geometry import Camera, Scene
-from veilcam_optics.decoding import ReadingNoise, SceneFrame, SceneStatistics
+from veilcam_optics.decoding import MeasurementNoise, SceneFrame, SceneStatistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_training.bundle.fresh import FEATURES
 from veilcam_training.config.settings import FreshSettings, Settings, parse_embedding
@@ -40,7 +40,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         change.scene,
         embedding,
         colour=source.colour,
-        point_reading=settings.reading == "point",
+        point_binning=settings.binning == "point",
         finer=change.finer,
     )
     encoder = make_encoder(
@@ -74,7 +74,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
 
 
 def white_gain(encoder: LinearEncoder) -> float:
-    """Factor that brings the reading of a white scene to a root mean square of 1, to 3 digits."""
+    """Factor that brings a white scene's measurement to a root mean square of 1, to 3 digits."""
     encoder.eval()  # without the errors of a panel, which are drawn at random
     with torch.no_grad():
         white = encoder.transfer().sum(-2).square().mean().sqrt().item()
@@ -99,7 +99,7 @@ def make_fresh_camera(
         pooled(shown, settings.pooling),
         parse_embedding(settings.embedding),
         statistics,
-        ReadingNoise(settings.snr_db, settings.model_error),
+        MeasurementNoise(settings.snr_db, settings.model_error),
     )
     source: MaskDistribution | LearnedRange
     if settings.spread is None:

@@ -50,17 +50,17 @@ def make_pictures(model: LenslessClassifier, settings: Settings, validation: Ima
     model.eval()
     with torch.no_grad():
         scenes = model.change(images, stream(seed, "pictures", "change"))
-        readings = model.embed(images, stream(seed, "pictures", "change"))
+        measurements = model.embed(images, stream(seed, "pictures", "change"))
         if model.snr_db is not None:
             noise = stream(seed, "pictures", "noise", device=device)
-            readings = model.encoder.add_noise(readings, model.snr_db, noise)
+            measurements = model.encoder.add_noise(measurements, model.snr_db, noise)
         psf = point_image(model, settings)
     model.train(was_training)
     shape = (len(images), setup.channels, *setup.embedding.shape)
     return Pictures(
         psf=psf,
         scenes=_last(scenes.reshape(len(images), setup.channels, *scenes.shape[-2:])),
-        embeddings=_last(_scaled(readings.reshape(shape))),
+        embeddings=_last(_scaled(measurements.reshape(shape))),
     )
 
 
@@ -76,7 +76,7 @@ def point_image(model: LenslessClassifier, settings: Settings) -> Pixels | None:
         encoder.setup,
         scene=Scene(1, 1, 1e-4, encoder.setup.scene.distance),
         embedding=PSF_SHAPE,
-        point_reading=False,
+        point_binning=False,
         finer=(),
     )
     camera = make_encoder(

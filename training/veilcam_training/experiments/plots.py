@@ -56,7 +56,7 @@ def draw_charts(folder: Path, summary: Summary, work: Path) -> list[tuple[str, s
             "cost.png",
             "Accuracy against cost, best in the upper left corner. Training is in seconds of one "
             "core (or GPU). Markers grow with the embedding; their colour is the time "
-            "from a reading to a label (one thread, one reading at a time, median).",
+            "from a measurement to a label (one thread, one measurement at a time, median).",
             draw_cost(summary),
         ),
         (
@@ -116,8 +116,8 @@ def draw_cost(summary: Summary) -> Figure:
             cmap="viridis_r",
             norm=norm,
             marker=MARKERS[row.encoder],
-            edgecolors=POINT_EDGE if row.reading == "point" else EDGE,
-            linewidths=1.5 if row.reading == "point" else 0.6,
+            edgecolors=POINT_EDGE if row.binning == "point" else EDGE,
+            linewidths=1.5 if row.binning == "point" else 0.6,
             zorder=3,
         )
     axes.set(xscale="log", xlabel="training, all epochs [s]")
@@ -129,7 +129,7 @@ def draw_cost(summary: Summary) -> Figure:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 - value:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
     tidy(axes)
-    bar = figure.colorbar(points, ax=axes, label="reading to label [µs]", pad=0.02)
+    bar = figure.colorbar(points, ax=axes, label="measurement to label [µs]", pad=0.02)
     _number(bar.ax.yaxis)
     figure.legend(
         handles=_legend(entries),
@@ -158,8 +158,8 @@ def _pixels(embedding: str) -> int:
 def _legend(entries: list[Entry]) -> list[Line2D]:
     encoders = dict.fromkeys(entry.place.row.encoder for entry in entries)
     handles = [_handle(NAMES[name], MARKERS[name], "#777777", 7) for name in encoders]
-    if any(entry.place.row.reading == "point" for entry in entries):
-        handles.append(_handle("red edge: point reading", "o", "white", 7, edge=POINT_EDGE))
+    if any(entry.place.row.binning == "point" for entry in entries):
+        handles.append(_handle("red edge: point binning", "o", "white", 7, edge=POINT_EDGE))
     sizes = sorted({entry.place.column.embedding for entry in entries}, key=_pixels, reverse=True)
     handles += [_handle(size, "o", "#bbbbbb", math.sqrt(_area(size))) for size in sizes]
     return handles
@@ -216,7 +216,7 @@ def _curve(axes: Axes, entry: Entry) -> None:
     axes.plot(
         range(1, len(values) + 1),
         values,
-        linestyle="--" if row.reading == "point" else "-",
+        linestyle="--" if row.binning == "point" else "-",
         **style,  # type: ignore[arg-type]
     )
     axes.plot(
@@ -234,7 +234,7 @@ def draw_psfs(summary: Summary, work: Path) -> Figure | None:
     pictures: dict[str, Pixels] = {}
     for entry in summary.finished():
         row, column = entry.place.row, entry.place.column
-        if row.encoder == "digital" or (row.encoder != "learned" and row.reading == "point"):
+        if row.encoder == "digital" or (row.encoder != "learned" and row.binning == "point"):
             continue
         title = encoder_title(row)
         if row.encoder == "learned":

@@ -58,7 +58,7 @@ class CellResult(BaseModel):
     clock: Clock = "elapsed"
     """Which measured ``seconds``, see :mod:`veilcam_training.experiments.stopwatch`."""
     inference_seconds: float
-    """From one reading to its label, see ``stopwatch.time_label``."""
+    """From one measurement to its label, see ``stopwatch.time_label``."""
     device: str
     origin: Origin
     provenance: dict[str, JsonValue]
@@ -254,7 +254,7 @@ def record_cells(path: Path, results: Sequence[CellResult]) -> None:
             group
             for group in by_name.values()
             if (settings := group[0].settings).change == change
-            and (settings.encoder, settings.reading) == ("learned", "area")
+            and (settings.encoder, settings.binning) == ("learned", "area")
         ]
         if learned:
             by_name[f"robust_{change}"] = max(learned, key=_validation_accuracy)

@@ -106,8 +106,8 @@ class CellRunner:
             origin=Origin.here(),
             provenance=provenance(settings.model_dump(mode="json"), source.digests()),
         )
-        # A device averages over its pixels: a point reading is for comparison alone.
-        on_device = isinstance(model.encoder, Mask) and settings.reading == "area"
+        # A device averages over its pixels: a point binning is for comparison alone.
+        on_device = isinstance(model.encoder, Mask) and settings.binning == "area"
         return Finished(
             result,
             make_pictures(model, settings, split(source.training()).validation),

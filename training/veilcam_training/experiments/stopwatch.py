@@ -1,4 +1,4 @@
-"""Times of a fit, whatever else the machine does meanwhile, and of one reading's label."""
+"""Times of a fit, whatever else the machine does meanwhile, and of one measurement's label."""
 
 from __future__ import annotations
 
@@ -64,19 +64,19 @@ class Stopwatch:
 
 @torch.inference_mode()
 def time_label(classifier: nn.Module, inputs: int) -> float:
-    """Seconds from one reading of ``inputs`` numbers to its label: the median of many.
+    """Seconds from one measurement of ``inputs`` numbers to its label: the median of many.
 
-    On the CPU, with one thread and one reading at a time, as a device without a GPU does it.
+    On the CPU, with one thread and one measurement at a time, as a device without a GPU does it.
     """
     classifier = plain(classifier).cpu().eval()
-    reading = torch.rand(1, inputs)
+    measurement = torch.rand(1, inputs)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     times = []
     try:
         for _ in range(WARM_UP + REPEATS):
             started = time.perf_counter()
-            int(classifier(reading).argmax())
+            int(classifier(measurement).argmax())
             times.append(time.perf_counter() - started)
     finally:
         torch.set_num_threads(threads)

@@ -32,7 +32,7 @@ GRID = "#e4e4e4"
 
 def encoder_title(row: Row) -> str:
     """What an encoder is called in a report."""
-    return NAMES[row.encoder] + (", point reading" if row.reading == "point" else "")
+    return NAMES[row.encoder] + (", point binning" if row.binning == "point" else "")
 
 
 def panels_of(down: int, across: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:

@@ -48,13 +48,14 @@ SCENE_HIDDEN = 128
 
 
 Normalisation = Literal["shared", "per_pixel", "white"]
-"""What becomes of a reading first: batch normalisation with one scale for all pixels of a colour
-(``shared``, the paper's) or for each pixel (``per_pixel``), followed by ReLU where the sensor is
-learned. With ``white`` nothing does: the hidden layer takes the reading itself, and is fitted in
-coordinates in which the reading is decorrelated, see :mod:`veilcam_training.models.whitening`."""
+"""What becomes of a measurement first: batch normalisation with one scale for all pixels of a
+colour (``shared``, the paper's) or for each pixel (``per_pixel``), followed by ReLU where the
+sensor is learned. With ``white`` nothing does: the hidden layer takes the measurement itself, and
+is fitted in coordinates in which the measurement is decorrelated, see
+:mod:`veilcam_training.models.whitening`."""
 
 Exposure = Literal["fixed", "automatic"]
-"""``automatic`` first brings every reading to mean 0 and variance 1, as a camera that sets its
+"""``automatic`` first brings every measurement to mean 0 and variance 1, as a camera that sets its
 exposure by the scene would: a small object sends a hundredth of a large one's light."""
 DARKEST = 1e-12
 """Added to that variance, where a white scene has about 1."""
@@ -72,7 +73,7 @@ class Task:
     """True behind a learned sensor: batch normalisation is followed by ReLU, as in the paper."""
     normalisation: Normalisation
     gain: float = 1.0
-    """What a reading is multiplied by first, so that a white scene comes to about 1.
+    """What a measurement is multiplied by first, so that a white scene comes to about 1.
 
     Batch normalisation is not free of units: it adds 1e-5 to every variance.
     """
@@ -106,7 +107,7 @@ def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> L
     """Layers of classifier ``name``; the last gives logits.
 
     Args:
-        name: one of ``OF_READINGS`` or ``OF_SCENES``, with a number for ``<width>``.
+        name: one of ``OF_MEASUREMENTS`` or ``OF_SCENES``, with a number for ``<width>``.
         task: inputs and outputs.
         dropout: probability, for those that have hidden layers.
 
@@ -118,10 +119,10 @@ def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> L
         return make_for_scene(task, width, dropout)
     if task.normalisation == "white" and not name.startswith(("FC", "MLP")):
         raise TrainingError(
-            f"normalisation 'white' needs a hidden layer that takes the whole reading: use it with "
-            f"FC or MLP, not with {name!r}"
+            f"normalisation 'white' needs a hidden layer that takes all of a measurement: use it "
+            f"with FC or MLP, not with {name!r}"
         )
-    make, width = _find(OF_READINGS, name)
+    make, width = _find(OF_MEASUREMENTS, name)
     return make(task, width, dropout)
 
 
@@ -138,7 +139,7 @@ def _find(makers: Mapping[str, MakerT], name: str) -> tuple[MakerT, int]:
 
 
 def _sensor(task: Task) -> Layers:
-    """Bring readings to a handy range."""
+    """Bring measurements to a handy range."""
     gain: Layers = () if task.gain == 1 else (Affine(scale=task.gain),)
     if task.exposure == "automatic":
         gain = (*gain, LayerNorm(shape=(task.inputs,), affine=False, epsilon=DARKEST))
@@ -291,14 +292,14 @@ def _scene_convolutional(task: SceneTask, width: int, dropout: float) -> Layers:
     )
 
 
-OF_READINGS: Mapping[str, Callable[[Task, int, float], Layers]] = {
+OF_MEASUREMENTS: Mapping[str, Callable[[Task, int, float], Layers]] = {
     "LR": _linear,
     "FC<width>": _fully_connected,
     "MLP<width>": _residual_mlp,
     "CNN<width>": _convolutional,
     "VGG11": _vgg11,
 }
-"""Classifiers of readings, by name."""
+"""Classifiers of measurements, by name."""
 OF_SCENES: Mapping[str, Callable[[SceneTask, int, float], Layers]] = {
     "CNN<width>": _scene_convolutional
 }

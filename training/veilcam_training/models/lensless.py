@@ -31,7 +31,7 @@ class LenslessClassifier(nn.Module):
     Args:
         encoder: the camera.
         layers: the classifier, made with fresh weights from torch's global generator.
-        snr_db: signal-to-noise ratio of a reading [dB]; None for no noise.
+        snr_db: signal-to-noise ratio of a measurement [dB]; None for no noise.
         change: how images are shown to the camera; by default as they are.
         mixed_precision: True lets the classifier's matrix products run in bfloat16. The optics and
             the noise stay in float32.
@@ -148,7 +148,7 @@ class FreshClassifier(LenslessClassifier):
         )
         self.classifier.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.wrong_key = False
-        """True evaluates with every reading decoded by the key of another mask."""
+        """True evaluates with every measurement decoded by the key of another mask."""
 
     @property
     def is_mixed(self) -> bool:

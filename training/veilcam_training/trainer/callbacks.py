@@ -26,7 +26,7 @@ from veilcam_training.models.lensless import LenslessClassifier
 
 @dataclass(frozen=True)
 class Epoch:
-    """What one epoch came to; accuracies in [0, 1], on noisy readings."""
+    """What one epoch came to; accuracies in [0, 1], on noisy measurements."""
 
     number: int
     loss: float

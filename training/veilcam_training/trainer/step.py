@@ -24,8 +24,8 @@ Hyperparameters = Recipe | FreshSettings
 class Inputs(nn.Module):
     """Training images as a step takes them: a module from indices to logits and labels.
 
-    Where images are shown as they are to a camera that does not change, every noiseless reading is
-    computed once.
+    Where images are shown as they are to a camera that does not change, every noiseless
+    measurement is computed once.
 
     Args:
         model: that is fitted.
@@ -41,13 +41,13 @@ class Inputs(nn.Module):
         self.draws = model.begin_epoch(0, 0)
         """Random numbers; a fit gives each epoch its own."""
         constant = isinstance(model.change, Identity) and transform is None
-        self._readings = _encode(model, images) if model.encoder.constant and constant else None
+        self._measurements = _encode(model, images) if model.encoder.constant and constant else None
 
     def forward(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """Logits for the images at ``chosen``, behind fresh noise, and what they show."""
         labels = self._images.labels[chosen]
-        if self._readings is not None:
-            return self._model.read(self._readings[chosen], self.draws.noise), labels
+        if self._measurements is not None:
+            return self._model.read(self._measurements[chosen], self.draws.noise), labels
         images = self._images.scenes(chosen)
         if self._transform is not None:
             images = self._transform(images, self.draws.scenes)

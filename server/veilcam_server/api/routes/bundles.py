@@ -1,4 +1,4 @@
-"""REST API of keyrings."""
+"""REST API of bundles."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 
-from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, Keyring, Keyrings
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_server.api.dependencies import DEVICE, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.scopes import requires
 
-PREFIX = "/v1/keyrings"
+PREFIX = "/v1/bundles"
 
 Digest = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", examples=["0f" * 32])]
 _UPLOAD: dict[str, Any] = {
@@ -19,49 +19,49 @@ _UPLOAD: dict[str, Any] = {
         "content": {BUNDLE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-_CHANGE = ("keyrings_busy", "keyring_not_stored", "replaying")
-_USE = ("keyring_invalid", "keyring_unfit")
+_CHANGE = ("bundles_busy", "bundle_not_stored", "replaying")
+_USE = ("bundle_invalid", "bundle_unfit")
 
-router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:keyring")], redirect_slashes=False)
+router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:bundles")], redirect_slashes=False)
 
 
 @router.get("", responses=problems("replaying"))
-async def keyrings(service: ServiceDep) -> Keyrings:
-    """Every keyring that can be used, and which one is."""
-    return await service.keyrings.all()
+async def bundles(service: ServiceDep) -> InstalledBundles:
+    """Every bundle that can be used, and which one is."""
+    return await service.bundles.all()
 
 
 @router.post(
     "",
     status_code=201,
     openapi_extra=_UPLOAD,
-    responses=problems("body_too_large", "keyrings_full", *_USE, *_CHANGE),
+    responses=problems("body_too_large", "bundles_full", *_USE, *_CHANGE),
 )
-async def install(service: ServiceDep, request: Request) -> Keyring:
+async def install(service: ServiceDep, request: Request) -> InstalledBundle:
     """Take in a bundle, a `*.veilcam` file as it is. It is checked, and not used yet.
 
-    Repeating it changes nothing: a keyring is named by its content.
+    Repeating it changes nothing: a bundle is named by its content.
     """
-    return await service.keyrings.install(request.stream())
+    return await service.bundles.install(request.stream())
 
 
 @router.post(
     "/{digest}/activate",
     dependencies=[unleased()],
     responses=problems(
-        *("body_too_large", "invalid_request", "unknown_keyring", "leased"),
+        *("body_too_large", "invalid_request", "unknown_bundle", "leased"),
         *(*_USE, *_CHANGE, "idempotency_key_reused", *DEVICE),
     ),
 )
-async def activate(service: ServiceDep, once: OnceDep, digest: Digest) -> Keyring:
-    """Use this keyring from now on: mask and classifier change as one, or not at all."""
-    return await once(lambda: service.activate_keyring(digest))
+async def activate(service: ServiceDep, once: OnceDep, digest: Digest) -> InstalledBundle:
+    """Use this bundle from now on: mask and classifier change as one, or not at all."""
+    return await once(lambda: service.activate_bundle(digest))
 
 
 @router.delete(
     "/{digest}",
-    responses=problems("invalid_request", "unknown_keyring", "keyring_in_use", *_CHANGE),
+    responses=problems("invalid_request", "unknown_bundle", "bundle_in_use", *_CHANGE),
 )
-async def remove(service: ServiceDep, digest: Digest) -> Keyrings:
-    """Remove a keyring for good, but not the one in use."""
-    return await service.keyrings.remove(digest)
+async def remove(service: ServiceDep, digest: Digest) -> InstalledBundles:
+    """Remove a bundle for good, but not the one in use."""
+    return await service.bundles.remove(digest)

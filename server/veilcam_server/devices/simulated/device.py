@@ -41,7 +41,7 @@ _INSTANTS = 5
 _FINER = 4
 """Raw pixels along each side of an embedding's box; each stands for many of the real sensor."""
 _HEADROOM = 1.1
-"""Reading of saturated pixels, over the brightest one of a white scene through an open panel."""
+"""What saturated pixels give, over the brightest one of a white scene through an open panel."""
 
 TOLERANCE = 0.025
 """Relative error of the simulated light: it has to be right, not the same as the decoder's."""
@@ -92,7 +92,7 @@ class Conditions:
     exposure: float = 0.01
     """[s]"""
     snr_db: float = 40.0
-    """Of a binned reading."""
+    """Of a binned measurement."""
     scan: float = 0.0
     """Between two refreshes of a panel's line; 12.3 ms on the real one [s]."""
     warm_up: float = 0.0
@@ -156,7 +156,7 @@ class SimulatedLight:
         return raw.astype(np.uint16)
 
     def _noisy(self, irradiance: torch.Tensor) -> torch.Tensor:
-        """Photon noise, so that the *binned* reading has the ratio asked for."""
+        """Photon noise, so that the *binned* measurement has the ratio asked for."""
         if self._conditions.snr_db == math.inf:
             return irradiance
         binned = area_average(irradiance, *self._embedding.shape)
@@ -227,7 +227,8 @@ def simulated_device(
         camera: geometry; its window is the mask.
         embedding: that is read.
         conditions: what the hardware is like.
-        full_scale: reading of saturated pixels; by default a little more than that of a white scene
+        full_scale: measurement of saturated pixels; by default a little more than that of a white
+        scene
             through an open panel.
         seed: fixes the noise.
         display: whose emulated panel it is.

@@ -20,7 +20,7 @@ from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
-from veilcam_server.devices.base import Reading
+from veilcam_server.devices.base import Measurement
 from veilcam_server.devices.simulated.device import (
     Conditions,
     Light,
@@ -92,16 +92,16 @@ class Simulation:
         self.during()
         self.clock.now = awake
 
-    def seen(self, levels: npt.NDArray[np.uint8]) -> Reading:
+    def seen(self, levels: npt.NDArray[np.uint8]) -> Measurement:
         response = self.light.response(to_weights(levels, CAMERA.panel))
         raw = self.light.collect(torch.from_numpy(self.scene.image)[None], response)[0]
         return area_average(raw, *EMBEDDING.shape).numpy().astype(np.float32)
 
-    def capture(self, after: float = 1.0) -> Reading:
+    def capture(self, after: float = 1.0) -> Measurement:
         return self.sensor.capture(self.clock.now + after, 5.0).embedding
 
 
-def difference(one: Reading, other: Reading) -> float:
+def difference(one: Measurement, other: Measurement) -> float:
     """Relative L2."""
     return float(np.linalg.norm(one - other) / np.linalg.norm(other))
 
@@ -143,7 +143,7 @@ def test_an_exposure_sees_the_scene_that_was_there_when_it_began() -> None:
     simulation.display.show(NEW)
     dark, white = np.zeros((28, 28), np.float32), np.ones((28, 28), np.float32)
 
-    def hold(*pictures: Reading) -> None:
+    def hold(*pictures: Measurement) -> None:
         for picture in pictures:
             scenes.hold(picture)
 
@@ -220,15 +220,15 @@ def test_noise_has_the_ratio_asked_for_at_the_embedding() -> None:
 
 
 def test_the_seed_fixes_the_noise() -> None:
-    def reading(seed: int | None) -> Reading:
+    def measurement(seed: int | None) -> Measurement:
         simulation = Simulation(SHADOW, replace(QUIET, snr_db=20.0), seed=seed)
         simulation.scene.image = np.full((28, 28), 0.5, np.float32)
         simulation.display.show(NEW)
         return simulation.capture()
 
-    assert np.array_equal(reading(1), reading(1))
-    assert not np.array_equal(reading(1), reading(2))
-    assert not np.array_equal(reading(None), reading(None))
+    assert np.array_equal(measurement(1), measurement(1))
+    assert not np.array_equal(measurement(1), measurement(2))
+    assert not np.array_equal(measurement(None), measurement(None))
 
 
 def test_it_warms_up() -> None:

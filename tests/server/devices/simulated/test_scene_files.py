@@ -129,7 +129,7 @@ def test_the_environment_names_one_or_several(monkeypatch: pytest.MonkeyPatch) -
 async def test_each_capture_sees_the_next_scene(
     tmp_path: Path, bundle_file: Path, folder: Path
 ) -> None:
-    """And the self test, which takes nine readings, sees one."""
+    """And the self test, which takes nine measurements, sees one."""
     dark, light = folder / "a.npy", folder / "b.npy"
     write(dark, 60)
     write(light, 240)

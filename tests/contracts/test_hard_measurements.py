@@ -1,4 +1,4 @@
-"""Readings at the ends of their range: saturated sensors, single photons, loud and faint noise."""
+"""Measurements at the ends of the range: saturated sensors, single photons, loud and faint noise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.effects.composition import read
 from veilcam_optics.sensor.noise import shot_noise
 
-from .setting import reading_model
+from .setting import measurement_model
 
 
 def seeded(seed: int = 0) -> torch.Generator:
@@ -25,35 +25,37 @@ def test_saturated_sensor(electrons: float, dtype: torch.dtype) -> None:
     """However bright: every pixel reads a full well, and the converter its largest number."""
     conditions = Conditions(electrons=8000.0, full_well=8000.0, adc_bits=12, read_noise=3.0)
     values = torch.full((20, 20), electrons / 8000.0, dtype=dtype)
-    assert torch.equal(read(reading_model(conditions), values, seeded()), torch.ones_like(values))
+    assert torch.equal(
+        read(measurement_model(conditions), values, seeded()), torch.ones_like(values)
+    )
 
 
 def test_around_the_full_well() -> None:
-    """Readings rise up to the full well and stay there; nothing wraps around."""
+    """Measurements rise up to the full well and stay there; nothing wraps around."""
     conditions = Conditions(electrons=1e4, full_well=8e3, adc_bits=12, adc_range=1.0)
     values = torch.linspace(0, 1.6, 4001, dtype=torch.float64)
-    readings = read(reading_model(conditions, shot=False), values)
-    assert bool((readings.diff() >= 0).all())
-    assert float(readings[0]) == 0
-    # Half a step of the converter is the most that rounding moves a reading.
-    assert float((readings - values.clamp_max(0.8)).abs().max()) <= 0.5 / 4095 + 1e-9
+    measurements = read(measurement_model(conditions, shot=False), values)
+    assert bool((measurements.diff() >= 0).all())
+    assert float(measurements[0]) == 0
+    # Half a step of the converter is the most that rounding moves a measurement.
+    assert float((measurements - values.clamp_max(0.8)).abs().max()) <= 0.5 / 4095 + 1e-9
 
 
 def test_saturated_embedding() -> None:
     """The full well of an embedding value: clipped, and no gradient where more light is no news."""
     conditions = Conditions(electrons=1000.0, full_well=500.0, adc_bits=8)
     values = torch.tensor([[0.1, 0.49, 0.51, 1e6]], dtype=torch.float64, requires_grad=True)
-    reading = read(reading_model(conditions, shot=False), values)
+    measurement = read(measurement_model(conditions, shot=False), values)
     assert torch.allclose(
-        reading.detach(), torch.tensor([[0.1, 0.49, 0.5, 0.5]]).double(), atol=1e-3
+        measurement.detach(), torch.tensor([[0.1, 0.49, 0.5, 0.5]]).double(), atol=1e-3
     )
-    (gradient,) = torch.autograd.grad(reading.sum(), values)
+    (gradient,) = torch.autograd.grad(measurement.sum(), values)
     assert gradient.tolist() == [[1, 1, 0, 0]]
 
 
 @pytest.mark.parametrize("mean", [0.0, 1.0, 1 / 784])
 def test_one_photon(mean: float) -> None:
-    """A photon in each pixel, or in a whole image: mean and variance are Poisson's plus reading's.
+    """A photon in each pixel, or in a whole image: mean and variance are Poisson's plus the sensor's.
 
     The black level keeps the half of the noise that is below zero.
     """
@@ -67,7 +69,7 @@ def test_one_photon(mean: float) -> None:
     )
     count = 400_000
     values = torch.full((count,), mean / 1000, dtype=torch.float64)
-    electrons = (read(reading_model(conditions), values, seeded()) - 1) * 1000
+    electrons = (read(measurement_model(conditions), values, seeded()) - 1) * 1000
     variance = mean + 2.0**2 + (2000 / (2**14 - 1)) ** 2 / 12
     assert float(electrons.mean()) == pytest.approx(mean, abs=5 * math.sqrt(variance / count))
     assert float(electrons.var()) == pytest.approx(variance, rel=5 * math.sqrt(2 / count) + 1e-3)
@@ -77,10 +79,10 @@ def test_one_photon(mean: float) -> None:
 def test_one_photon_embedding() -> None:
     """An all-white scene that gives one electron per embedding value: whole numbers of them."""
     values = torch.full((500, 24, 32), 1.0, dtype=torch.float64)
-    reading = read(reading_model(Conditions(electrons=1.0)), values, seeded())
-    assert torch.equal(reading, reading.round())
-    assert float(reading.mean()) == pytest.approx(1, abs=0.01)
-    assert float(reading.var()) == pytest.approx(1, abs=0.02)
+    measurement = read(measurement_model(Conditions(electrons=1.0)), values, seeded())
+    assert torch.equal(measurement, measurement.round())
+    assert float(measurement.mean()) == pytest.approx(1, abs=0.01)
+    assert float(measurement.var()) == pytest.approx(1, abs=0.02)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)

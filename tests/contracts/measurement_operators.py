@@ -1,4 +1,4 @@
-"""What happens to pictures and readings outside the light: panel and sensor."""
+"""What happens to pictures and measurements outside the light: panel and sensor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _quantise(setting: Setting) -> Bound:
 
 
 def _shot_noise(snr_db: float) -> Operator:
-    """Noise of one fixed seed: a function of the reading, smooth but for the noise's amplitude."""
+    """Noise of one fixed seed: a function of the measurement, smooth but for its amplitude."""
 
     def bind(setting: Setting) -> Bound:
         def apply(values: Tensor) -> Tensor:
@@ -77,7 +77,7 @@ def _coded_cells(setting: Setting) -> Bound:
     )
 
 
-READINGS: tuple[Operator, ...] = (
+MEASUREMENTS: tuple[Operator, ...] = (
     Operator(
         "coded aperture cells",
         _coded_cells,
