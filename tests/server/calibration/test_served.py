@@ -109,7 +109,7 @@ def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path, secret_file: P
     [
         (None, "cannot be read: No such file"),
         ("{", "file: Invalid JSON"),
-        ('{"shift": 1}', "shift: Extra inputs"),
+        ('{"shift": 1}', "shift: Unexpected keyword argument"),
         ('{"rotation": 9}', "rotation"),
         ('{"dead_transmittance": 2}', "dead_transmittance"),
         ('{"dead_rows": [51]}', "dead_rows = 51 is not valid: use 0 to 50"),
