@@ -1,4 +1,4 @@
-"""Measurements at the ends of the range: saturated sensors, single photons, loud and faint noise."""
+"""Measurements at the ends of the range: saturated sensors, single photons, all sorts of noise."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_saturated_embedding() -> None:
 
 @pytest.mark.parametrize("mean", [0.0, 1.0, 1 / 784])
 def test_one_photon(mean: float) -> None:
-    """A photon in each pixel, or in a whole image: mean and variance are Poisson's plus the sensor's.
+    """A photon in each pixel, or in a whole image: mean and variance are those of both noises.
 
     The black level keeps the half of the noise that is below zero.
     """

@@ -76,7 +76,11 @@ def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         settings.extend(each for each in given if isinstance(each, Wiring))
         return []
 
-    for work in ("daemon.serve", "cli.calibration_session.calibrate_device", "doctor.examine"):
+    for work in (
+        "daemon.serve",
+        "cli.calibration_session.calibrate_device",
+        "doctor.checkup.examine",
+    ):
         monkeypatch.setattr(f"veilcam_server.{work}", note)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     return settings
