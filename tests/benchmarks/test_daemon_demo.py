@@ -13,6 +13,7 @@ from tests.server.conftest import make_bundle, make_fresh_bundle
 from veilcam_training.bundle import Bundle, write_bundle
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "options", "name"),
     [

@@ -57,6 +57,7 @@ def finite_with_gradients(operator: Operator, setting: Setting) -> None:
     assert all_finite(*gradients)
 
 
+@pytest.mark.slow
 @every
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 @pytest.mark.parametrize("distance", DISTANCES)
@@ -67,6 +68,7 @@ def test_from_a_micrometre_to_a_kilometre(
         finite_with_gradients(operator, Setting(3, 4, dtype, distance=distance))
 
 
+@pytest.mark.slow
 @every
 @pytest.mark.parametrize("wavelength", WAVELENGTHS)
 def test_from_ultraviolet_to_thermal(operator: Operator, wavelength: float) -> None:

@@ -50,6 +50,7 @@ def made(camera: Camera, tolerance: float, conditions: Conditions = IDEAL) -> Pl
     return plan(camera, scene_for(camera), Embedding(4, 5), tolerance, conditions, batch=5)
 
 
+@pytest.mark.slow
 @cameras
 @tolerances
 def test_plan_equals_no_plan(camera: Camera, tolerance: float) -> None:
@@ -77,6 +78,7 @@ def test_plan_equals_no_plan(camera: Camera, tolerance: float) -> None:
         assert relative(chosen.transfer(weights), by_hand(weights)) < precision
 
 
+@pytest.mark.slow
 @cameras
 @tolerances
 def test_plan_keeps_its_promise(camera: Camera, tolerance: float) -> None:

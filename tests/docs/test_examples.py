@@ -18,6 +18,7 @@ from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_training.bundle import read_bundle
 
+pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 

@@ -32,6 +32,7 @@ def subjects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "SUBJECTS", table)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("subjects")
 def test_the_share_is_told_recorded_and_too_low(tmp_path: Path) -> None:
     out, figures = tmp_path / "out", tmp_path / "figures.json"
@@ -46,6 +47,7 @@ def test_the_share_is_told_recorded_and_too_low(tmp_path: Path) -> None:
     assert figure["command"].startswith("python -m tests.mutation")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("subjects")
 def test_it_goes_on_where_it_was_stopped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

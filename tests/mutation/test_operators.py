@@ -157,6 +157,7 @@ def test_a_mutant_tells_its_line() -> None:
     assert (mutant.line, mutant.before, mutant.after) == (2, "f( b, )", "pass")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("subject", SUBJECTS, ids=lambda subject: subject.name)
 def test_every_mutant_of_every_subject_is_another_valid_module(subject: Subject) -> None:
     for file in subject.sources:

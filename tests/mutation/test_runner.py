@@ -62,6 +62,7 @@ def test_another_byte_is_another_repository(repository: Path) -> None:
     assert digest(repository, files) != before
 
 
+@pytest.mark.slow
 def test_mutants_are_killed_or_survive_and_leave_nothing_behind(
     repository: Path, copy: Copy
 ) -> None:
@@ -77,6 +78,7 @@ def test_mutants_are_killed_or_survive_and_leave_nothing_behind(
     assert (repository / THING.sources[0]).read_text() == SOURCE
 
 
+@pytest.mark.slow
 def test_a_mutant_without_an_end_is_stopped(copy: Copy) -> None:
     source = "def larger(a, b):\n    while a > b:\n        pass\n"
     (copy.root / THING.sources[0]).write_text(source)
@@ -86,6 +88,7 @@ def test_a_mutant_without_an_end_is_stopped(copy: Copy) -> None:
     assert copy.try_mutant(endless, THING.tests, limit=3.0) == "timeout"
 
 
+@pytest.mark.slow
 def test_tests_that_fail_without_a_mutant_are_an_error(copy: Copy) -> None:
     (copy.root / THING.tests[0]).write_text("def test():\n    assert False\n")
     with pytest.raises(RuntimeError, match=r"tests/test_thing\.py fail on the original"):

@@ -311,7 +311,7 @@ def test_a_missing_scene_is_refused(tmp_path: Path, bundle_file: Path) -> None:
 
 def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_file: Path) -> None:
     given = Settings(device="pi", bundle=bundle_file, state_dir=tmp_path / "st")
-    with pytest.raises(StartError, match=r"--panel-tab red, black or green .* --simulate"):
+    with pytest.raises(StartError, match=r"--panel-tab red, black or green, .* --simulate"):
         build_service(given)
     with pytest.raises(
         StartError, match=r"/dev/spidev9.9 cannot be opened|spidev is not installed"

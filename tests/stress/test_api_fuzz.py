@@ -63,6 +63,7 @@ def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
     refused.close()
 
 
+@pytest.mark.slow
 def test_nothing_fails_and_nothing_leaks(
     daemon: str, store: TokenStore, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,6 +171,7 @@ def test_masks_and_decoders_of_fresh_epochs_are_found(fresh_bundle: Bundle, secr
     assert planted.found_in(repr(list(secret.reveal())).encode()) == {"the mask secret"}
 
 
+@pytest.mark.slow
 def test_a_defect_and_what_is_not_documented_are_noticed(
     daemon: str, store: TokenStore, bench: Bench
 ) -> None:

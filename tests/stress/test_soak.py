@@ -26,6 +26,7 @@ def _seeded() -> None:
     random.seed(5)
 
 
+@pytest.mark.slow
 def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     result = subprocess.run(

@@ -6,7 +6,8 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -152,7 +153,9 @@ class Preparation:
     def wait(self) -> None:
         """Wait until none is under way, whatever came of it."""
         if self._next is not None:
-            wait([self._next])
+            # Unlike `futures.wait`, this also ends where the future was called off in the queue.
+            with suppress(CancelledError):
+                self._next.exception()
 
     def take(self) -> Prepared:
         """Return the next epoch; waits for it if need be. It is gone from here, come what may.

@@ -123,6 +123,7 @@ def test_transfer_job_ranks_its_methods() -> None:
     assert 10 * best < grid < 5e-2
 
 
+@pytest.mark.slow
 def test_the_papers_algorithm_is_one_of_the_methods() -> None:
     """It skips pixels between its samples, and knows the PSF on the sensor alone."""
     job = TransferJob(quick=True)

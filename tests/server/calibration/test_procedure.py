@@ -60,6 +60,7 @@ def test_it_finds_how_the_camera_was_built(badly: tuple[Built, CalibrationRecord
     assert abs(record.drift) < 0.01
 
 
+@pytest.mark.slow
 def test_decoders_for_what_was_found_expect_what_is_read(
     badly: tuple[Built, CalibrationRecord],
 ) -> None:

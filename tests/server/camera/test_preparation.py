@@ -292,3 +292,33 @@ def test_closing_twice_does_no_harm(bench: Bench) -> None:
     preparation.begin()
     preparation.close()
     preparation.close()
+
+
+def test_who_waits_for_a_preparation_is_let_go_when_it_is_called_off(
+    bench: Bench, gated: Gated
+) -> None:
+    preparation = Preparation(gated, EpochStore(bench.state_dir))
+    gated.gate.clear()
+
+    def first() -> None:
+        preparation.first_of(gated)
+
+    # One is being made, the next stands in line behind it, and somebody waits for that.
+    busy = threading.Thread(target=first)
+    busy.start()
+    deadline = time.monotonic() + 20
+    while preparation._thread._work_queue.qsize() or not preparation._thread._threads:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    preparation.begin()
+    waiting = threading.Thread(target=preparation.wait, daemon=True)
+    waiting.start()
+    closing = threading.Thread(target=preparation.close)
+    closing.start()
+    while not preparation.begin().cancelled():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    gated.gate.set()
+    for thread in (busy, closing, waiting):
+        thread.join(20)
+        assert not thread.is_alive()

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 from tensorboard.backend.event_processing import (  # type: ignore[import-untyped]
     event_accumulator,
 )
@@ -19,6 +20,7 @@ from veilcam_training.cli.main import app
 from veilcam_training.errors import TrainingError
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "fresh.veilcam"
     command = [
@@ -57,6 +59,7 @@ def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None
         assert reason in str(error)
 
 
+@pytest.mark.slow
 def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     config, logs, work = tmp_path / "a.toml", tmp_path / "logs", tmp_path / "work"
     config.write_text(
@@ -91,6 +94,7 @@ def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     assert "use cpu, cuda or auto" in str(error)
 
 
+@pytest.mark.slow
 def test_two_processes(digit_folder: Path, tmp_path: Path) -> None:
     """Each with masks of its own, and one bar, one bundle."""
     out, binaries = tmp_path / "a.veilcam", Path(sys.executable).parent

@@ -82,6 +82,7 @@ def test_contract(name: str, colour: bool, psf_file: Path) -> None:
     torch.testing.assert_close(other(x), v, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("name", ENCODERS)
 def test_a_part_of_the_scene(name: str, colour: bool, psf_file: Path) -> None:

@@ -112,6 +112,7 @@ def test_a_task_that_kills_every_worker(workers: Executor, folder: Path) -> None
     assert len(list(folder.iterdir())) == ATTEMPTS
 
 
+@pytest.mark.slow
 def test_what_a_task_raises_is_raised(workers: Executor) -> None:
     with pytest.raises(TrainingError) as caught:
         list(workers.run(refuse, [1]))
@@ -254,6 +255,7 @@ def test_an_address_without_a_cluster(monkeypatch: pytest.MonkeyPatch, address: 
         list(RayExecutor(address).run(place, [1]))
 
 
+@pytest.mark.slow
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(TrainingError, match=r"pip install -e '\.\[scale\]'"):

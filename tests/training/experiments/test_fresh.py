@@ -43,6 +43,7 @@ def settings(**changes: Any) -> FreshSettings:
     return FreshSettings(**{**small, **changes})
 
 
+@pytest.mark.slow
 def test_it_learns_and_serves_a_new_mask_for_every_capture(source: Source) -> None:
     result = run_fresh(settings(epochs=6), source, CAMERA)
     assert result.masks == 100
@@ -52,6 +53,7 @@ def test_it_learns_and_serves_a_new_mask_for_every_capture(source: Source) -> No
     assert result.wrong_key_accuracy < result.accuracy.value - 0.3
 
 
+@pytest.mark.slow
 def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
     source: Source, tmp_path: Path
 ) -> None:
@@ -105,6 +107,7 @@ def test_statistics_of_another_fit_are_refused(
         run_fresh(settings(batch=16), source, CAMERA, work=work)
 
 
+@pytest.mark.slow
 def test_what_is_learned_of_masks_is_taken_up_and_published(source: Source, tmp_path: Path) -> None:
     chosen = settings(spread=0.3, epochs=2)
     whole = run_fresh(chosen, source, CAMERA, work=tmp_path, masks=10)

@@ -179,6 +179,7 @@ def test_two_processes_do_what_one_does(
         torch.testing.assert_close(quiet.tensors, alone.tensors, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUIET)
 def test_all_ranks_have_the_same_precise_model(members: dict[int, Seen], name: str) -> None:
     """To the bit: every rank takes the same step, by the same gradient and the same moments."""

@@ -93,6 +93,7 @@ def test_it_learns(source: Source, encoder: str) -> None:
     assert outcome.fit.history[-1].loss < 0.5 * outcome.fit.history[0].loss
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("chosen", "other"), [(settings(), settings(seed=1)), (fresh(), fresh(seed=1))]
 )
@@ -115,6 +116,7 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
     assert torch.equal(torch.rand(3), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -163,6 +165,7 @@ def test_every_setting_changes_the_result(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -200,6 +203,7 @@ def test_every_setting_for_fresh_masks_changes_the_result(
     assert (after.loss, after.validation_loss) != (first.loss, first.validation_loss)
 
 
+@pytest.mark.slow
 def test_the_rate_of_learned_ranges_changes_them(source: Source) -> None:
     slow, fast = (
         run(source, fresh(spread=0.4, epochs=1, mask_rate=rate)).model.encoder
@@ -235,6 +239,7 @@ def test_dropout_in_training_alone(source: Source) -> None:
 STILL = {"rate": 1e-12, "epochs": 30, "patience": 2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "chosen",
     [
@@ -306,6 +311,7 @@ class StopAfter:
         assert 0 <= epoch.validation_accuracy <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "chosen",
     [
@@ -372,6 +378,7 @@ run_fit(settings, source, Camera(), checkpoint=Path(sys.argv[3]), callbacks=[Kil
 """
 
 
+@pytest.mark.slow
 def test_killed_and_started_again(source: Source, digit_folder: Path, tmp_path: Path) -> None:
     chosen, path = settings(), tmp_path / "fit.checkpoint"
     arguments = [chosen.model_dump_json(), str(digit_folder), str(path)]
