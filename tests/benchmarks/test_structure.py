@@ -1,0 +1,35 @@
+"""What is counted of the product: statements, docstrings apart, folders, tables of drivers."""
+
+from __future__ import annotations
+
+from benchmarks.structure import files_of_a_driver, fullest_folder, statements
+
+SOURCE = '''"""A module."""
+
+import os
+
+SIZE = 3
+"""A constant."""
+
+
+def area(side: int) -> int:
+    """Square."""
+    if side:
+        return side * side
+    return 0
+'''
+
+
+def test_docstrings_are_counted_apart() -> None:
+    # import, assignment, def, if and two returns; three docstrings
+    assert statements([SOURCE, ""]) == (6, 3)
+
+
+def test_the_fullest_folder_is_found() -> None:
+    assert fullest_folder(["a/x.py", "b/x.py", "b/y.py", "b/c/z.py"]) == ("b", 2)
+
+
+def test_a_driver_is_its_file_and_its_entries_in_tables() -> None:
+    line = "DRIVERS = (\n    st7735r.DRIVER,\n)\n"
+    other = "display = st7735r.DRIVER\n"
+    assert files_of_a_driver({"registry.py": line, "panel.py": other}) == 2
