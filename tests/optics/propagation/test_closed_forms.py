@@ -110,6 +110,7 @@ def disc(grid: Grid, radius: float, parts: int = 8) -> Tensor:
     return inside.reshape(grid.rows, parts, grid.columns, parts).mean((1, 3)).to(torch.complex128)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fresnel_number", [0.5, 1.0, 2.0, 3.0])
 def test_circular_aperture_on_axis(fresnel_number: float) -> None:
     """Exact on the axis: U = 1 - z / sqrt(z^2 + a^2) exp(ik (sqrt(z^2 + a^2) - z))."""

@@ -188,6 +188,7 @@ def test_all_ranks_have_the_same_precise_model(members: dict[int, Seen], name: s
     torch.testing.assert_close(first.tensors, second.tensors, rtol=0, atol=0)
 
 
+@pytest.mark.slow
 def test_all_ranks_have_the_same_model(members: dict[int, Seen]) -> None:
     assert torch.equal(members[0].unbroken, members[1].unbroken)
     assert torch.isfinite(members[0].unbroken).all()
@@ -199,6 +200,7 @@ def test_resumed_is_the_same_as_unbroken(members: dict[int, Seen]) -> None:
         assert torch.equal(seen.resumed, seen.unbroken)
 
 
+@pytest.mark.slow
 def test_the_first_rank_alone_writes(members: dict[int, Seen], work: Path) -> None:
     assert members.keys() == {0, 1}
     assert sorted(path.name for path in work.iterdir() if path.is_dir()) == ["0"]
