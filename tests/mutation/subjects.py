@@ -19,12 +19,20 @@ SUBJECTS = (
     Subject(
         "fence",
         ("server/veilcam_server/camera/capture.py",),
-        ("tests/server/camera/test_fence.py", "tests/server/camera/test_camera.py"),
+        (
+            "tests/server/camera/test_fence.py",
+            "tests/server/camera/test_rotation.py",
+            "tests/server/camera/test_camera.py",
+        ),
     ),
     Subject(
         "rotation",
         ("server/veilcam_server/camera/capture.py",),
-        ("tests/server/camera/test_rotation.py", "tests/server/camera/test_camera.py"),
+        (
+            "tests/server/camera/test_rotation.py",
+            "tests/server/camera/test_fence.py",
+            "tests/server/camera/test_camera.py",
+        ),
     ),
     Subject(
         "panel",

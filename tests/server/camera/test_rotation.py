@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 
 import pytest
 
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
-from veilcam_server.camera.capture import due_in, reusable
+from veilcam_server.camera.capture import ActiveMask, Captured, Lateness, due_in, reusable
 
 
 @pytest.mark.parametrize(
@@ -57,3 +58,23 @@ def test_a_mask_stays_for_ever_where_rotation_is_off() -> None:
 )
 def test_captures_beyond_what_is_due(policy: RotationPolicy, captures: int) -> None:
     assert reusable(policy) == captures
+
+
+def make_active() -> ActiveMask:
+    return ActiveMask(mask=object(), epoch="a", since=0.0, completed_at=0.0)  # type: ignore[arg-type]
+
+
+def test_a_mask_that_is_due_serves_as_often_as_allowed_and_each_time_counts() -> None:
+    active, lateness = make_active(), Lateness()
+    assert (lateness.late, lateness.reused) == (0, 0)
+    assert [active.reuse(2, lateness) for _ in range(4)] == [True, True, False, False]
+    assert (active.overdue, lateness.late, lateness.reused) == (2, 1, 2)
+    assert make_active().reuse(0, lateness) is False
+    assert (lateness.late, lateness.reused) == (2, 2)
+
+
+def test_neither_masks_nor_what_reads_them_show_themselves() -> None:
+    secret = "0123456789"
+    assert secret not in repr(ActiveMask(secret, "a", 0.0, 0.0))  # type: ignore[arg-type]
+    taken = Captured(secret, datetime.now(UTC), "a", secret, 0, 0, 0, 0, 0, 0)  # type: ignore[arg-type]
+    assert secret not in repr(taken)
