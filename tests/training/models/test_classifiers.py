@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import get_args
+from typing import cast, get_args
 
 import pytest
 import torch
 from pydantic import TypeAdapter
 
+from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import LayerRecord, build_classifier, build_untrained
 from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
+from veilcam_training.config.recipes import Recipe
+from veilcam_training.config.settings import Settings
+from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
+from veilcam_training.experiments.fit import run_fit
 from veilcam_training.models.classifiers import (
+    OF_MEASUREMENTS,
     Exposure,
+    Layers,
     Normalisation,
     SceneTask,
     Task,
@@ -43,6 +50,24 @@ def test_it_fits_the_papers_embeddings(name: str, shape: tuple[int, int, int]) -
         assert build_classifier(layers, module.state_dict())(x).shape == (2, 10)
     adapter: TypeAdapter[tuple[LayerRecord, ...]] = TypeAdapter(tuple[LayerRecord, ...])
     assert adapter.validate_json(adapter.dump_json(layers)) == layers
+
+
+def test_another_classifier_is_a_function_and_a_line(
+    monkeypatch: pytest.MonkeyPatch, source: Source
+) -> None:
+    def narrow(task: Task, width: int, dropout: float) -> Layers:
+        assert dropout == 0
+        hidden = Linear(inputs=task.inputs, outputs=width)
+        return hidden, ReLU(), Linear(inputs=width, outputs=task.classes)
+
+    monkeypatch.setitem(cast("dict[str, object]", OF_MEASUREMENTS), "NARROW<width>", narrow)
+    recipe = Recipe(epochs=1, batch=90)
+    settings = Settings(
+        embedding="6x8", classifier="NARROW7", encoder="fixed_simulated", recipe=recipe
+    )
+    result = run_fit(settings, source, Camera())
+    [first, *_] = [layer for layer in result.fit.model.layers if isinstance(layer, Linear)]
+    assert (first.inputs, first.outputs) == (48, 7)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -131,9 +131,10 @@ MakerT = TypeVar("MakerT")
 
 def _find(makers: Mapping[str, MakerT], name: str) -> tuple[MakerT, int]:
     """What makes classifier ``name``, and its width."""
-    match = re.fullmatch(r"(FC|MLP|CNN)([1-9]\d{0,4})", name)
-    kind, width = (name, 0) if match is None else (f"{match[1]}<width>", int(match[2]))
-    if kind not in makers or (match is None and "<" in kind):
+    match = re.fullmatch(r"(\D+)([1-9]\d{0,4})", name)
+    of_any_width = match is not None and f"{match[1]}<width>" in makers
+    kind, width = (f"{match[1]}<width>", int(match[2])) if match and of_any_width else (name, 0)
+    if kind not in makers or (width == 0 and "<" in kind):
         raise TrainingError(f"classifier {name!r} is unknown: use one of {', '.join(makers)}")
     return makers[kind], width
 
