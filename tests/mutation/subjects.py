@@ -42,7 +42,7 @@ SUBJECTS = (
     Subject(
         "epochs",
         ("server/veilcam_server/camera/epochs.py",),
-        ("tests/server/camera/test_epochs.py",),
+        ("tests/server/camera/test_epochs.py", "tests/server/camera/test_preparation.py"),
     ),
     Subject(
         "tokens",
