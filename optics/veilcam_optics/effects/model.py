@@ -9,7 +9,7 @@ import torch
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import invalid, require_choice, require_count, require_positive
 from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import Reach
 
@@ -50,16 +50,12 @@ class Sampling:
     dtype: torch.dtype = torch.float32
 
     def __post_init__(self) -> None:
-        if self.method not in {"transfer", "factors", "grid"}:
-            raise invalid(
-                "sampling.method", repr(self.method), "", '"transfer", "factors" or "grid"'
-            )
+        require_choice("sampling.method", self.method, ("transfer", "factors", "grid"))
         for name in ("wavelengths", "layers", "zones"):
             require_count(f"sampling.{name}", getattr(self, name))
         require_positive("sampling.step", self.step, "m")
         require_positive("sampling.oversampling", self.oversampling, "")
-        if self.dtype not in {torch.float32, torch.float64}:
-            raise invalid("sampling.dtype", self.dtype, "", "torch.float32 or torch.float64")
+        require_choice("sampling.dtype", self.dtype, (torch.float32, torch.float64))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +18,7 @@ from veilcam_optics.camera.imperfections import IDEAL, Conditions
 from veilcam_optics.effects import Assessment, Model
 from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
-from veilcam_optics.errors import invalid, require_count
+from veilcam_optics.errors import require, require_count
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.plan.search import search, settle_free, together
@@ -116,8 +115,7 @@ def plan(
     Raises:
         OpticsError: a tolerance outside (0, 1), no batch, or conditions that cannot be.
     """
-    if not (math.isfinite(tolerance) and 0 < tolerance < 1):
-        raise invalid("tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
+    require(0 < tolerance < 1, "tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
     require_count("batch", batch)
     error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
     complete = error_model.model

@@ -13,7 +13,7 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive
 
 Real = float | Tensor
 """A physical quantity: a number, or a zero-dimensional tensor that may require a gradient."""
@@ -27,10 +27,8 @@ def as_float(value: Real) -> float:
 def as_scalar(argument: str, value: Real, device: torch.device | None = None) -> Tensor:
     """Return ``value`` as a float64 scalar that keeps its graph; refuse NaN and infinity."""
     scalar = torch.as_tensor(value, dtype=torch.float64, device=device)
-    if scalar.ndim != 0:
-        raise invalid(argument, f"tensor of shape {tuple(scalar.shape)}", "", "one number")
-    if not bool(torch.isfinite(scalar)):
-        raise invalid(argument, as_float(scalar), "", "a finite number")
+    require(scalar.ndim == 0, argument, f"tensor of shape {tuple(scalar.shape)}", "", "one number")
+    require(bool(torch.isfinite(scalar)), argument, as_float(scalar), "", "a finite number")
     return scalar
 
 
