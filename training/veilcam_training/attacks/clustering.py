@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 
 
 def k_means(
@@ -25,8 +25,9 @@ def k_means(
     Raises:
         TrainingError: fewer points than clusters.
     """
-    if not 1 <= clusters <= len(points):
-        raise TrainingError(f"clusters = {clusters} is not valid: use 1 to {len(points)}")
+    require(
+        1 <= clusters <= len(points), f"clusters = {clusters} is not valid: use 1 to {len(points)}"
+    )
     best, best_cost = torch.zeros(len(points), dtype=torch.int64), float("inf")
     for _ in range(restarts):
         centres = _spread(points, clusters, generator)
@@ -86,8 +87,10 @@ def subspace_clusters(
     Raises:
         TrainingError: fewer points than clusters or neighbours.
     """
-    if not max(clusters, neighbours) < len(points):
-        raise TrainingError(f"{len(points)} points are too few: use more than clusters, neighbours")
+    require(
+        max(clusters, neighbours) < len(points),
+        f"{len(points)} points are too few: use more than clusters, neighbours",
+    )
     unit = points.double() / points.double().norm(dim=1, keepdim=True).clamp_min(1e-12)
     gram = unit @ unit.T
     identity = torch.eye(len(points), dtype=gram.dtype)
@@ -116,8 +119,10 @@ def adjusted_rand_index(one: Tensor, other: Tensor) -> float:
     Raises:
         TrainingError: they differ in length, or are empty.
     """
-    if len(one) != len(other) or len(one) == 0:
-        raise TrainingError(f"groupings of {len(one)} and {len(other)} points: use the same")
+    require(
+        len(one) == len(other) > 0,
+        f"groupings of {len(one)} and {len(other)} points: use the same",
+    )
     pairs = int(one.max()) + 1, int(other.max()) + 1
     table = torch.bincount(one * pairs[1] + other, minlength=pairs[0] * pairs[1]).reshape(pairs)
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from veilcam_training.encoders.imperfections import PanelErrors
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.models.classifiers import Exposure, Normalisation
 from veilcam_training.transforms.augmentation import Augmentation
 
@@ -116,8 +116,7 @@ def find_recipe(name: str, situation: Situation) -> Recipe:
     Raises:
         TrainingError: an unknown name.
     """
-    if name not in RECIPES:
-        raise TrainingError(f"recipe {name!r} is unknown: use one of {', '.join(RECIPES)}")
+    require(name in RECIPES, f"recipe {name!r} is unknown: use one of {', '.join(RECIPES)}")
     return RECIPES[name](situation)
 
 

@@ -37,7 +37,7 @@ from veilcam_training.config.recipes import (
 )
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -208,8 +208,7 @@ def load_fresh_settings(path: Path | None, overrides: Mapping[str, Any]) -> Fres
     """
     content = _merge(_with_nulls(FreshSettings, _read(path)), overrides)
     task = str(content.pop("task", "mnist_24x32"))
-    if task not in TASKS:
-        raise TrainingError(f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
+    require(task in TASKS, f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
     with _refused(f"task {task}" if path is None else str(path)):
         return FreshSettings.model_validate(_merge(TASKS[task], content))
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 SPLIT_SEED = 20220429
 """The validation split is the same for every run, so that no two runs select on different data."""
@@ -33,10 +33,10 @@ class Images:
     groups: Tensor | None = None
 
     def __post_init__(self) -> None:
-        if len(self.pixels) != len(self.labels):
-            raise TrainingError(
-                f"{len(self.pixels)} images but {len(self.labels)} labels: use one each"
-            )
+        require(
+            len(self.pixels) == len(self.labels),
+            f"{len(self.pixels)} images but {len(self.labels)} labels: use one each",
+        )
 
     def __len__(self) -> int:
         return len(self.labels)

@@ -14,7 +14,7 @@ import torch
 
 from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.base import Images, digest, find
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 
 LABELS = (
     "airplane",
@@ -71,16 +71,16 @@ class Cifar10Source:
         records = []
         for name in names:
             data = self._path(name).read_bytes()
-            if len(data) == 0 or len(data) % RECORD:
-                raise TrainingError(
-                    f"{name} has {len(data)} bytes, not a multiple of {RECORD}: fetch it again "
-                    "(the binary version, not the Python one)"
-                )
+            require(
+                len(data) > 0 and len(data) % RECORD == 0,
+                f"{name} has {len(data)} bytes, not a multiple of {RECORD}: fetch it again "
+                "(the binary version, not the Python one)",
+            )
             batch = np.frombuffer(data, np.uint8).reshape(-1, RECORD)
-            if int(batch[:, 0].max()) >= len(LABELS):
-                raise TrainingError(
-                    f"{name} has label {int(batch[:, 0].max())}: use 0 to 9; fetch it again"
-                )
+            require(
+                int(batch[:, 0].max()) < len(LABELS),
+                f"{name} has label {int(batch[:, 0].max())}: use 0 to 9; fetch it again",
+            )
             records.append(batch)
         together = torch.from_numpy(np.concatenate(records))
         return Images(together[:, 1:].reshape(-1, 3, 32, 32).contiguous(), together[:, 0].long())

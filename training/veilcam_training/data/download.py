@@ -19,7 +19,7 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ def download(name: str, folder: Path, console: Console) -> None:
     Raises:
         TrainingError: it cannot be fetched by a program, the network fails, or a digest is wrong.
     """
-    if name not in REMOTES:
-        raise TrainingError(
-            f"data set {name!r} cannot be downloaded: use one of {', '.join(REMOTES)}, "
-            "or fetch it by hand (see docs/training.md)"
-        )
+    require(
+        name in REMOTES,
+        f"data set {name!r} cannot be downloaded: use one of {', '.join(REMOTES)}, "
+        "or fetch it by hand (see docs/training.md)",
+    )
     remote = REMOTES[name]
     folder.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())

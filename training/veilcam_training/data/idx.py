@@ -19,7 +19,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.base import Images, digest, find
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 DIGITS = tuple("0123456789")
 CLOTHES = (
@@ -58,14 +58,15 @@ def read_idx(path: Path, dimensions: int) -> Tensor:
     except (OSError, EOFError, zlib.error) as error:
         raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
     header = 4 + 4 * dimensions
-    if data[:4] != bytes([0, 0, 8, dimensions]) or len(data) < header:
-        raise TrainingError(
-            f"{path} is not an idx file of bytes with {dimensions} dimensions: fetch it again"
-        )
+    require(
+        data[:4] == bytes([0, 0, 8, dimensions]) and len(data) >= header,
+        f"{path} is not an idx file of bytes with {dimensions} dimensions: fetch it again",
+    )
     shape = tuple(int(size) for size in np.frombuffer(data, ">u4", dimensions, 4))
     expected = header + int(np.prod(shape, dtype=np.uint64))
-    if len(data) != expected:
-        raise TrainingError(f"{path} has {len(data)} bytes but says {expected}: fetch it again")
+    require(
+        len(data) == expected, f"{path} has {len(data)} bytes but says {expected}: fetch it again"
+    )
     pixels = np.frombuffer(data, np.uint8, offset=header).reshape(shape)
     return torch.from_numpy(pixels.copy())
 
@@ -115,17 +116,17 @@ class IdxSource:
     def _read(self, part: str) -> Images:
         images_path, labels_path = self._paths(part)
         images, labels = read_idx(images_path, 3), read_idx(labels_path, 1)
-        if len(images) != len(labels) or len(images) == 0:
-            raise TrainingError(
-                f"{images_path} has {len(images)} images but {labels_path.name} {len(labels)} "
-                "labels: fetch both again"
-            )
-        if tuple(images.shape[1:]) != self.scene.shape:
-            raise TrainingError(
-                f"{images_path} has images of {tuple(images.shape[1:])}: use {self.scene.shape}"
-            )
-        if int(labels.max()) >= len(self.labels):
-            raise TrainingError(
-                f"{labels_path} has label {int(labels.max())}: use 0 to {len(self.labels) - 1}"
-            )
+        require(
+            len(images) == len(labels) > 0,
+            f"{images_path} has {len(images)} images but {labels_path.name} {len(labels)} "
+            "labels: fetch both again",
+        )
+        require(
+            tuple(images.shape[1:]) == self.scene.shape,
+            f"{images_path} has images of {tuple(images.shape[1:])}: use {self.scene.shape}",
+        )
+        require(
+            int(labels.max()) < len(self.labels),
+            f"{labels_path} has label {int(labels.max())}: use 0 to {len(self.labels) - 1}",
+        )
         return Images(images, labels.long())

@@ -29,7 +29,7 @@ from veilcam_optics.transfer.regions import Region
 from veilcam_training.bundle import classifier_inputs
 from veilcam_training.data import Images
 from veilcam_training.encoders.base import Encoder, Setup
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.seeding import derive, stream
 from veilcam_training.transforms.scene import Transform
 
@@ -180,11 +180,11 @@ class FreshCamera(Encoder):
         if part is not None or grid:
             raise TrainingError("fresh masks take whole scenes on one grid: show them as they are")
         self._ring = next(self.coming)
-        if len(scenes) % len(self._ring):
-            raise TrainingError(
-                f"{len(scenes)} images cannot be spread evenly over {len(self._ring)} masks: use a "
-                "batch that masks, times processes, divide"
-            )
+        require(
+            len(scenes) % len(self._ring) == 0,
+            f"{len(scenes)} images cannot be spread evenly over {len(self._ring)} masks: use a "
+            "batch that masks, times processes, divide",
+        )
         return self._each(PreparedMask.embed, scenes)
 
     def decode(self, measurements: Tensor) -> Tensor:
@@ -300,11 +300,11 @@ class FreshCamera(Encoder):
 
 def pooled(scene: Scene, side: int) -> Scene:
     """The same scene in pixels ``side`` times as large."""
-    if scene.rows % side or scene.columns % side:
-        raise TrainingError(
-            f"pooling = {side} does not divide the scene's {scene.rows} x {scene.columns} pixels: "
-            "use a divisor of both"
-        )
+    require(
+        scene.rows % side == 0 and scene.columns % side == 0,
+        f"pooling = {side} does not divide the scene's {scene.rows} x {scene.columns} pixels: "
+        "use a divisor of both",
+    )
     return replace(scene, rows=scene.rows // side, columns=scene.columns // side)
 
 

@@ -27,7 +27,7 @@ from pydantic import JsonValue
 from torch import distributed
 
 from veilcam_optics.files import write_whole
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.files import check_folder
 
 
@@ -72,8 +72,7 @@ def record_figures(
     """
     check_record(path)
     for name, value in values.items():
-        if not math.isfinite(value):
-            raise TrainingError(f"figure {name} = {value} is not valid: use a finite number")
+        require(math.isfinite(value), f"figure {name} = {value} is not valid: use a finite number")
     entry = asdict(Origin.here(command) if origin is None else origin)
     path.parent.mkdir(parents=True, exist_ok=True)
     # Two benchmarks may end at the same time: one at a time reads, changes and writes.

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
 from veilcam_training.config.settings import Settings
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.grid import Cell, Column, Place, Row, Table
 from veilcam_training.experiments.pictures import Pictures, save_pictures
 from veilcam_training.experiments.records import Origin, record_figures
@@ -104,11 +104,11 @@ def load_result(work: Path, cell: Cell, fingerprint: str) -> CellResult | None:
     if not path.exists():
         return None
     result = _read(path)
-    if result.fingerprint != fingerprint:
-        raise TrainingError(
-            f"{path.parent} was made with other settings, data or torch: "
-            "remove it to run it again, or use another --work"
-        )
+    require(
+        result.fingerprint == fingerprint,
+        f"{path.parent} was made with other settings, data or torch: "
+        "remove it to run it again, or use another --work",
+    )
     return result
 
 
@@ -147,11 +147,11 @@ def by_place(results: Sequence[CellResult]) -> Mapping[Place, tuple[CellResult, 
         group = places.setdefault(result.cell.place, [])
         group.append(result)
         first = group[0].settings
-        if result.settings.model_copy(update={"seed": first.seed}) != first:
-            raise TrainingError(
-                f"cells {group[0].cell.name} and {result.cell.name} differ in more than their "
-                "seed, so they have no mean: move one of their folders to another --work"
-            )
+        require(
+            result.settings.model_copy(update={"seed": first.seed}) == first,
+            f"cells {group[0].cell.name} and {result.cell.name} differ in more than their "
+            "seed, so they have no mean: move one of their folders to another --work",
+        )
     return {place: tuple(group) for place, group in places.items()}
 
 

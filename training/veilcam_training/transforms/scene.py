@@ -16,7 +16,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.transfer.regions import Region
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.transforms.warp import homographies, warp
 
 HEIGHTS = (0.02, 0.20)
@@ -135,11 +135,11 @@ class Shift(Moved):
     def __init__(self, image: Scene, camera: Camera) -> None:
         # The allowance keeps 110.0000 pixels from becoming 109.
         rows, columns = (math.floor(side + 1e-6) for side in _view(image, camera))
-        if rows < image.rows or columns < image.columns:
-            raise TrainingError(
-                f"an object of {image.rows} x {image.columns} pixels does not fit the sensor's "
-                f"view of {rows} x {columns}: use a smaller or more distant scene"
-            )
+        require(
+            rows >= image.rows and columns >= image.columns,
+            f"an object of {image.rows} x {image.columns} pixels does not fit the sensor's "
+            f"view of {rows} x {columns}: use a smaller or more distant scene",
+        )
         super().__init__(_resized(image, rows, columns))
 
     def in_parts(
@@ -264,8 +264,7 @@ def make_transform(name: str, image: Scene, camera: Camera) -> Transform:
     Raises:
         TrainingError: an unknown name, or an object larger than the sensor's view.
     """
-    if name not in TRANSFORMS:
-        raise TrainingError(f"change {name!r} is unknown: use one of {', '.join(TRANSFORMS)}")
+    require(name in TRANSFORMS, f"change {name!r} is unknown: use one of {', '.join(TRANSFORMS)}")
     return TRANSFORMS[name](image, camera)
 
 
