@@ -4,8 +4,6 @@ JSON lines. The first tells which camera it was, every other one is a capture as
 it, with its label where it was asked for. Whoever may read the file may read the embeddings.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass

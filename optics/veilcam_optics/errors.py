@@ -3,8 +3,6 @@
 Every message names the argument, its value, its unit and what would be valid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from types import EllipsisType

@@ -1,7 +1,5 @@
 """The one way training refuses bad input."""
 
-from __future__ import annotations
-
 
 class TrainingError(ValueError):
     """Input that training cannot use; one line that says what would be valid or what to do."""

@@ -1,7 +1,5 @@
 """Files of a run: private ones behind a checksum, and places tried before the work."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

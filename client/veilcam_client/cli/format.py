@@ -1,7 +1,5 @@
 """Answers in words, for a terminal."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from json import dumps
 

@@ -1,7 +1,5 @@
 """Jobs, the settings that may do them, and what one setting costs and misses."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence

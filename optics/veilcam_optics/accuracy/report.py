@@ -1,7 +1,5 @@
 """Measured points as a table and as JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

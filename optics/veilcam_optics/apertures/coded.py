@@ -1,7 +1,5 @@
 """Amplitude masks that others use: MLS, MURA, Fresnel zones, pinhole."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

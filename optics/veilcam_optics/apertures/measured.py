@@ -1,7 +1,5 @@
 """A point spread function that was measured: an image of a point source, background removed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

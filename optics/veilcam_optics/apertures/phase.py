@@ -1,7 +1,5 @@
 """Phase masks: an ideal lens, a tape-like diffuser, and a contour mask."""
 
-from __future__ import annotations
-
 import math
 
 import torch

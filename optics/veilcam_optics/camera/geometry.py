@@ -4,8 +4,6 @@ Axis order is (rows, columns) everywhere. Rows run along the panel's fine axis, 
 the sensor's short side. The origin of every plane is the optical axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from veilcam_optics.errors import require, require_count, require_positive, require_within
@@ -171,7 +169,7 @@ class Camera:
             (column - middle) * self.panel.pitch_x for column in range(self.window.columns)
         )
 
-    def lit_sides(self, scene: Scene) -> tuple[float, float]:
+    def lit_sides(self, scene: "Scene") -> tuple[float, float]:
         """Height and width of the sensor and the scene's geometric image around it [m]."""
         image = scene.pixel_at_sensor(self)
         return (

@@ -1,7 +1,5 @@
 """Imperfections of a built camera, and conditions of light and sensor. All absent by default."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self

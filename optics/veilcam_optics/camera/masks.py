@@ -4,8 +4,6 @@ A mask is a tensor of weights, amplitude transmittances in [0, 1], of shape ``ca
 What the panel is told are levels, whole numbers from 0 (opaque) to ``panel.levels - 1`` (open).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import torch

@@ -18,8 +18,6 @@ is below 1e-8. In float32 it is not small beside 1, which is why float32 is an o
 precision (products in float32, factors in float64) the default.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import Enum
 

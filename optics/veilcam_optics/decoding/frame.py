@@ -4,8 +4,6 @@ One safetensors file: the tensors of the statistics and of the distribution that
 from, and as its metadata one JSON text with the rest. None of it is secret. It holds no code.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal

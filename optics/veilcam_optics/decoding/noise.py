@@ -1,7 +1,5 @@
 """What a decoder expects of the noise in a measurement."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

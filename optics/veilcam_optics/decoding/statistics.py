@@ -1,7 +1,5 @@
 """Mean and covariance of the scenes that a camera looks at: public, and all that decoding needs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Self

@@ -1,9 +1,7 @@
 """A model of the light: camera, scene, embedding, conditions, and how finely each is computed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import torch
 
@@ -94,7 +92,7 @@ class Model:
         layers: int | None = None,
         zones: int | None = None,
         dtype: torch.dtype | None = None,
-    ) -> Model:
+    ) -> Self:
         """The same model computed otherwise; None keeps what is there."""
         sampling = self.sampling
         return replace(
@@ -110,7 +108,7 @@ class Model:
             ),
         )
 
-    def with_samples(self, of: str, count: int) -> Model:
+    def with_samples(self, of: str, count: int) -> Self:
         """The same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
         samples: dict[str, Any] = {of: count}
         return replace(self, sampling=replace(self.sampling, **samples))

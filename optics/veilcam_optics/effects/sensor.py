@@ -1,7 +1,5 @@
 """Effects of the sensor: colours, photons, electrons, numbers. All after the optics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import MappingProxyType

@@ -5,8 +5,6 @@ everything here is whole numbers. Without it, the mask of one epoch says nothing
 An epoch must be used once; counting them, durably, is the device's duty.
 """
 
-from __future__ import annotations
-
 import hmac
 import re
 import secrets
@@ -173,7 +171,7 @@ class MaskDistribution:
             total -= float(count) * float((shares * np.log2(shares)).sum())
         return total
 
-    def draw(self, stream: KeyStream) -> Levels:
+    def draw(self, stream: "KeyStream") -> Levels:
         """One mask, uint8 of shape ``camera.mask_shape``.
 
         A byte serves where it lies under the largest multiple of the range's size; where it does

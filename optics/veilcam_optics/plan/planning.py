@@ -1,7 +1,5 @@
 """From a tolerance to a plan: what to compute, how finely, and why."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 from functools import cached_property

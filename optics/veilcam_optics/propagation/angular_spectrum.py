@@ -5,8 +5,6 @@ free-space propagation in far and near fields", Opt. Express 17, 19662 (2009); s
 K. Matsushima, Opt. Express 18, 18453 (2010).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal

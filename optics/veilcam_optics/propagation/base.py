@@ -1,7 +1,5 @@
 """What every way to carry a field from one plane to another has in common."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable

@@ -3,8 +3,6 @@
 J. W. Goodman, "Introduction to Fourier Optics", equation 4-25.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

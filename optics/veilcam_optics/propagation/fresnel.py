@@ -5,8 +5,6 @@ function). Which of the two is well sampled depends on the distance: D. Voelz, "
 Fourier Optics", section 5.4.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

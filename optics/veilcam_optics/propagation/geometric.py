@@ -1,7 +1,5 @@
 """Geometric shadow: what is left of propagation without diffraction."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Point spread functions of any mask, real or complex, at one wavelength."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

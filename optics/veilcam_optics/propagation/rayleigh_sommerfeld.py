@@ -3,8 +3,6 @@
 J. W. Goodman, "Introduction to Fourier Optics", equation 3-40, first kind, all terms.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

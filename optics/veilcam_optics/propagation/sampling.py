@@ -4,10 +4,9 @@ A grid never has a "middle sample" that depends on its parity: sample ``i`` of `
 ``(i - (n - 1) / 2) * pitch + centre``, for odd and even ``n`` alike.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from scipy.fft import next_fast_len
@@ -50,7 +49,7 @@ class Grid:
         require_positive("grid.pitch_x", as_float(self.pitch_x), "m")
 
     @classmethod
-    def square(cls, rows: int, columns: int, pitch: Real) -> Grid:
+    def square(cls, rows: int, columns: int, pitch: Real) -> Self:
         """Return a centred grid with the same ``pitch`` [m] along both axes."""
         return cls(rows, columns, pitch, pitch)
 

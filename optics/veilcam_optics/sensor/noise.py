@@ -1,7 +1,5 @@
 """Noise on a measurement, added after the optics."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

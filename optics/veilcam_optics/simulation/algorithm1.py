@@ -6,8 +6,6 @@ resize to the embedding, add shot noise. The two resizings are bilinear without 
 pixels between the samples are not read. ``resampling="area"`` replaces both by area averages.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

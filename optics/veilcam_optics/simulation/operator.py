@@ -1,7 +1,5 @@
 """A model made to run: from scenes and a mask to embeddings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -5,8 +5,6 @@ the point spread function (PSF), and the embedding is the scene's geometric imag
 PSF and averaged over embedding pixels (the paper's Algorithm 1 with exact areas).
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import torch

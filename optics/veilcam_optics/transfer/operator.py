@@ -12,8 +12,6 @@ apart interfere in fringes much finer than an embedding pixel, which average out
 (dr, dc) are enough, and how many is the dial between accuracy and time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

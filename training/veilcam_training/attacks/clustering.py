@@ -1,7 +1,5 @@
 """Grouping embeddings without a key, as one would who wants to know which share a mask."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

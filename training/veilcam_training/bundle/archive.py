@@ -1,7 +1,5 @@
 """Reading and writing ``*.veilcam`` files: zip archives with the parts of a mode, and no code."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """From layer records and weights to a torch module, with every mismatch found first."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -3,8 +3,6 @@
 None of it is secret: masks come from a key that the camera alone has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal

@@ -4,8 +4,6 @@ Every record knows the torch module it stands for and the shape that comes out o
 those of one sample, without the batch.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, Protocol
 

@@ -1,7 +1,5 @@
 """``bundle.json``: everything in a bundle but its arrays, as strictly validated JSON."""
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Literal, Self
 

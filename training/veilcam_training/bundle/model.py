@@ -1,7 +1,5 @@
 """The nouns: a bundle is a task and a camera, and pairs of mask and classifier or a key policy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The arrays of a bundle as safetensors parts, and back."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

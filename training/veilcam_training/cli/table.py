@@ -1,7 +1,5 @@
 """``veilcam-train table`` runs cells of a table, ``veilcam-train report`` shows them."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Recipes by name: the paper's, and ours; and the tasks of fresh masks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

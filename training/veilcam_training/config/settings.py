@@ -14,8 +14,6 @@ shift = 5e-5
 A fit for fresh masks has its settings, beside the name of a ``task``, in one table.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import tomllib

@@ -1,13 +1,11 @@
 """Images with labels, where they come from, and the part of them that validates."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 import torch
 from torch import Tensor
@@ -41,14 +39,16 @@ class Images:
     def __len__(self) -> int:
         return len(self.labels)
 
-    def take(self, indices: Tensor) -> Images:
+    def take(self, indices: Tensor) -> Self:
         """Return the images at ``indices``, int64 (count,)."""
         groups = None if self.groups is None else self.groups[indices]
-        return Images(self.pixels[indices], self.labels[indices], groups)
+        return replace(
+            self, pixels=self.pixels[indices], labels=self.labels[indices], groups=groups
+        )
 
-    def to(self, device: torch.device | str) -> Images:
+    def to(self, device: torch.device | str) -> Self:
         """Return the same images on ``device``."""
-        return Images(self.pixels.to(device), self.labels.to(device), self.groups)
+        return replace(self, pixels=self.pixels.to(device), labels=self.labels.to(device))
 
     def scenes(self, indices: Tensor | slice = slice(None)) -> Tensor:
         """Images as scenes: float32 in [0, 1], the shape of ``pixels``."""

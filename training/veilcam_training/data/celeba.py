@@ -4,8 +4,6 @@ The paper takes the first 100,000 images, gray, and splits them 85 to 15. The sp
 both parts have the same share of either class.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

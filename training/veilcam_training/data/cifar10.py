@@ -3,8 +3,6 @@
 Each record is a label byte and 3,072 bytes of pixels: red, green, blue, each row by row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fetching public data sets, checked against their published digests. Only ever on request."""
 
-from __future__ import annotations
-
 import tarfile
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 They are easier than photographs: their numbers do not stand beside those of photographs as equals.
 """
 
-from __future__ import annotations
-
 import tokenize
 import zipfile
 import zlib

@@ -4,8 +4,6 @@ The format: two zero bytes, 8 for unsigned bytes, the number of dimensions, ever
 big-endian 32-bit number, then the bytes (http://yann.lecun.com/exdb/mnist).
 """
 
-from __future__ import annotations
-
 import gzip
 import struct
 import zlib

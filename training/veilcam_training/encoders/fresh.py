@@ -5,8 +5,6 @@ learned, together with the classifier: not a mask, but where the secret may draw
 public; each mask is drawn within them, is used and forgotten.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Imperfections drawn at random, so that training can expect a real panel."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import torch

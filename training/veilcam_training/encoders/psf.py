@@ -1,7 +1,5 @@
 """Cameras that are known by their point spread function (PSF): simulated elsewhere, or measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile

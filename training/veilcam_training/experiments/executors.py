@@ -4,8 +4,6 @@
 task was at fault; so each local worker is a plain ``multiprocessing`` process with its own pipe.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import multiprocessing

@@ -1,7 +1,5 @@
 """One fit from its settings: data, camera and classifier are made, fitted and tested once."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

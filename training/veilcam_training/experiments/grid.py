@@ -1,7 +1,5 @@
 """Tables of fits by name, the paper's and ours of the same kind, and the cells in them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace

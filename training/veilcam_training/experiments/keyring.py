@@ -1,7 +1,5 @@
 """Bundles of what was fitted: pairs of mask and classifier, or one classifier for fresh masks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

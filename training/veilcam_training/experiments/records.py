@@ -5,8 +5,6 @@ A record of figures is one JSON file, filled by the commands that measured:
 ``{"NAME": {"value": ..., "command": ..., "commit": ..., "date": ..., "machine": ...}}``
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import math
@@ -21,6 +19,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Self
 
 import torch
 from pydantic import JsonValue
@@ -42,7 +41,7 @@ class Origin:
     machine: str
 
     @classmethod
-    def here(cls, command: Sequence[str] | None = None) -> Origin:
+    def here(cls, command: Sequence[str] | None = None) -> Self:
         """Now, on this machine, by ``command``: this process's own by default."""
         return cls(
             command=shlex.join(command if command is not None else own_command()),

@@ -1,7 +1,5 @@
 """Finished cells of a table: their files, their places, and their test accuracies in a record."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Running the cells of a table: each is one task of the workers, and is taken up where it ended."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

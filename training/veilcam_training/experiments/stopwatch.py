@@ -1,7 +1,5 @@
 """Times of a fit, whatever else the machine does meanwhile, and of one measurement's label."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from statistics import median

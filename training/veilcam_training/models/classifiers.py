@@ -4,8 +4,6 @@
 and ``CNN<width>`` are ours. Of scenes that were decoded there is a ``CNN<width>`` of its own.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping

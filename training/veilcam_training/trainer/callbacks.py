@@ -1,7 +1,5 @@
 """Callbacks of a fit: progress, TensorBoard's logs, and the running mean of its weights."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Where a fit stands, on disk, so that a fit killed at any moment can be taken up again."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from pathlib import Path

@@ -4,8 +4,6 @@ The gradients are averaged by torch's DistributedDataParallel. Batch normalisati
 over the whole batch; torch's SyncBatchNorm would do so on GPUs alone, ours does it everywhere.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

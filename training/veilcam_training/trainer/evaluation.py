@@ -1,7 +1,5 @@
 """How well a model does on images that it was not fitted to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """One step of fitting: from a few images to a small change of encoder and classifier."""
 
-from __future__ import annotations
-
 import math
 
 import torch

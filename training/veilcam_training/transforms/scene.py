@@ -4,8 +4,6 @@ The paper's tests of robustness. Each draws a batch of images into a scene, ever
 random way, fast enough to do it afresh in every epoch.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
