@@ -10,7 +10,7 @@ from typing import Literal
 
 import safetensors.torch
 import torch
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
@@ -31,8 +31,7 @@ DISTRIBUTION = ("lowest", "highest", "curve")
 MAX_BYTES = 2**30
 
 
-class _Header(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+class _Header(BaseModel, frozen=True, extra="forbid", strict=True):
     format: Literal["veilcam-frame"] = "veilcam-frame"
     version: Literal[1] = 1
     camera: Camera

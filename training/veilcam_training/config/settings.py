@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_training.config.recipes import (
@@ -56,10 +56,8 @@ def parse_embedding(text: str) -> Embedding:
     return Embedding(int(match[1]), int(match[2]))
 
 
-class Settings(BaseModel):
+class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
     """All that the result of a fit depends on, besides the files of the data set."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     data: str = "mnist"
     encoder: str = "learned"
@@ -83,10 +81,8 @@ class Settings(BaseModel):
         return _digest(self.model_copy(update={"psf": None}).model_dump_json(), files)
 
 
-class FreshSettings(BaseModel):
+class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
     """How to fit one classifier to a stream of masks that are used for a moment and never again."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     data: str = "mnist"
     embedding: str = "24x32"

@@ -13,7 +13,7 @@ from typing import Annotated, Self
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
@@ -36,14 +36,12 @@ STATISTICS_SCENES = 30_000
 """How many scenes the statistics are made from, at most."""
 
 
-class Misalignment(BaseModel):
+class Misalignment(BaseModel, frozen=True, extra="forbid", strict=True):
     """What calibration leaves unknown: the decoder assumes the nominal geometry.
 
     Each mask is shown by a panel that is displaced by normal random amounts with these standard
     deviations.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     shift: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2e-6
     """Along y and along x [m]."""

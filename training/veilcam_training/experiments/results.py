@@ -6,7 +6,7 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, JsonValue, ValidationError
 
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
@@ -23,10 +23,8 @@ BUNDLE = "pair.veilcam"
 CHECKPOINT = "checkpoint"
 
 
-class EpochRecord(BaseModel):
+class EpochRecord(BaseModel, frozen=True, extra="forbid"):
     """One epoch's accuracies in [0, 1]."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     loss: float
     training_accuracy: float
@@ -34,10 +32,8 @@ class EpochRecord(BaseModel):
     validation_loss: float
 
 
-class CellResult(BaseModel):
+class CellResult(BaseModel, frozen=True, extra="forbid"):
     """The numbers of a finished cell; accuracies in [0, 1]."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     settings: Settings
     fingerprint: str
