@@ -1,6 +1,7 @@
 """Images with labels, where they come from, and the part of them that validates."""
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -82,6 +83,30 @@ class Source(Protocol):
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of every file, by its name."""
+
+
+class FileSource(ABC):
+    """What data sets in files have in common: each reads one of its two parts."""
+
+    def training(self) -> Images:
+        """Read the training set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(test=False)
+
+    def test(self) -> Images:
+        """Read the test set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(test=True)
+
+    @abstractmethod
+    def _read(self, *, test: bool) -> Images:
+        """Read the test set, or else the training set."""
 
 
 @dataclass(frozen=True)

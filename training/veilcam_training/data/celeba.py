@@ -15,7 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
+from veilcam_training.data.base import FileSource, Images, digest, find
 from veilcam_training.errors import TrainingError, require
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
@@ -33,7 +33,7 @@ IMAGE_FOLDER = "img_align_celeba"
 
 
 @dataclass(frozen=True)
-class CelebaSource:
+class CelebaSource(FileSource):
     """One attribute of the first ``first`` photographs.
 
     An embedding pixel of 24 x 32 is 21 rows of the original at the sensor, so the photographs are
@@ -50,22 +50,6 @@ class CelebaSource:
     def labels(self) -> tuple[str, str]:
         """Name of either class."""
         return ATTRIBUTES[self.name][1:]
-
-    def training(self) -> Images:
-        """Read the training set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or not in this format.
-        """
-        return self._read(test=False)
-
-    def test(self) -> Images:
-        """Read the test set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or not in this format.
-        """
-        return self._read(test=True)
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the attributes, and of all photographs one after the other."""

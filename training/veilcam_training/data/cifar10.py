@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
+from veilcam_training.data.base import FileSource, Images, digest, find
 from veilcam_training.errors import require
 
 LABELS = (
@@ -33,7 +33,7 @@ RECORD = 1 + 3 * 32 * 32
 
 
 @dataclass(frozen=True)
-class Cifar10Source:
+class Cifar10Source(FileSource):
     """Six binary files, in the folder or in the one that the archive unpacks to."""
 
     folder: Path
@@ -42,22 +42,6 @@ class Cifar10Source:
     scene: Scene = field(default_factory=lambda: Scene(32, 32, 0.25, 0.40))
     colour: bool = True
 
-    def training(self) -> Images:
-        """Read the five training batches.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or not in this format.
-        """
-        return self._read(TRAINING)
-
-    def test(self) -> Images:
-        """Read the test batch.
-
-        Raises:
-            TrainingError: the file is missing, damaged, or not in this format.
-        """
-        return self._read(TEST)
-
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each of the six files, by its name."""
         return {name: digest(self._path(name)) for name in (*TRAINING, *TEST)}
@@ -65,9 +49,9 @@ class Cifar10Source:
     def _path(self, name: str) -> Path:
         return find(self.folder / name, self.folder / FOLDER / name)
 
-    def _read(self, names: tuple[str, ...]) -> Images:
+    def _read(self, *, test: bool) -> Images:
         records = []
-        for name in names:
+        for name in TEST if test else TRAINING:
             data = self._path(name).read_bytes()
             require(
                 len(data) > 0 and len(data) % RECORD == 0,

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
+from veilcam_training.data.base import FileSource, Images, digest, find
 from veilcam_training.errors import TrainingError, require
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
@@ -41,7 +40,7 @@ UNREADABLE = (
 
 
 @dataclass(frozen=True)
-class FacesSource:
+class FacesSource(FileSource):
     """One attribute of the drawn faces.
 
     The file holds ``images`` uint8 (count, rows, columns), ``identity`` (count,), and one array of
@@ -63,30 +62,12 @@ class FacesSource:
         """The file; raises TrainingError if it is missing."""
         return find(self.folder / "faces.npz")
 
-    def training(self) -> Images:
-        """Read the training set; ``groups`` are the identities.
-
-        Raises:
-            TrainingError: the file is missing, damaged, or not such a file.
-        """
-        images, test = self._read()
-        return images.take((~test).nonzero().flatten())
-
-    def test(self) -> Images:
-        """Read the test set.
-
-        Raises:
-            TrainingError: the file is missing, damaged, or not such a file.
-        """
-        images, test = self._read()
-        return images.take(test.nonzero().flatten())
-
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the file."""
         return {self.path.name: digest(self.path)}
 
-    def _read(self) -> tuple[Images, Tensor]:
-        """All images, and which of them are for testing."""
+    def _read(self, *, test: bool) -> Images:
+        """Read one part; ``groups`` are the identities."""
         path, array = self.path, ATTRIBUTES[self.name][0]
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
@@ -121,4 +102,4 @@ class FacesSource:
             "use more of them",
         )
         images = Images(torch.from_numpy(pixels), torch.from_numpy(labels.astype(np.int64)), groups)
-        return images, torch.isin(groups, held)
+        return images.take((torch.isin(groups, held) == test).nonzero().flatten())

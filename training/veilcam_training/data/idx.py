@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
+from veilcam_training.data.base import FileSource, Images, digest, find
 from veilcam_training.errors import TrainingError, require
 
 DIGITS = tuple("0123456789")
@@ -76,7 +76,7 @@ def idx_bytes(array: Tensor) -> bytes:
 
 
 @dataclass(frozen=True)
-class IdxSource:
+class IdxSource(FileSource):
     """Four idx files in one folder."""
 
     name: str
@@ -84,22 +84,6 @@ class IdxSource:
     folder: Path
     scene: Scene = field(default_factory=Scene)
     colour: bool = False
-
-    def training(self) -> Images:
-        """Read the training set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or does not fit the other.
-        """
-        return self._read("train")
-
-    def test(self) -> Images:
-        """Read the test set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or does not fit the other.
-        """
-        return self._read("t10k")
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each of the four files, by its name."""
@@ -111,8 +95,8 @@ class IdxSource:
         images, labels = (find(self.folder / n, self.folder / f"{n}.gz") for n in names)
         return images, labels
 
-    def _read(self, part: str) -> Images:
-        images_path, labels_path = self._paths(part)
+    def _read(self, *, test: bool) -> Images:
+        images_path, labels_path = self._paths("t10k" if test else "train")
         images, labels = read_idx(images_path, 3), read_idx(labels_path, 1)
         require(
             len(images) == len(labels) > 0,
