@@ -62,7 +62,7 @@ def write_json(path: Path, results: Sequence[Result], *, quick: bool) -> None:
     """Write every point with the machine, date, and versions that it was measured with."""
     record = {
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{_processor()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
         "quick": quick,
@@ -77,6 +77,11 @@ def write_json(path: Path, results: Sequence[Result], *, quick: bool) -> None:
         },
     }
     path.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def machine() -> str:
+    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
+    return f"{_processor()}, {os.cpu_count()} cores"
 
 
 def _processor() -> str:

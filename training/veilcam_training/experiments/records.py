@@ -25,6 +25,7 @@ import torch
 from pydantic import JsonValue
 from torch import distributed
 
+from veilcam_optics.accuracy.report import machine
 from veilcam_optics.files import write_whole
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.files import check_folder
@@ -121,19 +122,6 @@ def commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{head}-dirty" if changed else head
-
-
-def machine() -> str:
-    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
-    name = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                name = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    return f"{name}, {os.cpu_count()} cores"
 
 
 @contextmanager
