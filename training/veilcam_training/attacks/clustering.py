@@ -1,6 +1,11 @@
 """Grouping embeddings without a key, as one would who wants to know which share a mask."""
 
+import warnings
+from operator import itemgetter
+
+import numpy as np
 import torch
+from scipy.cluster import vq
 from torch import Tensor
 
 from veilcam_training.errors import require
@@ -26,37 +31,16 @@ def k_means(
     require(
         1 <= clusters <= len(points), f"clusters = {clusters} is not valid: use 1 to {len(points)}"
     )
-    best, best_cost = torch.zeros(len(points), dtype=torch.int64), float("inf")
-    for _ in range(restarts):
-        centres = _spread(points, clusters, generator)
-        groups = torch.cdist(points, centres).argmin(1)
-        for _ in range(100):
-            sums = torch.zeros_like(centres).index_add_(0, groups, points)
-            counts = torch.bincount(groups, minlength=clusters)[:, None]
-            centres = torch.where(counts > 0, sums / counts.clamp_min(1), centres)
-            new = torch.cdist(points, centres).argmin(1)
-            if torch.equal(new, groups):
-                break
-            groups = new
-        cost = float((points - centres[groups]).square().sum())
-        if cost < best_cost:
-            best, best_cost = groups, cost
-    return best
-
-
-def _spread(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
-    """Seeds far from one another."""
-    first = int(torch.randint(len(points), (), generator=generator))
-    centres = points[first : first + 1]
-    distance = (points - centres).square().sum(1)
-    for _ in range(clusters - 1):
-        if float(distance.sum()) > 0:
-            index = int(torch.multinomial(distance, 1, generator=generator))
-        else:
-            index = int(torch.randint(len(points), (), generator=generator))
-        centres = torch.cat([centres, points[index : index + 1]])
-        distance = torch.minimum(distance, (points - points[index]).square().sum(1))
-    return centres
+    values = points.double().cpu().numpy()
+    random = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # points that coincide fill fewer groups
+        starts = [
+            vq.kmeans2(values, clusters, iter=1, minit="++", rng=random)[0] for _ in range(restarts)
+        ]
+    centres, _ = min((vq.kmeans(values, start, thresh=0) for start in starts), key=itemgetter(1))
+    groups, _ = vq.vq(values, centres)
+    return torch.from_numpy(groups).long()
 
 
 def subspace_clusters(
