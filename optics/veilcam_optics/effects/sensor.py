@@ -228,8 +228,10 @@ class Converter(Effect):
         return f"{conditions.adc_bits} bits up to an embedding value of {ends:.3g}"
 
     def measurement(
-        self, values: Tensor, model: Model, generator: torch.Generator | None
+        self,
+        values: Tensor,
+        model: Model,
+        generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
         """Rounded, with the gradient of the identity."""
-        del generator
         return digitised(values, model.conditions.adc_bits, converter_range(model.conditions))

@@ -30,8 +30,7 @@ from veilcam_training.experiments.stopwatch import Stopwatch, time_label
 from veilcam_training.trainer.callbacks import Callback
 
 
-def _no_callbacks(cell: Cell) -> Sequence[Callback]:
-    del cell
+def _no_callbacks(_: Cell) -> Sequence[Callback]:
     return ()
 
 

@@ -31,15 +31,13 @@ class Stopwatch:
         self._first_share = 0.0
         self._epochs = 0
 
-    def step(self, epoch: int, done: int, steps: int) -> None:
+    def step(self, epoch: int, done: int, steps: int) -> None:  # noqa: ARG002 - part of the interface
         """Take the time after the first step: what was prepared before it is done once only."""
-        del epoch
         if self._first_share == 0:
             self._first, self._first_share = self._now(), done / steps
 
-    def epoch(self, epoch: Epoch) -> None:
+    def epoch(self, epoch: Epoch) -> None:  # noqa: ARG002 - part of the interface
         """Take the time at the end of an epoch."""
-        del epoch
         self._ended = self._now()
         self._epochs += 1
 

@@ -59,9 +59,8 @@ class MovingAverage:
         self._mean = copy.deepcopy(model.classifier).requires_grad_(False)
 
     @torch.no_grad()
-    def step(self, epoch: int, done: int, steps: int) -> None:
+    def step(self, epoch: int, done: int, steps: int) -> None:  # noqa: ARG002 - part of the interface
         """Take the new weights into the mean."""
-        del epoch, done, steps
         self._steps += 1
         share = 1 - min(self._decay, self._steps / (self._steps + 9))
         weights = self._model.classifier.state_dict()

@@ -64,7 +64,11 @@ class Transform(ABC):
         """
 
     def in_parts(
-        self, images: Tensor, generator: torch.Generator, *, training: bool
+        self,
+        images: Tensor,
+        generator: torch.Generator,
+        *,
+        training: bool,  # noqa: ARG002 - part of the interface
     ) -> Iterator[Shown]:
         """What a camera is shown, some images at a time: by default all scenes at once.
 
@@ -73,16 +77,14 @@ class Transform(ABC):
             generator: as above.
             training: True may draw the images less independently of each other, if that is cheaper.
         """
-        del training
         yield Shown(torch.arange(len(images)), self(images, generator))
 
 
 class Identity(Transform):
     """The image is the scene."""
 
-    def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
+    def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:  # noqa: ARG002 - part of the interface
         """Return ``images``."""
-        del generator
         return images
 
 
@@ -185,10 +187,13 @@ class Rescale(Transform):
         return low + (high - low) * torch.rand(count, generator=generator)
 
     def in_parts(
-        self, images: Tensor, generator: torch.Generator, *, training: bool
+        self,
+        images: Tensor,
+        generator: torch.Generator,
+        *,
+        training: bool,  # noqa: ARG002 - part of the interface
     ) -> Iterator[Shown]:
         """Each image on the finest grid that has room for it."""
-        del training
         heights = self.draw_heights(len(images), generator)
         octaves = (self._heights[1] / heights).log2().long().clamp(0, len(self.finer))
         factors = heights / self._image.height
