@@ -2,17 +2,14 @@
 
 import time
 from collections.abc import Sequence
-from statistics import median
 from typing import Literal
 
 import torch
 from torch import nn
+from torch.utils.benchmark import Timer
 
 from veilcam_training.models.whitening import plain
 from veilcam_training.trainer.callbacks import Epoch
-
-REPEATS = 100
-WARM_UP = 10
 
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""
@@ -64,16 +61,6 @@ def time_label(classifier: nn.Module, inputs: int) -> float:
 
     On the CPU, with one thread and one measurement at a time, as a device without a GPU does it.
     """
-    classifier = plain(classifier).cpu().eval()
-    measurement = torch.rand(1, inputs)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    times = []
-    try:
-        for _ in range(WARM_UP + REPEATS):
-            started = time.perf_counter()
-            int(classifier(measurement).argmax())
-            times.append(time.perf_counter() - started)
-    finally:
-        torch.set_num_threads(threads)
-    return median(times[WARM_UP:])
+    used = {"classifier": plain(classifier).cpu().eval(), "measurement": torch.rand(1, inputs)}
+    timer = Timer("int(classifier(measurement).argmax())", globals=used, num_threads=1)
+    return timer.blocked_autorange().median
