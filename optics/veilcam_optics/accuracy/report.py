@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import torch
-from rich.table import Table
+from rich.table import Column, Table
 
 from veilcam_optics.accuracy.measure import Point, pareto_front
 
@@ -36,14 +36,18 @@ def duration(seconds: float) -> str:
 def table(result: Result) -> Table:
     """Fastest first; a dot marks what no other setting beats in both time and error."""
     front = {id(point) for point in pareto_front(result.points)}
-    shown = Table(title=result.title, title_justify="left", pad_edge=False)
-    shown.add_column("")
-    shown.add_column("method")
-    shown.add_column("dials")
-    shown.add_column("dtype", no_wrap=True)
-    shown.add_column("error", justify="right", no_wrap=True)
-    shown.add_column("time", justify="right", no_wrap=True)
-    shown.add_column("set-up", justify="right", no_wrap=True)
+    shown = Table(
+        "",
+        "method",
+        "dials",
+        Column("dtype", no_wrap=True),
+        Column("error", justify="right", no_wrap=True),
+        Column("time", justify="right", no_wrap=True),
+        Column("set-up", justify="right", no_wrap=True),
+        title=result.title,
+        title_justify="left",
+        pad_edge=False,
+    )
     for point in sorted(result.points, key=lambda p: p.seconds):
         shown.add_row(
             "●" if id(point) in front else "",

@@ -7,7 +7,7 @@ from functools import cached_property
 import torch
 from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from torch import Tensor
 
 from veilcam_optics import effects
@@ -159,12 +159,15 @@ def _assess(
 
 def table(plan: Plan) -> Table:
     """Every effect: on or off, error if ignored, cost, reason."""
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    shown.add_column("effect", no_wrap=True)
-    shown.add_column("", no_wrap=True)
-    shown.add_column("error if ignored", justify="right", no_wrap=True)
-    shown.add_column("cost [ms]", justify="right", no_wrap=True)
-    shown.add_column("why")
+    shown = Table(
+        Column("effect", no_wrap=True),
+        Column("", no_wrap=True),
+        Column("error if ignored", justify="right", no_wrap=True),
+        Column("cost [ms]", justify="right", no_wrap=True),
+        "why",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
     for found in plan.assessments:
         shown.add_row(
             found.name,
