@@ -3,8 +3,6 @@
 The sync and the async camera share these, so they cannot drift apart.
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reading and writing ``*.veilcam`` files: zip archives with the parts of a mode, and no code."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io
@@ -10,7 +8,7 @@ import zlib
 from pathlib import Path
 
 from veilcam_optics.files import write_whole
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.manifest import (
     FreshManifest,
     Manifest,
@@ -106,8 +104,10 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in {MANIFEST: dump_manifest(manifest), **parts}.items():
-            if len(data) > MAX_PART[name]:
-                raise BundleError(f"{name} has {len(data)} bytes: use at most {MAX_PART[name]}")
+            require(
+                len(data) <= MAX_PART[name],
+                f"{name} has {len(data)} bytes: use at most {MAX_PART[name]}",
+            )
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
     write_whole(path, buffer.getvalue(), private=True)
 
@@ -115,8 +115,7 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
 def _read(path: Path) -> Bundle:
     try:
         size = path.stat().st_size
-        if size > MAX_FILE:
-            raise BundleError(f"has {size} bytes: a bundle has at most {MAX_FILE}")
+        require(size <= MAX_FILE, f"has {size} bytes: a bundle has at most {MAX_FILE}")
         data = path.read_bytes()
     except FileNotFoundError:
         raise BundleError("there is no such file: check the path, or train a bundle") from None
@@ -131,13 +130,19 @@ def _read(path: Path) -> Bundle:
         raise BundleError("is not a whole bundle (truncated or damaged): copy it again") from None
     manifest = load_manifest(parts[MANIFEST])
     wanted = set(PARTS[manifest.mode])
-    if manifest.parts.keys() != wanted:
-        raise BundleError("bundle.json lacks the digest of a part: export the bundle again")
-    if parts.keys() - {MANIFEST} != wanted:
-        raise BundleError(f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only")
+    require(
+        manifest.parts.keys() == wanted,
+        "bundle.json lacks the digest of a part: export the bundle again",
+    )
+    require(
+        parts.keys() - {MANIFEST} == wanted,
+        f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only",
+    )
     for name, digest in manifest.parts.items():
-        if _sha256(parts[name]) != digest:
-            raise BundleError(f"{name} is not what bundle.json says (damaged or tampered with)")
+        require(
+            _sha256(parts[name]) == digest,
+            f"{name} is not what bundle.json says (damaged or tampered with)",
+        )
     bundle = Bundle(
         task=manifest.task,
         labels=manifest.labels,
@@ -164,26 +169,25 @@ def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:
     """
     names = [entry.filename for entry in archive.infolist()]
     for name in names:
-        if name not in MAX_PART:
-            raise BundleError(f"holds an unknown part {name!r}: a bundle has none")
-    if len(set(names)) != len(names) or not {MANIFEST, MASKS, WEIGHTS} <= set(names):
-        raise BundleError(
-            f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again"
-        )
+        require(name in MAX_PART, f"holds an unknown part {name!r}: a bundle has none")
+    require(
+        len(set(names)) == len(names) and {MANIFEST, MASKS, WEIGHTS} <= set(names),
+        f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again",
+    )
     parts = {}
     for name in names:
         entry, limit = archive.getinfo(name), min(MAX_PART[name], left)
-        if entry.flag_bits & 1 or entry.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):
-            raise BundleError(f"{name} is encrypted or oddly compressed: export the bundle again")
-        if entry.file_size > limit:
-            raise BundleError(f"{name} has {entry.file_size} bytes: use at most {limit}")
+        require(
+            not entry.flag_bits & 1
+            and entry.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED),
+            f"{name} is encrypted or oddly compressed: export the bundle again",
+        )
+        require(
+            entry.file_size <= limit, f"{name} has {entry.file_size} bytes: use at most {limit}"
+        )
         with archive.open(entry) as stream:
             parts[name] = stream.read(limit + 1)
-        if len(parts[name]) > limit:
-            raise BundleError(f"{name} has more than {limit} bytes")
+        require(len(parts[name]) <= limit, f"{name} has more than {limit} bytes")
         left -= len(parts[name])
     return parts
 
