@@ -16,7 +16,7 @@ from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import StartError
 from veilcam_server.masks.secret import find_secret
-from veilcam_server.settings import DoctorSettings, Wiring
+from veilcam_server.settings import DoctorSettings, Wiring, unknown_names
 from veilcam_training.bundle import BundleError, read_bundle
 
 LEAST_SYSTEMD = 250
@@ -59,6 +59,7 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
         ("panel", lambda: [_needed(settings, name, what) for name, what in display.needs.items()]),
         ("frame memory", lambda: [_frame_memory(machine)]),
         ("camera", lambda: [_camera(machine, settings, sensor, usable)]),
+        ("environment", lambda: [_environment()]),
         ("state directory", lambda: [_state_dir(machine, settings.state_dir)]),
         ("disk", lambda: [_room(machine, settings.state_dir)]),
         ("bundle", lambda: _bundle(machine, settings)),
@@ -215,6 +216,14 @@ def _camera(machine: Machine, wiring: Wiring, sensor: SensorDriver, usable: Set[
     if sensor.model not in model:
         return Finding("camera", "bad", model, f"connect {sensor.product}")
     return Finding("camera", "ok", f"{model}, number {wiring.camera_number}")
+
+
+def _environment() -> Finding:
+    unknown = unknown_names()
+    if not unknown:
+        return Finding("environment", "ok", "every VEILCAM_... is known")
+    found = f"{', '.join(unknown)}: no setting"
+    return Finding("environment", "bad", found, " ".join(unknown.values()))
 
 
 def _state_dir(machine: Machine, directory: Path) -> Finding:

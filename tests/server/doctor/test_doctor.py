@@ -111,7 +111,7 @@ def findings(bed: Bed, plan: DoctorSettings) -> dict[str, Finding]:
 def test_a_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
     found = findings(bed, plan)
     assert {finding.outcome for finding in found.values()} == {"ok"}
-    assert len(found) == 19
+    assert len(found) == 20
     assert found["board"].found == "Raspberry Pi 5 Model B Rev 1.0"
     assert bed.opened == [0]
     assert bed.closed == [True]
@@ -206,7 +206,7 @@ def test_a_package_that_fails_at_import_is_named_with_its_error(
         return import_extra(name) if wanted == name else bed.load(wanted)
 
     found = {each.name: each for each in examine(replace(bed.machine, load=load), plan)}
-    assert len(found) == 19
+    assert len(found) == 20
     assert found[name].outcome == "bad"
     assert kind in found[name].found
     assert text.partition("\\n")[0] in found[name].found
@@ -273,6 +273,16 @@ def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: DoctorSettings) -> Non
     assert bed.opened == [1]
     fast = wiring.model_copy(update={"allow_fast_spi": True})
     assert findings(bed, fast)["bus clock"].outcome == "ok"
+
+
+def test_a_setting_that_is_misspelled_is_said(
+    bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert findings(bed, plan)["environment"].outcome == "ok"
+    monkeypatch.setenv("VEILCAM_PANELTAB", "red")
+    found = findings(bed, plan)["environment"]
+    assert (found.outcome, found.found) == ("bad", "VEILCAM_PANELTAB: no setting")
+    assert found.remedy == "did you mean VEILCAM_PANEL_TAB?"
 
 
 def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: DoctorSettings) -> None:
