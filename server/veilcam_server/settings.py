@@ -76,6 +76,8 @@ class DoctorSettings(Wiring):
 
     bundle: Path | None = None
     """That of 'veilcamd serve'."""
+    owner_keys: Path | None = None
+    """That of 'veilcamd serve'."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """That of 'veilcamd serve'."""
     mask_secret: Path | None = None
@@ -106,6 +108,11 @@ class Settings(Wiring):
 
     bundle: Path
     """Masks and classifiers, a *.veilcam file. With --simulate, the demo's by default."""
+    owner_keys: Path | None = None
+    """Take bundles of these owners alone, and of rising version: a file of public keys, one line
+    each, of 'veilcam-train bundle keygen'."""
+    allow_older: bool = False
+    """Start with a bundle of an older version than the one that was in use."""
     device: Literal["pi", "simulated"] = "pi"
     """Use a simulated panel and sensor instead of a Raspberry Pi's."""
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
@@ -239,6 +246,8 @@ class Settings(Wiring):
             raise ValueError("--scene-api is for a simulated camera: add --simulate")
         if self.device != "simulated" and self.imperfections is not None:
             raise ValueError("only a simulated camera is given --imperfections: add --simulate")
+        if self.allow_older and self.owner_keys is not None:
+            raise ValueError("with --owner-keys no older bundle is taken: leave out --allow-older")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":
