@@ -365,6 +365,7 @@ def test_limits_are_those_of_the_format() -> None:
     assert archive.MAX_FILE == 1024 * MEBIBYTE
     assert {name: size / MEBIBYTE for name, size in archive.MAX_PART.items()} == {
         "bundle.json": 8,
+        "owner.json": 2**-8,
         "masks.safetensors": 256,
         "weights.safetensors": 1024,
         "scene_stats.safetensors": 256,
