@@ -28,6 +28,7 @@ from veilcam_server.errors import (
     BundleUnfitError,
     EpochError,
     FenceError,
+    ProblemError,
     RotationImpossibleError,
     SelfTestError,
     StartError,
@@ -53,17 +54,18 @@ def build_service(settings: Settings) -> Service:
     """
     if settings.replay is not None:
         return replay_service(settings, settings.replay)
+    faults: list[ProblemError] = []
     try:
-        bundle = read_bundle(settings.bundle)
-        form = release_form(settings, bundle)
-        signed = open_calibration(settings, bundle)
-        opener = make_opener(settings, bundle, signed)
-        store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
-        keys, faults = last_good(store, opener)
-        keys = keys or opener.load(bundle)
         with ExitStack() as undo:
-            epochs = EpochStore(settings.state_dir)
+            # First of all: it keeps other daemons off the state.
+            epochs = EpochStore(settings.state_dir, report=faults.append)
             undo.callback(epochs.close)
+            bundle = read_bundle(settings.bundle)
+            form = release_form(settings, bundle)
+            signed = open_calibration(settings, bundle)
+            opener = make_opener(settings, bundle, signed)
+            store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
+            keys = last_good(store, opener, faults.append) or opener.load(bundle)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -96,12 +98,13 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit, faults=faults),
+        BundleManager(store, opener, keys, limit=settings.bundle_limit),
         CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        faults=faults,
     )
 
 
@@ -186,7 +189,7 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_admission(settings) as admission:
+        with open_admission(settings, service.report) as admission:
             config = uvicorn.Config(
                 create_app(service, admission),
                 log_config=None,

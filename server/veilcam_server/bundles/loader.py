@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.secret import find_secret
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import Report
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 
@@ -162,18 +163,19 @@ class Opener:
             raise BundleUnfitError(str(error)) from None
 
 
-def last_good(store: BundleStore, opener: Opener) -> tuple[LoadedBundle | None, Sequence[str]]:
+def last_good(store: BundleStore, opener: Opener, report: Report) -> LoadedBundle | None:
     """The bundle that was in use last and still can be; None for the configured one.
 
-    Returns:
-        That, and a line on each that cannot be used.
+    Args:
+        store: where they are.
+        opener: makes them usable.
+        report: takes why one is not in use any more.
     """
-    faults: list[str] = []
     for digest in store.candidates():
         if digest == store.configured:
             break
         try:
-            return opener.open(store.path(digest), digest), faults
+            return opener.open(store.path(digest), digest)
         except (UnknownBundleError, BundleInvalidError, BundleUnfitError) as error:
-            faults.append(f"bundle {digest[:12]} is not in use any more: {error}")
-    return None, faults
+            report(BundleInvalidError(f"bundle {digest[:12]} is not in use any more: {error}"))
+    return None

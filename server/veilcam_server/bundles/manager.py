@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle, InstalledBundles
@@ -28,7 +28,6 @@ class BundleManager:
         opener: makes them usable.
         keys: in use.
         limit: of an upload [bytes].
-        faults: why others are not in use that should be.
     """
 
     def __init__(
@@ -38,10 +37,9 @@ class BundleManager:
         keys: LoadedBundle,
         *,
         limit: int,
-        faults: Sequence[str] = (),
     ) -> None:
         self._store, self._opener, self._keys = store, opener, keys
-        self.limit, self.faults = limit, tuple(faults)
+        self.limit = limit
         self._infos: dict[str, BundleInfo | None] = {keys.info.digest: keys.info}
         self._changing = asyncio.Lock()
 

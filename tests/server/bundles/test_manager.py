@@ -23,7 +23,13 @@ from veilcam_server.bundles.loader import Opener, last_good
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
-from veilcam_server.errors import BundleInvalidError, BundleStoreError, StartError
+from veilcam_server.errors import (
+    BundleInvalidError,
+    BundleStoreError,
+    ProblemError,
+    StartError,
+    StateLostError,
+)
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
@@ -341,8 +347,9 @@ class Restarts:
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""
         bundle = read_bundle(self.files[configured])
-        keys, faults = last_good(self.store(configured), Opener(bundle, load_pairs))
-        return (bundle.task if keys is None else keys.info.task), list(faults)
+        faults: list[ProblemError] = []
+        keys = last_good(self.store(configured), Opener(bundle, load_pairs), faults.append)
+        return (bundle.task if keys is None else keys.info.task), [str(fault) for fault in faults]
 
 
 @pytest.fixture
@@ -403,12 +410,15 @@ def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
 
 async def test_faults_of_the_start_are_events(bench: Bench) -> None:
     service = bench.service(bench.camera())
-    service.bundles.faults = ("bundle 0123 is not in use any more",)
+    service.report(BundleInvalidError("bundle 0123 is not in use any more"))
     async with service.open():
+        service.report(StateLostError("of later"))
         heard = [event async for event in _until_quiet(service.events("x-0"))]
-    (fault,) = [event for event in heard if isinstance(event, Fault)]
-    assert fault.code == "bundle_invalid"
-    assert fault.detail == service.bundles.faults[0]
+    faults = [event for event in heard if isinstance(event, Fault)]
+    assert [(fault.code, fault.detail) for fault in faults] == [
+        ("bundle_invalid", "bundle 0123 is not in use any more"),
+        ("state_lost", "of later"),
+    ]
 
 
 async def _until_quiet(events: AsyncIterator[Event | None]) -> AsyncIterator[Event]:
