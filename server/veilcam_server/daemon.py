@@ -64,7 +64,9 @@ def build_service(settings: Settings) -> Service:
             form = release_form(settings, bundle)
             signed = open_calibration(settings, bundle)
             opener = make_opener(settings, bundle, signed)
-            store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
+            store = BundleStore(
+                settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
+            )
             keys = last_good(store, opener, faults.append) or opener.load(bundle)
             device = open_device(settings, bundle)
             undo.callback(device.close)

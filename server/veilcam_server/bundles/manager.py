@@ -95,7 +95,7 @@ class BundleManager:
                         self._keys = before
                     raise
             finally:
-                staged.unlink(missing_ok=True)
+                staged.close()
             return await self._response(digest)
 
     async def reopen(self, opener: Opener, change: Change) -> None:

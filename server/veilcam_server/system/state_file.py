@@ -11,7 +11,7 @@ import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -48,6 +48,18 @@ class _Copy(Generic[StateT]):
     serial: int = -1
     state: StateT | None = None
     fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Staged(Generic[StateT]):
+    """A change of a record that is on the disk, beside it."""
+
+    state: StateT
+    """The record as it will be."""
+    commit: Callable[[], None]
+    """Makes it hold; raises :class:`OSError` as :meth:`StateFile.change`."""
+    close: Callable[[], None]
+    """Lets others change the record; what was not committed is gone."""
 
 
 class StateFile(Generic[StateT]):
@@ -115,18 +127,37 @@ class StateFile(Generic[StateT]):
                 the disk failed between one copy's change of names and the other's, it is either.
             StartError: it is of another version of this software.
         """
-        with self._locked(self.patience) as lock:
+        with closing(self.stage(update)) as staged:
+            staged.commit()
+            return staged.state
+
+    def stage(self, update: Callable[[StateT | None], StateT]) -> Staged[StateT]:
+        """Begin a change whose end must not fail: a full disk prevents it here, if at all.
+
+        Returns:
+            What makes it hold. Nobody else changes the record before that is closed.
+
+        Raises:
+            OSError, StartError: as :meth:`change`.
+        """
+        with ExitStack() as undo:
+            lock = undo.enter_context(self._locked(self.patience))
             copies = self._copies()
             if self._differ(copies):
                 self._tell(copies, repaired=self._repair(copies))
             newest = _newest(copies)
             state = update(newest.state)
-            self._replace(self._encode(state, newest.serial + 1))
-            self._told = ""
-            if os.fstat(lock).st_size == 0:
-                with suppress(OSError):  # the next change does it
-                    os.write(lock, b"written\n")
-        return state
+            undo.callback(self._discard)
+            self._write_beside(self._encode(state, newest.serial + 1))
+
+            def commit() -> None:
+                self._put_in_place()
+                self._told = ""
+                if os.fstat(lock).st_size == 0:
+                    with suppress(OSError):  # the next change does it
+                        os.write(lock, b"written\n")
+
+            return Staged(state, commit, undo.pop_all().close)
 
     def _encode(self, state: StateT, serial: int) -> bytes:
         content = f"{serial}\n{state.model_dump_json()}\n".encode()
@@ -187,7 +218,11 @@ class StateFile(Generic[StateT]):
         if newest.state is None:
             return False
         if any(copy.content != newest.content for copy in copies):
-            self._replace(newest.content)
+            try:
+                self._write_beside(newest.content)
+                self._put_in_place()
+            finally:
+                self._discard()
         return True
 
     def _tell(self, copies: Sequence[_Copy[StateT]], *, repaired: bool) -> None:
@@ -208,21 +243,24 @@ class StateFile(Generic[StateT]):
             self._report(fault)
         self._told = fault.code
 
-    def _replace(self, content: bytes) -> None:
-        """Write both copies anew; all that a full disk can prevent comes before the first one."""
+    def _write_beside(self, content: bytes) -> None:
+        for path in self._paths:
+            descriptor = os.open(_new(path), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(descriptor, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+
+    def _put_in_place(self) -> None:
         # The record itself comes last: who sees it change finds both changed.
-        staged = [(path.with_name(f"{path.name}.new"), path) for path in reversed(self._paths)]
-        try:
-            for new, _ in staged:
-                _write(new, content)
-            for new, path in staged:
-                new.replace(path)
-        except OSError:
-            for new, _ in staged:
-                with suppress(OSError):
-                    new.unlink()
-            raise
+        for path in reversed(self._paths):
+            _new(path).replace(path)
         sync_folder(self._lock.parent)
+
+    def _discard(self) -> None:
+        for path in self._paths:
+            with suppress(OSError):
+                _new(path).unlink()
 
     @contextmanager
     def _locked(self, patience: float) -> Iterator[int]:
@@ -290,16 +328,12 @@ def _newest(copies: Sequence[_Copy[StateT]]) -> _Copy[StateT]:
     return max(copies, key=lambda copy: copy.serial)
 
 
+def _new(path: Path) -> Path:
+    return path.with_name(f"{path.name}.new")
+
+
 def _aside(path: Path) -> Path:
     return path.with_name(f"{path.name}.damaged")
-
-
-def _write(path: Path, content: bytes) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 def _lock(descriptor: int, patience: float) -> None:

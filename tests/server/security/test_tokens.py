@@ -286,9 +286,9 @@ def test_tokens_of_a_later_version_let_nobody_in(store: TokenStore, tmp_path: Pa
     class Later(BaseModel):
         more: int = 0
 
-    StateFile(tmp_path / "state" / "tokens.json", Later, lost="")._replace(
-        StateFile(tmp_path / "state" / "other", Later, lost="")._encode(Later(), 9)
-    )
+    written = StateFile(tmp_path / "later.json", Later, lost="")
+    written.change(lambda _: Later())
+    (tmp_path / "later.json").replace(tmp_path / "state" / "tokens.json")
     with pytest.raises(TokenStoreError, match=r"cannot be read: .* is of another version"):
         who(store, made.secret)
     with pytest.raises(TokenStoreError, match=r"cannot be written: .* is of another version"):
@@ -415,7 +415,7 @@ def test_what_is_made_is_flushed_to_the_disk(
 
     monkeypatch.setattr(os, "fsync", noted)
     made = make(store)
-    assert flushed == ["tokens.json.copy.new", "tokens.json.new", "state"]
+    assert flushed == ["tokens.json.new", "tokens.json.copy.new", "state"]
     store.revoke(made.id)
     assert len(flushed) == 6
 
@@ -435,7 +435,7 @@ def test_a_change_that_breaks_off_leaves_nothing(
     before = record(tmp_path / "state")
     store._wall = lambda: 1.9e9
     with monkeypatch.context() as patch:
-        patch.setattr(store._file, "_replace", full)
+        patch.setattr(store._file, "_write_beside", full)
         with pytest.raises(TokenStoreError, match="cannot be written"):
             store.revoke(made.id)
     # The clock was advanced in the same change, and so is not.

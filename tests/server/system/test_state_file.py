@@ -251,8 +251,8 @@ def test_everything_is_flushed_before_it_takes_its_place(
     monkeypatch.setattr(Path, "replace", renamed)
     rig.write("a")
     assert done == [
-        "flush note.json.copy.new",
         "flush note.json.new",
+        "flush note.json.copy.new",
         "rename to note.json.copy",
         "rename to note.json",
         f"flush {rig.path.parent.name}",
@@ -281,6 +281,29 @@ def test_damage_found_by_a_change_is_told_and_loses_nothing(rig: Rig) -> None:
     assert changed == Note(text="ab")
     assert rig.codes() == ["state_damaged"]
     assert rig.read() == Note(text="ab")
+
+
+def test_what_is_staged_holds_once_it_is_committed(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.write("a")
+    with closing(rig.open().stage(lambda _: Note(text="b"))) as staged:
+        assert staged.state == Note(text="b")
+        assert rig.read() == Note(text="a")
+        impatient = rig.open()
+        impatient.patience = 0.0
+        with pytest.raises(OSError, match="another process keeps it"):
+            impatient.change(lambda _: Note(text="c"))
+        staged.commit()
+        assert rig.read() == Note(text="b")
+    with closing(rig.open().stage(lambda _: Note(text="c"))):
+        pass
+    assert rig.read() == Note(text="b")
+    with full_disk(monkeypatch), pytest.raises(OSError, match="No space left"):
+        rig.open().stage(lambda _: Note(text="d"))
+    rig.write("e")
+    assert rig.read() == Note(text="e")
+    assert len(list(rig.path.parent.iterdir())) == 3
 
 
 def test_another_version_s_record_is_refused_and_left_alone(rig: Rig) -> None:
