@@ -38,6 +38,7 @@ from veilcam_server.errors import (
     BundleUntrustedError,
     EpochError,
     FenceError,
+    ProblemError,
     RotationImpossibleError,
     SelfTestError,
     StartError,
@@ -63,17 +64,21 @@ def build_service(settings: Settings) -> Service:
     """
     if settings.replay is not None:
         return replay_service(settings, settings.replay)
+    faults: list[ProblemError] = []
     try:
-        bundle = read_bundle(settings.bundle)
-        form = release_form(settings, bundle)
-        signed = open_calibration(settings, bundle)
-        owners = Owners.open(settings.owner_keys)
-        opener = Opener(bundle, source_opener(settings, signed), owners)
-        store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
-        keys, faults = last_good(store, opener, bundle, allow_older=settings.allow_older)
         with ExitStack() as undo:
-            epochs = EpochStore(settings.state_dir)
+            # First of all: it keeps other daemons off the state.
+            epochs = EpochStore(settings.state_dir, report=faults.append)
             undo.callback(epochs.close)
+            bundle = read_bundle(settings.bundle)
+            form = release_form(settings, bundle)
+            signed = open_calibration(settings, bundle)
+            owners = Owners.open(settings.owner_keys)
+            opener = Opener(bundle, source_opener(settings, signed), owners)
+            store = BundleStore(
+                settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
+            )
+            keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -98,7 +103,7 @@ def build_service(settings: Settings) -> Service:
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
-    faults = (*faults, *note_start(store, opener, keys))
+    note_start(store, opener, keys, faults.append)
     return Service(
         camera,
         Identity(
@@ -108,12 +113,13 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit, faults=faults),
+        BundleManager(store, opener, keys, limit=settings.bundle_limit),
         CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        faults=faults,
     )
 
 
@@ -198,7 +204,7 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_admission(settings) as admission:
+        with open_admission(settings, service.report) as admission:
             config = uvicorn.Config(
                 create_app(service, admission),
                 log_config=None,

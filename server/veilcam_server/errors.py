@@ -49,6 +49,24 @@ class StoppedError(Exception):
     """The daemon cannot go on and ended; one line that says what to do."""
 
 
+class StateDamagedError(
+    ProblemError,
+    code="state_damaged",
+    status=500,
+    title="A file of the state was damaged, and its copy is used",
+):
+    """One of the two copies of a state file is damaged or gone; nothing is lost."""
+
+
+class StateLostError(
+    ProblemError,
+    code="state_lost",
+    status=500,
+    title="A file of the state and its copy are damaged",
+):
+    """Both copies of a state file are damaged or gone; the message says what follows."""
+
+
 class EpochError(
     ProblemError,
     code="epoch_not_recorded",
