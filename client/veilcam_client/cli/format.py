@@ -224,7 +224,9 @@ def event_in_words(event: Event) -> str:
         case RotationChanged():
             return policy_in_words(event.policy)
         case BundleChanged():
-            return f"{event.task}  bundle {event.digest[:12]}"
+            version = f"  version {event.version}" if event.version or event.older else ""
+            older = ", older than the one before" if event.older else ""
+            return f"{event.task}  bundle {event.digest[:12]}{version}{older}"
     return _rare_in_words(event)
 
 
@@ -245,6 +247,9 @@ def bundle_in_words(installed: InstalledBundle) -> str:
     """What a bundle is, in one line; a star stands at the one in use."""
     star, held = ("*" if installed.active else " "), installed.bundle
     content = "damaged" if held is None else f"{held.task}, {masks_in_words(held)}"
+    if held is not None and held.version:
+        content += f", version {held.version}"
+        content += f" signed by {held.signed_by}" if held.signed_by else " not signed"
     own = "  configured" if installed.configured else ""
     return f"{star} {installed.digest[:12]}  {installed.size / 1e6:7.1f} MB  {content}{own}"
 

@@ -20,6 +20,7 @@ from veilcam_training.bundle.classifier import (
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.fresh import Fresh, check_fresh
 from veilcam_training.bundle.layers import LayerRecord
+from veilcam_training.bundle.signature import OwnerKey
 
 MAX_PAIRS = 4096
 MAX_LABELS = 1024
@@ -76,6 +77,10 @@ class Bundle:
     """Mean over the pairs."""
     channels: Literal[1, 3] = 1
     """1 for a gray embedding, 3 for one per colour (R, G, B, each ``embedding.size`` long)."""
+    version: int = 0
+    """Of its owner's choice, from 1 on; 0 for one that has none."""
+    owner: OwnerKey | None = None
+    """Who signed the file that it was read from."""
     digest: str = ""
     """SHA-256 of the file that it was read from, hexadecimal."""
 
