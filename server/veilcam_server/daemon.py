@@ -13,10 +13,18 @@ import uvicorn
 
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
-from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
+from veilcam_server.bundles.loader import (
+    Identity,
+    Opener,
+    last_good,
+    note_start,
+    release_form,
+    rotation_policy,
+)
 from veilcam_server.bundles.manager import BundleManager
+from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
-from veilcam_server.calibration.loading import make_opener, open_calibration, settle_time
+from veilcam_server.calibration.loading import open_calibration, settle_time, source_opener
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
@@ -25,18 +33,18 @@ from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
+    BundleOlderError,
     BundleUnfitError,
+    BundleUntrustedError,
     EpochError,
     FenceError,
+    ProblemError,
     RotationImpossibleError,
     SelfTestError,
     StartError,
     StoppedError,
 )
-from veilcam_server.gate.connections import Connections
-from veilcam_server.gate.descriptors import room_for
-from veilcam_server.gate.protocol import Deadlines
-from veilcam_server.gate.server import Gate, GateServer
+from veilcam_server.gate.server import Gate, GateServer, open_gate
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
@@ -57,17 +65,21 @@ def build_service(settings: Settings) -> Service:
     """
     if settings.replay is not None:
         return replay_service(settings, settings.replay)
+    faults: list[ProblemError] = []
     try:
-        bundle = read_bundle(settings.bundle)
-        form = release_form(settings, bundle)
-        signed = open_calibration(settings, bundle)
-        opener = make_opener(settings, bundle, signed)
-        store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
-        keys, faults = last_good(store, opener)
-        keys = keys or opener.load(bundle)
         with ExitStack() as undo:
-            epochs = EpochStore(settings.state_dir)
+            # First of all: it keeps other daemons off the state.
+            epochs = EpochStore(settings.state_dir, report=faults.append)
             undo.callback(epochs.close)
+            bundle = read_bundle(settings.bundle)
+            form = release_form(settings, bundle)
+            signed = open_calibration(settings, bundle)
+            owners = Owners.open(settings.owner_keys)
+            opener = Opener(bundle, source_opener(settings, signed), owners)
+            store = BundleStore(
+                settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
+            )
+            keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -87,10 +99,12 @@ def build_service(settings: Settings) -> Service:
             _begin(camera)
             undo.pop_all()
     except (
-        *(BundleError, BundleUnfitError, DeviceError, EpochError),
+        *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
+        *(DeviceError, EpochError),
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
+    note_start(store, opener, keys, faults.append)
     return Service(
         camera,
         Identity(
@@ -100,12 +114,13 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit, faults=faults),
+        BundleManager(store, opener, keys, limit=settings.bundle_limit),
         CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        faults=faults,
     )
 
 
@@ -194,19 +209,15 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_admission(settings) as admission:
-            room = room_for(settings.connections)
-            gate = Gate(
-                Connections(room.connections),
-                Deadlines(settings.header_timeout, settings.body_timeout),
-                room.waiting,
-            )
+        with open_admission(settings, service.report) as admission:
+            gate = open_gate(settings)
             config = uvicorn.Config(
                 create_app(service, admission),
                 http="h11",
-                ws="none",
                 log_config=None,
                 access_log=False,
+                # An upgrade is asked like anything else, and refused by the application.
+                ws="none",
                 server_header=False,
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
@@ -48,7 +48,7 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
-    BundleInvalidError,
+    ProblemError,
     ReplayingError,
     SceneApiOffError,
     SceneInvalidError,
@@ -78,6 +78,7 @@ class Service:
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
+        faults: what was found before; told of once this is open.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class Service:
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
+        faults: Sequence[ProblemError] = (),
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self.release = form
@@ -106,6 +108,7 @@ class Service:
         for take in (self.history.add, log_event, tell_systemd, self._scheduler.wake):
             self._events.subscribe(take)
         self._since = time.monotonic()
+        self._found: list[ProblemError] | None = list(faults)
         self._inference_thread = ThreadPoolExecutor(1, "inference")
         camera.listen(publish)
 
@@ -117,8 +120,9 @@ class Service:
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
         with self._events.open():
-            for fault in () if self._bundles is None else self._bundles.faults:
-                self._events.publish(partial(Fault, code=BundleInvalidError.code, detail=fault))
+            found, self._found = self._found or (), None
+            for fault in found:
+                self.report(fault)
             try:
                 async with self._scheduler.running():
                     yield
@@ -133,6 +137,13 @@ class Service:
         finally:
             self._queue.close()
             self._inference_thread.shutdown()
+
+    def report(self, fault: ProblemError) -> None:
+        """Tell of a fault that ended nothing; from whatever thread, and before this is open too."""
+        if self._found is not None:
+            self._found.append(fault)
+        else:
+            self._events.publish(partial(Fault, code=fault.code, detail=str(fault)))
 
     @property
     def lost(self) -> SensorLostError | None:
@@ -258,17 +269,26 @@ class Service:
             number = await self._queue.run(lambda: scenes.hold(picture))
         return HeldScene(scene=number)
 
-    async def activate_bundle(self, digest: str) -> InstalledBundle:
+    async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
         """Use another bundle from now on; raises as :meth:`Bundles.activate`, or as `rotate`."""
-        return await self.bundles.activate(digest, self._use)
+        return await self.bundles.activate(digest, self._use, allow_older=allow_older)
 
     async def _use(self, keys: LoadedBundle) -> None:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
         with self._admitted():
             first = await asyncio.to_thread(self._camera.first_of, keys.source)
             await self._queue.run(lambda: self._camera.change_source(keys.source, first))
+        older = keys.info.version < self._identity.bundle.version
         self._identity = replace(self._identity, bundle=keys.info)
-        self._events.publish(partial(BundleChanged, digest=keys.info.digest, task=keys.info.task))
+        self._events.publish(
+            partial(
+                BundleChanged,
+                digest=keys.info.digest,
+                task=keys.info.task,
+                version=keys.info.version,
+                older=older,
+            )
+        )
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""
