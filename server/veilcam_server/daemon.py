@@ -212,7 +212,7 @@ def _serve(
         with open_admission(settings, service.report) as admission:
             gate = open_gate(settings)
             config = uvicorn.Config(
-                create_app(service, admission),
+                create_app(service, admission, gate.connections),
                 http="h11",
                 log_config=None,
                 access_log=False,

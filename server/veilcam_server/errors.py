@@ -317,6 +317,13 @@ class TooManyStreamsError(
         super().__init__(f"{limit} event streams are open: close one that nobody reads")
 
 
+class TooManyStreamsOfOneError(TooManyStreamsError):
+    """One caller has too many event streams open."""
+
+    def __init__(self, limit: int) -> None:
+        ProblemError.__init__(self, f"{limit} of your event streams are open: close one of them")
+
+
 class LeasedError(
     ProblemError, code="leased", status=423, title="Somebody else holds the camera", retryable=True
 ):

@@ -100,7 +100,7 @@ _REPLAYED = frozenset(
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
         *("heartbeat", "log_level", "hosts", "frame_ancestors"),
-        *("connection_limit", "header_timeout", "body_timeout"),
+        *("caller_stream_limit", "connection_limit", "header_timeout", "body_timeout"),
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -184,6 +184,8 @@ class Settings(Wiring):
     """Requests of one caller that may be under way at once, event streams included."""
     stream_limit: int = Field(default=64, ge=1, le=1024)
     """Event streams that may be open, all callers together."""
+    caller_stream_limit: int = Field(default=16, ge=1, le=1024)
+    """Event streams that one caller may open."""
     connection_limit: int | None = Field(default=None, ge=8, le=4096)
     """Connections that may be open, event streams included. Default: 256, with TLS 128."""
     header_timeout: float = Field(default=10.0, gt=0, le=600, allow_inf_nan=False)

@@ -25,6 +25,7 @@ from veilcam_server.api.routes import (
     simulation,
     tokens,
 )
+from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.service.service import Service
@@ -37,12 +38,17 @@ _ROUTES = (
 )
 
 
-def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
+def create_app(
+    service: Service,
+    admission: Admission | None = None,
+    connections: Connections | None = None,
+) -> FastAPI:
     """Return the API of ``service``; its lifespan opens and closes the service.
 
     Args:
         service: what the API does.
         admission: who may ask; without one everybody on this machine may, as tests want it.
+        connections: at the gate, for the metrics; None where there is no gate.
     """
     admission = admission or Admission()
 
@@ -73,7 +79,7 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
     )
     app.state.service = service
     app.state.admission = admission
-    app.state.metrics = metrics = Metrics(service, admission.audit)
+    app.state.metrics = metrics = Metrics(service, admission.audit, connections)
     app.state.idempotency = IdempotencyKeys()
     for routes in _ROUTES:
         app.include_router(routes.router)

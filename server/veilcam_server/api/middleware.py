@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -115,6 +116,9 @@ class RequestContext:
                     await response(scope, receive, send_with_id)
                     return
                 await self._app(scope, _limited(receive, body.limit), send_with_id)
+        except ClientDisconnect:
+            # There is nobody to answer, and whoever wants to may break off without end.
+            log.debug("broken off", request_id=request_id)
         except Exception as error:
             # The text of an error that nobody foresaw may hold anything, so it is not logged.
             log.error(
