@@ -324,6 +324,26 @@ class TooManyStreamsOfOneError(TooManyStreamsError):
         ProblemError.__init__(self, f"{limit} of your event streams are open: close one of them")
 
 
+class TooManyUploadsError(
+    ProblemError,
+    code="too_many_uploads",
+    status=429,
+    title="Too many uploads at once",
+    retryable=True,
+):
+    """Too many uploads are under way."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"{limit} uploads are under way: wait for one of them to end")
+
+
+class TooManyUploadsOfOneError(TooManyUploadsError):
+    """One caller has too many uploads under way."""
+
+    def __init__(self, limit: int) -> None:
+        ProblemError.__init__(self, f"{limit} of your uploads are under way: wait for one to end")
+
+
 class LeasedError(
     ProblemError, code="leased", status=423, title="Somebody else holds the camera", retryable=True
 ):

@@ -192,6 +192,11 @@ class Settings(Wiring):
     """Longest time for a TLS handshake, and for the headers of a request, in seconds."""
     body_timeout: float = Field(default=20.0, gt=0, le=600, allow_inf_nan=False)
     """Longest time for each 16 KiB of a request's body in seconds."""
+    upload_limit: int = Field(default=4, ge=1, le=64)
+    """Uploads that may be under way, all callers together; each has its file in the state
+    directory meanwhile."""
+    caller_upload_limit: int = Field(default=2, ge=1, le=64)
+    """Uploads that one caller may have under way."""
     bundle_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
     """Largest bundle that may be uploaded, in bytes."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)

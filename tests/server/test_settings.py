@@ -95,6 +95,8 @@ def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
         ("concurrency_limit", 0),
         ("stream_limit", 0),
         ("caller_stream_limit", 0),
+        ("upload_limit", 0),
+        ("caller_upload_limit", 65),
         ("connection_limit", 7),
         ("header_timeout", 0.0),
         ("body_timeout", float("inf")),

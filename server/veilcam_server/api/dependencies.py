@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -126,6 +126,19 @@ async def _holder(
 
 
 HolderDep = Annotated[str, Depends(_holder)]
+
+
+async def _upload_place(admission: AdmissionDep, caller: CallerDep) -> AsyncIterator[None]:
+    with (
+        admission.uploads_of_one.held(caller.id),
+        admission.uploads.held("all callers together"),
+    ):
+        yield
+
+
+def uploads() -> Any:
+    """For ``dependencies=[uploads()]``: 429 where too many uploads are under way."""
+    return Depends(_upload_place)
 
 
 async def _free(admission: AdmissionDep, holder: HolderDep) -> None:

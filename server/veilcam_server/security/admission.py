@@ -16,6 +16,8 @@ from veilcam_server.errors import (
     TokenStoreError,
     TooManyStreamsError,
     TooManyStreamsOfOneError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
     UnauthorizedError,
 )
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
@@ -43,6 +45,8 @@ class Admission:
         concurrency: how many requests of one caller may be under way.
         streams: how many event streams may be open, all callers together.
         streams_of_one: how many of them one caller may open.
+        uploads: how many uploads may be under way, all callers together.
+        uploads_of_one: how many of them one caller may have under way.
         lease: who holds the camera for a while.
         settings: of the daemon, for its diagnostics: without paths, addresses and labels.
     """
@@ -58,6 +62,12 @@ class Admission:
     )
     streams_of_one: ConcurrencyLimit = field(
         default_factory=lambda: ConcurrencyLimit(16, TooManyStreamsOfOneError)
+    )
+    uploads: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(4, TooManyUploadsError)
+    )
+    uploads_of_one: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(2, TooManyUploadsOfOneError)
     )
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
@@ -151,6 +161,8 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
             ConcurrencyLimit(settings.concurrency_limit),
             ConcurrencyLimit(settings.stream_limit, TooManyStreamsError),
             ConcurrencyLimit(settings.caller_stream_limit, TooManyStreamsOfOneError),
+            ConcurrencyLimit(settings.upload_limit, TooManyUploadsError),
+            ConcurrencyLimit(settings.caller_upload_limit, TooManyUploadsOfOneError),
             settings=settings.redacted(),
         )
     finally:

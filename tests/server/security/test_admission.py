@@ -22,6 +22,8 @@ from veilcam_server.errors import (
     TooManyRequestsError,
     TooManyStreamsError,
     TooManyStreamsOfOneError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
 )
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
@@ -347,6 +349,8 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
         concurrency_limit=3,
         stream_limit=4,
         caller_stream_limit=1,
+        upload_limit=3,
+        caller_upload_limit=1,
     )
     with open_admission(settings) as admission, ExitStack() as stack:
         admission.rate.take("a")
@@ -365,6 +369,13 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
         stack.enter_context(admission.streams_of_one.held("b"))
         with pytest.raises(TooManyStreamsOfOneError):
             stack.enter_context(admission.streams_of_one.held("a"))
+        for _ in range(3):
+            stack.enter_context(admission.uploads.held("all"))
+        with pytest.raises(TooManyUploadsError):
+            stack.enter_context(admission.uploads.held("all"))
+        stack.enter_context(admission.uploads_of_one.held("a"))
+        with pytest.raises(TooManyUploadsOfOneError):
+            stack.enter_context(admission.uploads_of_one.held("a"))
 
 
 # The audit log.
