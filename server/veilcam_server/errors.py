@@ -136,8 +136,51 @@ class IdempotencyError(
     code="idempotency_key_reused",
     status=422,
     title="The idempotency key belongs to another request",
+    detail="this Idempotency-Key came before with another request: use a new key",
 ):
     """An idempotency key that came before with another request."""
+
+
+class DoneBeforeRestartError(
+    ProblemError,
+    code="done_before_restart",
+    status=409,
+    title="This was done before the daemon was restarted",
+    detail=(
+        "what this Idempotency-Key asks for was done, and its answer was lost when the daemon was "
+        "restarted: look what is the case now, or ask again with a new key"
+    ),
+):
+    """What is asked for was done, and a restart lost the answer."""
+
+
+class AnswerNotKeptError(
+    ProblemError,
+    code="answer_not_kept",
+    status=409,
+    title="The answer is not kept any more",
+    detail=(
+        "what this Idempotency-Key asks for was done, and its answer made room for later ones: "
+        "look what is the case now, or ask again with a new key"
+    ),
+):
+    """What is asked for was done, and the answer is not kept any more."""
+
+
+class TooManyKeysError(
+    ProblemError,
+    code="too_many_keys",
+    status=429,
+    title="Too many idempotency keys in a short time",
+    retryable=True,
+):
+    """A caller used more idempotency keys than are remembered; ``retry_after`` [s]."""
+
+    def __init__(self, capacity: int, retry_after: int) -> None:
+        super().__init__(
+            f"{capacity} of your idempotency keys are remembered: try again in {retry_after} s"
+        )
+        self.retry_after = retry_after
 
 
 class HostRefusedError(

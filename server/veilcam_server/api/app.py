@@ -27,7 +27,6 @@ from veilcam_server.api.routes import (
 )
 from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.service.service import Service
 
 MAX_BODY = 16 * 1024
@@ -80,7 +79,6 @@ def create_app(
     app.state.service = service
     app.state.admission = admission
     app.state.metrics = metrics = Metrics(service, admission.audit, connections)
-    app.state.idempotency = IdempotencyKeys()
     for routes in _ROUTES:
         app.include_router(routes.router)
     app.add_middleware(

@@ -22,6 +22,8 @@ from veilcam_server.errors import (
 )
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import Caller
+from veilcam_server.security.idempotency import IdempotencyKeys
+from veilcam_server.security.key_record import KeyRecord
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.site import Site
@@ -47,6 +49,7 @@ class Admission:
         streams_of_one: how many of them one caller may open.
         uploads: how many uploads may be under way, all callers together.
         uploads_of_one: how many of them one caller may have under way.
+        keys: idempotency keys that came lately.
         lease: who holds the camera for a while.
         settings: of the daemon, for its diagnostics: without paths, addresses and labels.
     """
@@ -69,6 +72,7 @@ class Admission:
     uploads_of_one: ConcurrencyLimit = field(
         default_factory=lambda: ConcurrencyLimit(2, TooManyUploadsOfOneError)
     )
+    keys: IdempotencyKeys = field(default_factory=IdempotencyKeys)
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
 
@@ -163,6 +167,7 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
             ConcurrencyLimit(settings.caller_stream_limit, TooManyStreamsOfOneError),
             ConcurrencyLimit(settings.upload_limit, TooManyUploadsError),
             ConcurrencyLimit(settings.caller_upload_limit, TooManyUploadsOfOneError),
+            keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
             settings=settings.redacted(),
         )
     finally:

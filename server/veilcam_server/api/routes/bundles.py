@@ -9,6 +9,7 @@ from fastapi import APIRouter, Path, Query, Request
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_server.api.dependencies import (
     DEVICE,
+    KEYED,
     OnceDep,
     ServiceDep,
     problems,
@@ -68,7 +69,7 @@ async def install(service: ServiceDep, request: Request) -> InstalledBundle:
     dependencies=[unleased()],
     responses=problems(
         *("body_too_large", "invalid_request", "unknown_bundle", "leased"),
-        *(*_USE, *_CHANGE, "idempotency_key_reused", *DEVICE),
+        *(*_USE, *_CHANGE, *KEYED, *DEVICE),
     ),
 )
 async def activate(
