@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
 from veilcam_client.wire.events import BundleChanged, Event, Fault
 from veilcam_client.wire.problems import Problem
@@ -20,6 +20,7 @@ from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.bundles import store as bundle_store
 from veilcam_server.bundles.loader import Opener, last_good
+from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
@@ -61,8 +62,13 @@ def data(bundle: Bundle, tmp_path: Path) -> bytes:
     return path.read_bytes()
 
 
+async def upload(client: httpx.AsyncClient, data: bytes) -> httpx.Response:
+    headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
+    return await client.post("/v1/bundles", content=data, headers=headers)
+
+
 async def install(client: httpx.AsyncClient, data: bytes) -> InstalledBundle:
-    answer = await client.post("/v1/bundles", content=data)
+    answer = await upload(client, data)
     assert answer.status_code == 201, answer.text
     return InstalledBundle.model_validate_json(answer.content)
 
@@ -249,12 +255,12 @@ async def test_what_cannot_be_used_is_refused_with_the_reason(
             (unfit.read_bytes(), "bundle_unfit", "another embedding"),
             (fresh_file.read_bytes(), "bundle_unfit", "another mode"),
         ):
-            answer = await client.post("/v1/bundles", content=content)
+            answer = await upload(client, content)
             assert code(answer) == wanted
             assert word in answer.json()["detail"]
             assert str(bench.state_dir) not in answer.text
         assert await active(client) == before
-        answer = await client.post("/v1/bundles", content=bytes(2**20 + 1))
+        answer = await upload(client, bytes(2**20 + 1))
         assert code(answer) == "body_too_large"
         answer = await client.post(f"/v1/bundles/{'0' * 64}/activate")
         assert code(answer) == "unknown_bundle"
@@ -282,7 +288,7 @@ async def test_there_is_room_for_so_many(
     monkeypatch.setattr(bundle_store, "CAPACITY", 1)
     async with running() as client:
         installed = await install(client, data)
-        assert code(await client.post("/v1/bundles", content=data)) == "bundles_full"
+        assert code(await upload(client, data)) == "bundles_full"
         assert (await activate(client, installed.digest)).status_code == 200
 
 
@@ -307,7 +313,7 @@ async def test_a_full_disk_leaves_nothing_behind(
 
     async with running() as client:
         monkeypatch.setattr(os, "fsync", full)
-        answer = await client.post("/v1/bundles", content=data)
+        answer = await upload(client, data)
         monkeypatch.undo()
         assert code(answer) == "bundle_not_stored"
         assert "No space left" in answer.json()["detail"]
@@ -336,13 +342,14 @@ class Restarts:
         with store.incoming() as (path, stream):
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
-        store.commit(store.stage(self.digests[number], self.digests[before]))
+        store.commit(store.stage(self.digests[number], self.digests[before], Used()))
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""
         bundle = read_bundle(self.files[configured])
-        keys, faults = last_good(self.store(configured), Opener(bundle, load_pairs))
-        return (bundle.task if keys is None else keys.info.task), list(faults)
+        store = self.store(configured)
+        keys, faults = last_good(store, Opener(bundle, load_pairs), bundle)
+        return keys.info.task, list(faults)
 
 
 @pytest.fixture
