@@ -331,6 +331,21 @@ class BundleUnfitError(
     """A bundle for another camera than the one that is there."""
 
 
+class BundleUntrustedError(
+    ProblemError,
+    code="bundle_untrusted",
+    status=403,
+    title="The bundle is not of this camera's owner",
+):
+    """A bundle that no owner of this camera signed."""
+
+
+class BundleOlderError(
+    ProblemError, code="bundle_older", status=409, title="A newer bundle was in use"
+):
+    """A bundle of an older version than one that was in use."""
+
+
 class BundleInUseError(
     ProblemError,
     code="bundle_in_use",

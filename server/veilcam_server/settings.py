@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import ipaddress
 import json
 import os
 import re
+from collections.abc import Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -16,10 +18,23 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_server.demo_data import BUNDLE
 
+PREFIX = "VEILCAM_"
+"""Of every setting in the environment."""
+STATE_DIRECTORY = f"{PREFIX}STATE_DIRECTORY"
+"""Says what systemd's ``STATE_DIRECTORY`` says, where systemd does not."""
+_OTHERS = frozenset(
+    (
+        *(f"{PREFIX}URL", f"{PREFIX}TOKEN", f"{PREFIX}CA_FILE"),  # of the client
+        f"{PREFIX}TEST_THREADS",  # of the tests
+        STATE_DIRECTORY,
+    )
+)
+"""Names in the environment that are no settings of a daemon, and may stand beside them."""
+
 
 def default_state_dir() -> Path:
-    """Where systemd says (``StateDirectory=``), or the user's state directory (XDG)."""
-    given = os.environ.get("STATE_DIRECTORY")
+    """Where the environment or systemd says (``StateDirectory=``), or that of the user (XDG)."""
+    given = os.environ.get(STATE_DIRECTORY) or os.environ.get("STATE_DIRECTORY")
     if given:
         return Path(given)
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
@@ -31,7 +46,7 @@ class Wiring(BaseSettings):
 
     # Of the docstrings below 'veilcamd --help' is made, one command-line option of each.
     model_config = SettingsConfigDict(
-        env_prefix="VEILCAM_", extra="forbid", frozen=True, use_attribute_docstrings=True
+        env_prefix=PREFIX, extra="forbid", frozen=True, use_attribute_docstrings=True
     )
 
     panel: str = "ST7735R"
@@ -61,6 +76,8 @@ class DoctorSettings(Wiring):
     """What ``veilcamd doctor`` is told of the daemon that is going to be."""
 
     bundle: Path | None = None
+    """That of 'veilcamd serve'."""
+    owner_keys: Path | None = None
     """That of 'veilcamd serve'."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """That of 'veilcamd serve'."""
@@ -95,6 +112,11 @@ class Settings(Wiring):
 
     bundle: Path
     """Masks and classifiers, a *.veilcam file. With --simulate, the demo's by default."""
+    owner_keys: Path | None = None
+    """Take bundles of these owners alone, and of rising version: a file of public keys, one line
+    each, of 'veilcam-train bundle keygen'."""
+    allow_older: bool = False
+    """Start with a bundle of an older version than the one that was in use."""
     device: Literal["pi", "simulated"] = "pi"
     """Use a simulated panel and sensor instead of a Raspberry Pi's."""
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
@@ -209,6 +231,18 @@ class Settings(Wiring):
 
     @model_validator(mode="before")
     @classmethod
+    def _no_unknown_name(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """A setting that is misspelled would be one that is silently left out."""
+        unknown = unknown_names()
+        if unknown:
+            lines = (
+                f"{name} in the environment is no setting: {unknown[name]}" for name in unknown
+            )
+            raise ValueError("; ".join(lines))
+        return given
+
+    @model_validator(mode="before")
+    @classmethod
     def _tokens_unless_simulated(cls, given: dict[str, Any]) -> dict[str, Any]:
         return {"auth": "none" if given.get("device") == "simulated" else "tokens", **given}
 
@@ -240,6 +274,8 @@ class Settings(Wiring):
             raise ValueError("--scene-api is for a simulated camera: add --simulate")
         if self.device != "simulated" and self.imperfections is not None:
             raise ValueError("only a simulated camera is given --imperfections: add --simulate")
+        if self.allow_older and self.owner_keys is not None:
+            raise ValueError("with --owner-keys no older bundle is taken: leave out --allow-older")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":
@@ -280,3 +316,23 @@ class Settings(Wiring):
     def scene_file(self) -> Path:
         """What 'veilcamd show' writes, and a simulated camera without --scenes sees."""
         return self.state_dir / SCENE_NAME
+
+
+def unknown_names() -> dict[str, str]:
+    """Every ``VEILCAM_...`` in the environment that is nobody's, with what to do about it.
+
+    Values are left out: they may be secret.
+    """
+    known = _OTHERS | {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    given = (name for name in sorted(os.environ) if name.upper().startswith(PREFIX))
+    # As pydantic-settings reads them, in capitals or not.
+    return {name: _remedy(name.upper(), known) for name in given if name.upper() not in known}
+
+
+def _remedy(name: str, known: Set[str]) -> str:
+    """The nearest known name: one that goes on where this one ends, or one that looks like it."""
+    rests = sorted(each.removeprefix(PREFIX) for each in known)
+    rest = name.removeprefix(PREFIX)
+    near = [each for each in rests if rest and each.startswith(rest)]
+    near = near or difflib.get_close_matches(rest, rests, n=1)
+    return f"did you mean {PREFIX}{near[0]}?" if near else "leave it out"

@@ -3,8 +3,6 @@
 The sync and the async camera share these, so they cannot drift apart.
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -129,10 +127,11 @@ def install_bundle(bundle: bytes) -> Call[InstalledBundle]:
     return Call("POST", "/v1/bundles", InstalledBundle, bundle, media_type=BUNDLE_MEDIA_TYPE)
 
 
-def activate_bundle(digest: str) -> Call[InstalledBundle]:
+def activate_bundle(digest: str, allow_older: bool = False) -> Call[InstalledBundle]:
     """POST /v1/bundles/DIGEST/activate."""
+    path = f"/v1/bundles/{quote(digest, safe='')}/activate"
     return Call(
-        "POST", f"/v1/bundles/{quote(digest, safe='')}/activate", InstalledBundle, once=True
+        "POST", f"{path}?allow_older=true" if allow_older else path, InstalledBundle, once=True
     )
 
 

@@ -102,7 +102,7 @@ async def _once(
     caller: CallerDep,
     idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,128}$")] = None,
 ) -> Once:
-    head = f"{request.method} {request.url.path}\n".encode()
+    head = f"{request.method} {request.url.path}?{request.url.query}\n".encode()
     return Once(
         request.app.state.idempotency,
         # A caller's own: nobody is answered with what another one was told.

@@ -11,10 +11,14 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.errors import (
     BundleInvalidError,
+    BundleOlderError,
+    BundleStoreError,
     BundleUnfitError,
+    BundleUntrustedError,
     StartError,
     UnknownBundleError,
 )
@@ -44,6 +48,8 @@ def bundle_info(bundle: Bundle) -> BundleInfo:
         labels=bundle.labels,
         embedding_shape=bundle.embedding.shape,
         pairs=len(bundle.pairs),
+        version=bundle.version,
+        signed_by=None if bundle.owner is None else bundle.owner.short,
     )
 
 
@@ -116,16 +122,28 @@ class LoadedBundle:
     source: MaskSource = field(repr=False)
 
 
+_UNUSABLE = (UnknownBundleError, BundleInvalidError, BundleUnfitError, BundleUntrustedError)
+OpenSource = Callable[[Bundle], MaskSource]
+
+
 class Opener:
     """Opens bundles for a camera that stands as it is.
 
     Args:
         configured: the bundle that the daemon was started with.
         open_source: makes a bundle's source of masks, or raises :class:`StartError`.
+        owners: whose bundles are taken.
     """
 
-    def __init__(self, configured: Bundle, open_source: Callable[[Bundle], MaskSource]) -> None:
+    def __init__(
+        self, configured: Bundle, open_source: OpenSource, owners: Owners | None = None
+    ) -> None:
         self._configured, self._open_source = configured, open_source
+        self.owners = owners or Owners()
+
+    def with_source(self, open_source: OpenSource) -> Opener:
+        """The same, but for what makes a bundle's source of masks."""
+        return Opener(self._configured, open_source, self.owners)
 
     def read(self, path: Path) -> Bundle:
         """Read a bundle that fits this camera.
@@ -147,9 +165,15 @@ class Opener:
                 )
         return bundle
 
-    def open(self, path: Path, digest: str) -> LoadedBundle:
-        """Open the bundle of this digest; raises as :meth:`read`."""
+    def take(self, path: Path) -> Bundle:
+        """Read a bundle that may be used; raises as :meth:`read` and :meth:`Owners.check`."""
         bundle = self.read(path)
+        self.owners.check(bundle)
+        return bundle
+
+    def open(self, path: Path, digest: str) -> LoadedBundle:
+        """Open the bundle of this digest; raises as :meth:`take`."""
+        bundle = self.take(path)
         if bundle.digest != digest:
             raise BundleInvalidError("this bundle was changed on the disk: install it again")
         return self.load(bundle)
@@ -162,18 +186,68 @@ class Opener:
             raise BundleUnfitError(str(error)) from None
 
 
-def last_good(store: BundleStore, opener: Opener) -> tuple[LoadedBundle | None, Sequence[str]]:
-    """The bundle that was in use last and still can be; None for the configured one.
+def last_good(
+    store: BundleStore, opener: Opener, configured: Bundle, *, allow_older: bool = False
+) -> tuple[LoadedBundle, Sequence[str]]:
+    """The bundle that was in use last and still can be.
+
+    One that is older than what was in use is the last resort.
+
+    Args:
+        store: knows what was in use.
+        opener: of bundles that may be used.
+        configured: the bundle that the daemon was started with.
+        allow_older: may be older than the one in use before.
 
     Returns:
-        That, and a line on each that cannot be used.
+        That, and a line on each that cannot be used, or is older.
+
+    Raises:
+        BundleUnfitError, BundleUntrustedError: the configured one cannot be used.
+        BundleOlderError: the configured one is new to this daemon, and older.
     """
+    opener.owners.check(configured)
     faults: list[str] = []
+    older: list[LoadedBundle] = []
     for digest in store.candidates():
-        if digest == store.configured:
-            break
         try:
-            return opener.open(store.path(digest), digest), faults
-        except (UnknownBundleError, BundleInvalidError, BundleUnfitError) as error:
+            if digest == store.configured:
+                keys = opener.load(configured)
+            else:
+                keys = opener.open(store.path(digest), digest)
+            said = opener.owners.check_version(keys.info, store.used, allow_older=allow_older)
+        except BundleOlderError:
+            if not store.goes_on:
+                raise
+            older.append(keys)
+        except _UNUSABLE as error:
+            if digest == store.configured and not older:
+                raise
             faults.append(f"bundle {digest[:12]} is not in use any more: {error}")
-    return None, faults
+        else:
+            return keys, [*faults, _is_older(keys)] if said else faults
+    # There is one: the configured one was the last, and did not raise.
+    return older[0], [*faults, _is_older(older[0])]
+
+
+def _is_older(keys: LoadedBundle) -> str:
+    return (
+        f"bundle {keys.info.digest[:12]} of version {keys.info.version} is in use, which is older "
+        "than the one before it"
+    )
+
+
+def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle) -> Sequence[str]:
+    """Write down which bundle the daemon starts with, unless it is one that had to stand in.
+
+    Returns:
+        A line where that cannot be made durable.
+    """
+    digest = keys.info.digest
+    if digest != store.candidates()[0]:
+        return ()
+    try:
+        store.settle(digest, opener.owners.remember(keys.info, store.used))
+    except BundleStoreError as error:
+        return (f"which bundle is in use is not remembered: {error}",)
+    return ()

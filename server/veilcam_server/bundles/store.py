@@ -8,6 +8,7 @@ held before or what it holds now.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import tempfile
@@ -19,6 +20,7 @@ from typing import BinaryIO
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from veilcam_optics.files import sync_folder
+from veilcam_server.bundles.owners import Used
 from veilcam_server.errors import (
     BundleInUseError,
     BundlesFullError,
@@ -40,6 +42,12 @@ class _Active(BaseModel):
     active: str
     before: str
     configured: str
+    version: int = 0
+    """Of the active one."""
+    highest: int = 0
+    """Version of the newest one in use ever that an owner had signed."""
+    newest: str = ""
+    """Digest of that."""
 
 
 class BundleStore:
@@ -72,6 +80,18 @@ class BundleStore:
         if chosen is None or chosen.configured != self.configured:
             return (self.configured,)
         return tuple(dict.fromkeys((chosen.active, chosen.before, self.configured)))
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the daemon was last started with the same bundle, or has never been started."""
+        chosen = self._read()
+        return chosen is None or chosen.configured == self.configured
+
+    @property
+    def used(self) -> Used:
+        """What is remembered of the bundles that were in use."""
+        chosen = self._read()
+        return Used() if chosen is None else Used(chosen.version, chosen.highest, chosen.newest)
 
     def digests(self) -> tuple[str, ...]:
         """All of them, the configured one first."""
@@ -131,15 +151,22 @@ class BundleStore:
             path.unlink()
             sync_folder(self._directory)
 
-    def stage(self, digest: str, before: str) -> Path:
+    def stage(self, digest: str, before: str, used: Used) -> Path:
         """Write down that ``digest`` is in use, for :meth:`commit`.
 
         Everything that a full disk can prevent is done here.
 
+        Args:
+            digest: of the bundle in use.
+            before: of the one in use before it.
+            used: what is remembered from now on.
+
         Raises:
             BundleStoreError: the disk refuses.
         """
-        record = _Active(active=digest, before=before, configured=self.configured)
+        record = _Active(
+            active=digest, before=before, configured=self.configured, **dataclasses.asdict(used)
+        )
         with _durable():
             descriptor, name = self._temporary()
             with os.fdopen(descriptor, "wb") as stream:
@@ -153,6 +180,19 @@ class BundleStore:
         with _durable():
             staged.replace(self._directory / _RECORD)
             sync_folder(self._directory)
+
+    def settle(self, digest: str, used: Used) -> None:
+        """Write down what the daemon starts with, unless that is known.
+
+        Raises:
+            BundleStoreError: the disk refuses.
+        """
+        chosen = self._read()
+        same = chosen is not None and chosen.configured == self.configured
+        if chosen is not None and same and (chosen.active, self.used) == (digest, used):
+            return
+        before = chosen.before if chosen is not None and same else digest
+        self.commit(self.stage(digest, before, used))
 
     def _temporary(self) -> tuple[int, str]:
         self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)

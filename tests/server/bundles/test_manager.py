@@ -20,6 +20,7 @@ from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.bundles import store as bundle_store
 from veilcam_server.bundles.loader import Opener, last_good
+from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
@@ -341,13 +342,14 @@ class Restarts:
         with store.incoming() as (path, stream):
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
-        store.commit(store.stage(self.digests[number], self.digests[before]))
+        store.commit(store.stage(self.digests[number], self.digests[before], Used()))
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""
         bundle = read_bundle(self.files[configured])
-        keys, faults = last_good(self.store(configured), Opener(bundle, load_pairs))
-        return (bundle.task if keys is None else keys.info.task), list(faults)
+        store = self.store(configured)
+        keys, faults = last_good(store, Opener(bundle, load_pairs), bundle)
+        return keys.info.task, list(faults)
 
 
 @pytest.fixture

@@ -33,6 +33,8 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "camera_number": (("--camera-number", "1"), 1),
     "exposure_factor": (("--exposure-factor", "3"), 3.0),
     "bundle": (("--bundle", "other.veilcam"), Path("other.veilcam")),
+    "owner_keys": (("--owner-keys", "owners"), Path("owners")),
+    "allow_older": (("--allow-older",), True),
     "device": (SIMULATED, "simulated"),
     "scenes": ((*SIMULATED, "--scenes", "a.png", "--scenes", "b.png"), ("a.png", "b.png")),
     "scene_api": ((*SIMULATED, "--scene-api"), True),
