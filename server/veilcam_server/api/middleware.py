@@ -126,7 +126,9 @@ class RequestContext:
             )
             await response(scope, receive, send_with_id)
         finally:
-            log.info(
+            # The audit log has what was done. A line for every question would let anybody fill the
+            # disk under the log.
+            log.debug(
                 "request",
                 request_id=request_id,
                 method=scope["method"],

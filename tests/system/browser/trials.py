@@ -54,7 +54,6 @@ def daemon(folder: Path, auth: str) -> Iterator[Watched]:
     if auth == "tokens":
         store = TokenStore(state)
         headers["Authorization"] = f"Bearer {store.create('watch', SCOPES, None).secret}"
-        store.close()
     options = ("--auth", auth, "--scene-api", "--hosts", LAN_NAME, "--settle", "0")
     with running(BUNDLE, scene, folder, *options, "--exposure", "0") as url:
         yield Watched(url, state, headers)
