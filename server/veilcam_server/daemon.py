@@ -203,6 +203,8 @@ def _serve(
                 create_app(service, admission),
                 log_config=None,
                 access_log=False,
+                # An upgrade is asked like anything else, and refused by the application.
+                ws="none",
                 server_header=False,
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,

@@ -127,9 +127,9 @@ class HostRefusedError(
     code="host_refused",
     status=421,
     title="This host name is not served",
-    detail="this daemon answers to localhost only: use http://localhost:PORT",
+    detail="this daemon has no such name: use localhost, or start it with --hosts NAME",
 ):
-    """The ``Host`` of a request is not this machine."""
+    """The ``Host`` of a request is not this daemon."""
 
 
 class CrossSiteError(

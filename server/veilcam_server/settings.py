@@ -6,6 +6,7 @@ import difflib
 import ipaddress
 import json
 import os
+import re
 from collections.abc import Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -88,6 +89,9 @@ DEFAULT_PORT = 8787
 SCENE_NAME = "scene.npy"
 """Of the scene file in the state directory, where no other is given."""
 
+_HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
+"""Name or address, and perhaps a port."""
+
 _WORDS = frozenset(("auth", "device", "log_level", "release"))
 """Settings that are one of a few words."""
 
@@ -95,7 +99,7 @@ _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
-        *("heartbeat", "log_level"),
+        *("heartbeat", "log_level", "hosts", "frame_ancestors"),
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -129,6 +133,12 @@ class Settings(Wiring):
     """Port; 0 takes a free one."""
     socket: Path | None = None
     """Listen on a unix socket instead."""
+    hosts: Annotated[tuple[str, ...], NoDecode] = ()
+    """Further name that it answers to, as camera.example or with :PORT: that of a reverse proxy, or
+    of this machine. Give several, if need be."""
+    frame_ancestors: Annotated[tuple[str, ...], NoDecode] = ()
+    """Origin whose pages may show this daemon's in a frame, as https://home.example. Give several,
+    if need be. Default: none may."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """Where mask epochs, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None
@@ -182,13 +192,31 @@ class Settings(Wiring):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """debug, info, warning or error."""
 
-    @field_validator("scenes", mode="before")
+    @field_validator("scenes", "hosts", "frame_ancestors", mode="before")
     @classmethod
-    def _one_or_a_list(cls, scenes: object) -> object:
+    def _one_or_a_list(cls, given: object) -> object:
         """In the environment: one, or a JSON list of several."""
-        if not isinstance(scenes, str):
-            return scenes
-        return json.loads(scenes) if scenes.startswith("[") else (scenes,)
+        if not isinstance(given, str):
+            return given
+        return json.loads(given) if given.startswith("[") else (given,)
+
+    @field_validator("hosts")
+    @classmethod
+    def _host_names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        for host in hosts:
+            if not re.fullmatch(_HOST, host):
+                raise ValueError(f"{host!r} is no host name: use camera.example, or with :PORT")
+        return tuple(host.lower() for host in hosts)
+
+    @field_validator("frame_ancestors")
+    @classmethod
+    def _origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
+            if not re.fullmatch(f"https?://{_HOST}", origin):
+                raise ValueError(
+                    f"{origin!r} is no origin: use https://home.example, or with :PORT"
+                )
+        return origins
 
     @field_validator("host")
     @classmethod

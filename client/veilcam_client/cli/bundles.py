@@ -1,7 +1,5 @@
 """``veilcam bundle``: the bundles of a daemon, over its API."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from veilcam_client.wire.base import EXAMPLE_DIGEST, Answer
 
-BUNDLE_MEDIA_TYPE = "application/octet-stream"
+BUNDLE_MEDIA_TYPE = "application/vnd.veilcam.bundle"
 
 
 class BundleInfo(Answer):

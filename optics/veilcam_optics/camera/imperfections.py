@@ -1,7 +1,5 @@
 """Imperfections of a built camera, and conditions of light and sensor. All absent by default."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -12,7 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
 from veilcam_optics.camera.masks import respond
-from veilcam_optics.errors import invalid, require_within
+from veilcam_optics.errors import invalid, require, require_ratio, require_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +141,7 @@ class Imperfections:
     def _check_lines(self, shape: tuple[int, int]) -> None:
         for name, count in zip(("dead_rows", "dead_columns"), shape, strict=True):
             for line in getattr(self, name):
-                if not 0 <= line < count:
-                    raise invalid(f"imperfections.{name}", line, "", f"0 to {count - 1}")
+                require(0 <= line < count, f"imperfections.{name}", line, "", f"0 to {count - 1}")
 
 
 NOMINAL = Imperfections()
@@ -211,17 +208,22 @@ class Conditions:
                 raise invalid(
                     f"conditions.{name}", value, "", f"0 (none) or an integer {low} to {high}"
                 )
-        if math.isnan(self.snr_db) or self.snr_db == -math.inf:
-            raise invalid(
-                "conditions.snr_db", self.snr_db, "dB", "a finite number, or inf for none"
-            )
-        if self.electrons and self.snr_db != math.inf:
-            raise invalid(
-                "conditions.snr_db", self.snr_db, "dB", "inf where electrons count the shot noise"
-            )
+        require_ratio("conditions.snr_db", self.snr_db)
+        require(
+            self.electrons == 0 or self.snr_db == math.inf,
+            "conditions.snr_db",
+            self.snr_db,
+            "dB",
+            "inf where electrons count the shot noise",
+        )
         for name in ("read_noise", "full_well"):
-            if getattr(self, name) and not self.electrons:
-                raise invalid("conditions.electrons", 0, "electrons", f"> 0 to give {name} a scale")
+            require(
+                self.electrons > 0 or not getattr(self, name),
+                "conditions.electrons",
+                0,
+                "electrons",
+                f"> 0 to give {name} a scale",
+            )
 
 
 def half_field(scene: Scene) -> float:

@@ -1,15 +1,13 @@
 """A model of the light: camera, scene, embedding, conditions, and how finely each is computed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import torch
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import invalid, require_choice, require_count, require_positive
 from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import Reach
 
@@ -50,16 +48,12 @@ class Sampling:
     dtype: torch.dtype = torch.float32
 
     def __post_init__(self) -> None:
-        if self.method not in {"transfer", "factors", "grid"}:
-            raise invalid(
-                "sampling.method", repr(self.method), "", '"transfer", "factors" or "grid"'
-            )
+        require_choice("sampling.method", self.method, ("transfer", "factors", "grid"))
         for name in ("wavelengths", "layers", "zones"):
             require_count(f"sampling.{name}", getattr(self, name))
         require_positive("sampling.step", self.step, "m")
         require_positive("sampling.oversampling", self.oversampling, "")
-        if self.dtype not in {torch.float32, torch.float64}:
-            raise invalid("sampling.dtype", self.dtype, "", "torch.float32 or torch.float64")
+        require_choice("sampling.dtype", self.dtype, (torch.float32, torch.float64))
 
 
 @dataclass(frozen=True)
@@ -98,7 +92,7 @@ class Model:
         layers: int | None = None,
         zones: int | None = None,
         dtype: torch.dtype | None = None,
-    ) -> Model:
+    ) -> Self:
         """The same model computed otherwise; None keeps what is there."""
         sampling = self.sampling
         return replace(
@@ -114,7 +108,7 @@ class Model:
             ),
         )
 
-    def with_samples(self, of: str, count: int) -> Model:
+    def with_samples(self, of: str, count: int) -> Self:
         """The same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
         samples: dict[str, Any] = {of: count}
         return replace(self, sampling=replace(self.sampling, **samples))

@@ -1,7 +1,5 @@
 """What lights the mask: a point of the scene, or a plane wave."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

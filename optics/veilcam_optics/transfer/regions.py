@@ -4,8 +4,6 @@ What is black costs nothing: an object in a large scene needs the transfer of it
 and a batch of handwritten digits only that of the pixels that one of them touches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

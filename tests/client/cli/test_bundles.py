@@ -39,7 +39,7 @@ async def test_bundles_by_both_cameras(daemon: Daemon, kind: type) -> None:
     assert other.bundle.task == "fashion"
     assert (await result(camera.install_bundle(b"bundle"))).digest == DIGEST
     assert daemon.requests[-1].content == b"bundle"
-    assert daemon.requests[-1].headers["content-type"] == "application/octet-stream"
+    assert daemon.requests[-1].headers["content-type"] == "application/vnd.veilcam.bundle"
     assert (await result(camera.activate_bundle(DIGEST))).active
     assert len(await result(camera.remove_bundle(DIGEST))) == 1
 

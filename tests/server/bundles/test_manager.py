@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
 from veilcam_client.wire.events import BundleChanged, Event, Fault
 from veilcam_client.wire.problems import Problem
@@ -62,8 +62,13 @@ def data(bundle: Bundle, tmp_path: Path) -> bytes:
     return path.read_bytes()
 
 
+async def upload(client: httpx.AsyncClient, data: bytes) -> httpx.Response:
+    headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
+    return await client.post("/v1/bundles", content=data, headers=headers)
+
+
 async def install(client: httpx.AsyncClient, data: bytes) -> InstalledBundle:
-    answer = await client.post("/v1/bundles", content=data)
+    answer = await upload(client, data)
     assert answer.status_code == 201, answer.text
     return InstalledBundle.model_validate_json(answer.content)
 
@@ -250,12 +255,12 @@ async def test_what_cannot_be_used_is_refused_with_the_reason(
             (unfit.read_bytes(), "bundle_unfit", "another embedding"),
             (fresh_file.read_bytes(), "bundle_unfit", "another mode"),
         ):
-            answer = await client.post("/v1/bundles", content=content)
+            answer = await upload(client, content)
             assert code(answer) == wanted
             assert word in answer.json()["detail"]
             assert str(bench.state_dir) not in answer.text
         assert await active(client) == before
-        answer = await client.post("/v1/bundles", content=bytes(2**20 + 1))
+        answer = await upload(client, bytes(2**20 + 1))
         assert code(answer) == "body_too_large"
         answer = await client.post(f"/v1/bundles/{'0' * 64}/activate")
         assert code(answer) == "unknown_bundle"
@@ -283,7 +288,7 @@ async def test_there_is_room_for_so_many(
     monkeypatch.setattr(bundle_store, "CAPACITY", 1)
     async with running() as client:
         installed = await install(client, data)
-        assert code(await client.post("/v1/bundles", content=data)) == "bundles_full"
+        assert code(await upload(client, data)) == "bundles_full"
         assert (await activate(client, installed.digest)).status_code == 200
 
 
@@ -308,7 +313,7 @@ async def test_a_full_disk_leaves_nothing_behind(
 
     async with running() as client:
         monkeypatch.setattr(os, "fsync", full)
-        answer = await client.post("/v1/bundles", content=data)
+        answer = await upload(client, data)
         monkeypatch.undo()
         assert code(answer) == "bundle_not_stored"
         assert "No space left" in answer.json()["detail"]

@@ -40,6 +40,8 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "scene_api": ((*SIMULATED, "--scene-api"), True),
     "replay": (("--replay", "r.jsonl"), Path("r.jsonl")),
     "host": (("--host", "::1"), "::1"),
+    "hosts": (("--hosts", "a.example", "--hosts", "B:1"), ("a.example", "b:1")),
+    "frame_ancestors": (("--frame-ancestors", "https://a.example"), ("https://a.example",)),
     "port": (("--port", "0"), 0),
     "socket": (("--socket", "s"), Path("s")),
     "state_dir": (("--state-dir", "state"), Path("state")),

@@ -1,7 +1,5 @@
 """Reading and writing ``*.veilcam`` files: zip archives with the parts of a mode, and no code."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io
@@ -13,7 +11,7 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from veilcam_optics.files import write_whole
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.manifest import (
     FreshManifest,
     Manifest,
@@ -144,9 +142,10 @@ def _pack(parts: Mapping[str, bytes]) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in (each for each in MAX_PART if each in parts):
-            if len(parts[name]) > MAX_PART[name]:
-                size = len(parts[name])
-                raise BundleError(f"{name} has {size} bytes: use at most {MAX_PART[name]}")
+            require(
+                len(parts[name]) <= MAX_PART[name],
+                f"{name} has {len(parts[name])} bytes: use at most {MAX_PART[name]}",
+            )
             archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
 
@@ -154,8 +153,7 @@ def _pack(parts: Mapping[str, bytes]) -> bytes:
 def _content(path: Path) -> bytes:
     try:
         size = path.stat().st_size
-        if size > MAX_FILE:
-            raise BundleError(f"has {size} bytes: a bundle has at most {MAX_FILE}")
+        require(size <= MAX_FILE, f"has {size} bytes: a bundle has at most {MAX_FILE}")
         return path.read_bytes()
     except FileNotFoundError:
         raise BundleError("there is no such file: check the path, or train a bundle") from None
@@ -178,13 +176,19 @@ def _read(path: Path) -> Bundle:
     parts = _unpack(data)
     manifest = load_manifest(parts[MANIFEST])
     wanted = set(PARTS[manifest.mode])
-    if manifest.parts.keys() != wanted:
-        raise BundleError("bundle.json lacks the digest of a part: export the bundle again")
-    if parts.keys() - {MANIFEST, OWNER} != wanted:
-        raise BundleError(f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only")
+    require(
+        manifest.parts.keys() == wanted,
+        "bundle.json lacks the digest of a part: export the bundle again",
+    )
+    require(
+        parts.keys() - {MANIFEST, OWNER} == wanted,
+        f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only",
+    )
     for name, digest in manifest.parts.items():
-        if _sha256(parts[name]) != digest:
-            raise BundleError(f"{name} is not what bundle.json says (damaged or tampered with)")
+        require(
+            _sha256(parts[name]) == digest,
+            f"{name} is not what bundle.json says (damaged or tampered with)",
+        )
     version, owner = load_owner(parts[OWNER], parts[MANIFEST]) if OWNER in parts else (0, None)
     bundle = Bundle(
         task=manifest.task,
@@ -214,26 +218,25 @@ def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:
     """
     names = [entry.filename for entry in archive.infolist()]
     for name in names:
-        if name not in MAX_PART:
-            raise BundleError(f"holds an unknown part {name!r}: a bundle has none")
-    if len(set(names)) != len(names) or not {MANIFEST, MASKS, WEIGHTS} <= set(names):
-        raise BundleError(
-            f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again"
-        )
+        require(name in MAX_PART, f"holds an unknown part {name!r}: a bundle has none")
+    require(
+        len(set(names)) == len(names) and {MANIFEST, MASKS, WEIGHTS} <= set(names),
+        f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again",
+    )
     parts = {}
     for name in names:
         entry, limit = archive.getinfo(name), min(MAX_PART[name], left)
-        if entry.flag_bits & 1 or entry.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):
-            raise BundleError(f"{name} is encrypted or oddly compressed: export the bundle again")
-        if entry.file_size > limit:
-            raise BundleError(f"{name} has {entry.file_size} bytes: use at most {limit}")
+        require(
+            not entry.flag_bits & 1
+            and entry.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED),
+            f"{name} is encrypted or oddly compressed: export the bundle again",
+        )
+        require(
+            entry.file_size <= limit, f"{name} has {entry.file_size} bytes: use at most {limit}"
+        )
         with archive.open(entry) as stream:
             parts[name] = stream.read(limit + 1)
-        if len(parts[name]) > limit:
-            raise BundleError(f"{name} has more than {limit} bytes")
+        require(len(parts[name]) <= limit, f"{name} has more than {limit} bytes")
         left -= len(parts[name])
     return parts
 

@@ -1,7 +1,5 @@
 """``veilcam-train``: fit masks and classifiers, and write them as bundles."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated, NoReturn
