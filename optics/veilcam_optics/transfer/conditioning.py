@@ -18,20 +18,24 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.transfer.operator import TransferOperator
 
-BINNING = Embedding(12, 16)
-"""What the sensor is binned to: whether a mask hides does not depend on the embedding."""
+FINEST = Embedding(12, 16)
+"""Pixels of a sensor that tell masks apart: more of them take more time, and tell no more."""
 FLOOR = 1e-2
 """Singular values count from this share of the largest on: 40 dB, the noise of a measurement."""
+DRAWN = 8
+"""Random masks whose mean is what others are compared with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditioning:
-    """Of one mask, as shares of what a mask drawn at random has in the same camera."""
+    """Of one mask, as shares of what masks drawn at random have in the same camera."""
 
     directions: float
     """Singular values of T above the floor, each of its columns less its mean."""
     spread: float
-    """Participation ratio of the elements of T, less what is proportional to an open window's."""
+    """Participation ratio of the elements of what is the mask's own in T."""
+    own: float
+    """Energy of that: of T less what is proportional to T of an open window."""
 
 
 class ConditioningMeter:
@@ -40,14 +44,17 @@ class ConditioningMeter:
     Args:
         camera: geometry.
         scene: before it.
+        embedding: of it; a finer one than ``FINEST`` is measured as that.
     """
 
-    def __init__(self, camera: Camera, scene: Scene) -> None:
-        self._transfer = TransferOperator(camera, scene, BINNING)
+    def __init__(self, camera: Camera, scene: Scene, embedding: Embedding) -> None:
+        rows, columns = min(embedding.rows, FINEST.rows), min(embedding.columns, FINEST.columns)
+        self._transfer = TransferOperator(camera, scene, Embedding(rows, columns))
+        generator = torch.Generator().manual_seed(0)
         with torch.inference_mode():
             self._open = self._transfer(torch.ones(camera.mask_shape)).double()
-            drawn = random_mask(camera, torch.Generator().manual_seed(0))
-            self._random = self._measure(drawn)
+            drawn = [self._measure(random_mask(camera, generator)) for _ in range(DRAWN)]
+        self._random = torch.stack(drawn).mean(0)
 
     def __call__(self, weights: Tensor) -> Conditioning:
         """Measure one mask.
@@ -59,18 +66,19 @@ class ConditioningMeter:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
         with torch.inference_mode():
-            directions, spread = self._measure(weights)
-        return Conditioning(directions / self._random[0], spread / self._random[1])
+            return Conditioning(*(self._measure(weights) / self._random).tolist())
 
-    def _measure(self, weights: Tensor) -> tuple[float, float]:
+    def _measure(self, weights: Tensor) -> Tensor:
+        """Number of singular values, participation ratio and share of energy: shape (3,)."""
         transfer = self._transfer(weights).double()
+        light = transfer.square().sum()
+        if light == 0:
+            return torch.zeros(3, dtype=torch.float64)
         centred = transfer - transfer.mean(0, keepdim=True)
         # Squares of the singular values: a quarter of the time, and 1e-4 is far above rounding.
         squares = torch.linalg.eigvalsh(centred.T @ centred)
-        directions = int((squares > FLOOR**2 * squares[-1]).sum()) if squares[-1] > 0 else 0
+        directions = (squares > FLOOR**2 * squares[-1]).sum()
         share = (transfer * self._open).sum() / self._open.square().sum()
-        energy = (transfer - share * self._open).square()
-        # Less than a millionth is rounding.
-        if energy.sum() <= 1e-6 * transfer.square().sum():
-            return directions, 0.0
-        return directions, float(energy.sum() ** 2 / energy.square().sum()) / energy.numel()
+        own = (transfer - share * self._open).square()
+        spread = own.sum().square() / own.square().sum().clamp_min(1e-300) / own.numel()
+        return torch.stack((directions.double(), spread, own.sum() / light))
