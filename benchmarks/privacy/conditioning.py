@@ -6,6 +6,14 @@
 Taken: masks that keys draw (weights ``u``, ``u^4``, ``u^10``) at four embeddings, those of the
 bundles that come along, and those of the bundles named. Refused: one, two or three open pixels
 anywhere, black or dim around them; open windows with noise, a half, a gradient.
+
+The fits of the record, ``veilcam-train fit --data data/mnist --threads 1 --recipe best``:
+
+- ``--classifier LR --epochs 3 --seed 1`` at 3x4, 6x8 and 24x32;
+- ``--seed 2``: 3x4 LR, 60 epochs; 6x8 LR with ``--recipe paper``, 8; 12x16 FC800, 8;
+- ``--change shift --classifier FC800``: 24x32, 1 epoch (seed 1); 3x4, 10 (seed 2); 12x16, 6 (seed
+  2) and 30 (seed 3);
+- ``--change rescale --classifier LR --epochs 4 --seed 2`` at 6x8.
 """
 
 from __future__ import annotations
