@@ -1,10 +1,10 @@
 """How far masks that hide and masks that hide nothing lie from the floors of a daemon.
 
-``python -m benchmarks.privacy.conditioning FITTED.veilcam ...
+``python -m benchmarks.privacy.conditioning --count 200 --fits runs/conditioning
 --figures benchmarks/results/conditioning.json``
 
 Taken: masks that keys draw (weights ``u``, ``u^4``, ``u^10``) at four embeddings, those of the
-bundles that come along, and those of the bundles named. Refused: one, two or three open pixels
+bundles that come along, and those of fits. Refused: one, two or three open pixels
 anywhere, black or dim around them; open windows with noise, a half, a gradient.
 
 The fits of the record, ``veilcam-train fit --data data/mnist --threads 1 --recipe best``:
@@ -84,8 +84,8 @@ def is_taken(found: Conditioning) -> bool:
 
 @app.command()
 def measure(
-    fitted: Annotated[list[Path] | None, typer.Argument(help="Bundles of training.")] = None,
     *,
+    fits: Annotated[Path | None, typer.Option(help="Folder with bundles of training.")] = None,
     count: Annotated[int, typer.Option(min=1, help="Masks of each kind.")] = 100,
     figures: FiguresOption = None,
 ) -> None:
@@ -107,8 +107,8 @@ def measure(
             name = f"conditioning_refused_{kind.replace(' ', '_')}"
             values[name] = min(share, values.get(name, 1.0))
     values |= {f"conditioning_drawn_{name}": _least(taken, name) for name in MEASURES}
-    learned = []
-    for path in (BUNDLE, *(fitted or ())):
+    learned, fitted = [], [] if fits is None else sorted(fits.glob("*.veilcam"))
+    for path in (BUNDLE, *fitted):
         bundle = read_bundle(path)
         meter = ConditioningMeter(bundle.camera, bundle.scene, bundle.embedding)
         found = [meter(to_weights(pair.levels, bundle.camera.panel)) for pair in bundle.pairs]
@@ -116,7 +116,7 @@ def measure(
         learned += found
     values |= {f"conditioning_learned_{name}": _least(learned, name) for name in MEASURES}
     values["conditioning_learned_masks"] = len(learned)
-    for path in (BUNDLE, FRESH, *(fitted or ())):
+    for path in (BUNDLE, FRESH, *fitted):
         bundle = read_bundle(path)
         begun = time.perf_counter()
         try:
