@@ -34,6 +34,7 @@ from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostEr
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
     BundleOlderError,
+    BundleRevealsError,
     BundleUnfitError,
     BundleUntrustedError,
     EpochError,
@@ -103,7 +104,7 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(DeviceError, EpochError),
+        *(BundleRevealsError, DeviceError, EpochError),
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error

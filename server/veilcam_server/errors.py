@@ -386,6 +386,12 @@ class BundleUntrustedError(
     """A bundle that no owner of this camera signed."""
 
 
+class BundleRevealsError(
+    ProblemError, code="bundle_reveals", status=422, title="The bundle's masks hide nothing"
+):
+    """A bundle with a mask behind which the embedding is a picture."""
+
+
 class BundleOlderError(
     ProblemError, code="bundle_older", status=409, title="A newer bundle was in use"
 ):

@@ -27,7 +27,7 @@ _UPLOAD: dict[str, Any] = {
     }
 }
 _CHANGE = ("bundles_busy", "bundle_not_stored", "replaying")
-_USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older")
+_USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older", "bundle_reveals")
 
 router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:bundles")], redirect_slashes=False)
 
