@@ -37,6 +37,7 @@ from veilcam_server.errors import (
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
+from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
@@ -68,6 +69,7 @@ def build_service(settings: Settings) -> Service:
                 settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
             )
             keys = last_good(store, opener, faults.append) or opener.load(bundle)
+            policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -78,7 +80,11 @@ def build_service(settings: Settings) -> Service:
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
-                policy=rotation_policy(settings, bundle),
+                policy=policies.at_start(
+                    rotation_policy(settings, bundle),
+                    renewable=keys.source.renewable,
+                    configured=keys.info.digest == bundle.digest,
+                ),
                 test_every=settings.self_test_every,
                 calibration=signed,
             )
@@ -107,6 +113,7 @@ def build_service(settings: Settings) -> Service:
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         faults=faults,
+        policies=policies,
     )
 
 

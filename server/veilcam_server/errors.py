@@ -111,6 +111,16 @@ class RotationImpossibleError(
     """There is no other mask to change to."""
 
 
+class PolicyStoreError(
+    ProblemError,
+    code="rotation_not_stored",
+    status=503,
+    title="The rotation policy is not durable",
+    retryable=True,
+):
+    """A rotation policy could not be made durable."""
+
+
 class WithheldError(
     ProblemError, code="embedding_withheld", status=403, title="Embeddings are not released"
 ):

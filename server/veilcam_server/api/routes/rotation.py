@@ -20,11 +20,11 @@ async def rotation(service: ServiceDep) -> Rotation:
 @router.put(
     "",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(*BODY, "leased", "rotation_impossible", "replaying"),
+    responses=problems(*BODY, "leased", "rotation_impossible", "rotation_not_stored", "replaying"),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
-    """Change when masks change: off, every N seconds, or every N captures."""
-    return service.set_policy(policy)
+    """Change when masks change, also after a restart: off, every N seconds, or N captures."""
+    return await service.set_policy(policy)
 
 
 @router.post(
