@@ -63,7 +63,7 @@ def build_service(settings: Settings) -> Service:
             undo.callback(epochs.close)
             bundle = read_bundle(settings.bundle)
             form = release_form(settings, bundle)
-            signed = open_calibration(settings, bundle)
+            signed = open_calibration(settings, bundle, faults.append)
             opener = make_opener(settings, bundle, signed)
             store = BundleStore(
                 settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
