@@ -67,6 +67,16 @@ class StateLostError(
     """Both copies of a state file are damaged or gone; the message says what follows."""
 
 
+class AuditError(
+    ProblemError,
+    code="audit_not_written",
+    status=503,
+    title="The audit log cannot be written",
+    retryable=True,
+):
+    """What was done cannot be written down durably, so no change is made, or acknowledged."""
+
+
 class EpochError(
     ProblemError,
     code="epoch_not_recorded",

@@ -110,9 +110,7 @@ def test_a_damaged_key_is_put_right_and_a_lost_one_is_told(
     faults.clear()
     for name in (KEY_NAME, f"{KEY_NAME}.copy"):
         damage(tmp_path / name)
-    with pytest.raises(
-        CalibrationError, match=r"there is no key .* run 'veilcamd calibrate' again"
-    ):
+    with pytest.raises(CalibrationError, match=r"there is no key .* run 'veilcamd calibrate'"):
         SigningKey.open(tmp_path, report=faults.append)
     assert [fault.code for fault in faults] == ["state_lost"]
     assert "what it signed cannot be checked; run 'veilcamd calibrate' again" in str(faults[0])
