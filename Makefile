@@ -20,6 +20,9 @@ ANSWERS := import signal, sys, urllib.request; signal.alarm(5); urllib.request.u
 
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: one thread per process.
 export OMP_NUM_THREADS := 1
+# Some containers ask for no byte code to be kept: then every process of the tests, and every command
+# that they start, would compile anew all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 # Tests in two processes. A worker that is done takes over the last tests of the other, so that tests
 # of one file, which share what is slow to make, mostly stay together.
@@ -34,6 +37,7 @@ help:
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
 	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
+	@echo "make suite-SSE, suite-AVX2   all tests with the instructions of older processors"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
 	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
@@ -108,6 +112,14 @@ numerical-SSE-%: $(INSTALLED)
 
 numerical-AVX2-%: $(INSTALLED)
 	$(AVX2) VEILCAM_TEST_THREADS=$* $(PYTEST) -m numerical
+
+# All tests; `python -m benchmarks.capabilities` runs these two, and pytest where that shows more.
+.PHONY: suite-SSE suite-AVX2
+suite-SSE: $(INSTALLED)
+	$(SSE) $(PYTEST) -m "not system"
+
+suite-AVX2: $(INSTALLED)
+	$(AVX2) $(PYTEST) -m "not system"
 
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)

@@ -33,6 +33,11 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("long" if config.getoption("--long") else "short")
 
 
+def pytest_report_header() -> str:
+    """What results depend on beside the source; `benchmarks.capabilities` reads it."""
+    return f"torch: {torch.backends.cpu.get_cpu_capability()}, threads: {THREADS}"
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what ``make test-processors`` runs on several kinds of instructions."""
     folders = [Path(__file__).parent / folder for folder in NUMERICAL]

@@ -185,9 +185,13 @@ class Camera:
         """Hand over the content of a bundle; it is checked, and not used yet."""
         return self._transport.send(calls.install_bundle(bundle))
 
-    def activate_bundle(self, digest: str) -> InstalledBundle:
-        """Take masks and classifiers from this bundle from now on."""
-        return self._transport.send(calls.activate_bundle(digest))
+    def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
+        """Take masks and classifiers from this bundle from now on.
+
+        One of an older version than that in use is refused unless ``allow_older``, and always where
+        the daemon wants its owner's signature.
+        """
+        return self._transport.send(calls.activate_bundle(digest, allow_older))
 
     def remove_bundle(self, digest: str) -> tuple[InstalledBundle, ...]:
         """Remove a bundle that is not in use for good; return those that are left."""

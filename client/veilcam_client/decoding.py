@@ -3,8 +3,6 @@
 Needs the optics, ``pip install -e '.[optics]'`` in a checkout; the rest of the SDK does without.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Entry points of the commands that need an extra, and say which where it is not installed."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 

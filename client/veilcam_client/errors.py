@@ -15,8 +15,6 @@
         ``ServerError``: any other 5xx, a defect of the daemon.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -4,8 +4,6 @@ JSON lines. The first tells which camera it was, every other one is a capture as
 it, with its label where it was asked for. Whoever may read the file may read the embeddings.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -167,19 +165,24 @@ def _recorded(header: Header, path: Path, number: int, line: bytes) -> Recorded:
     except ValidationError:
         raise RecordingError(f"{path}, line {number}: this is no capture: remove it") from None
     capture, bundle = recorded.capture, header.status.bundle
-    if capture.replay is not None or capture.exposure is None:
-        raise RecordingError(f"{path}, line {number}: this was itself replayed: record a camera")
-    if capture.embedding.shape != bundle.embedding_shape:
-        raise RecordingError(f"{path}, line {number}: this is of another camera: remove it")
-    if capture.embedding.form != header.status.release:
-        raise RecordingError(
-            f"{path}, line {number}: this is {capture.embedding.form}, and the camera released "
-            f"{header.status.release}: remove it"
-        )
-    if recorded.verdict is not None and recorded.verdict.label not in bundle.labels:
-        raise RecordingError(
-            f"{path}, line {number}: this label is not one of the camera's: remove it"
-        )
+    form, release, verdict = capture.embedding.form, header.status.release, recorded.verdict
+    for wrong, fault in (
+        (
+            capture.replay is not None or capture.exposure is None,
+            "was itself replayed: record a camera",
+        ),
+        (
+            capture.embedding.shape != bundle.embedding_shape,
+            "is of another camera: remove it",
+        ),
+        (form != release, f"is {form}, and the camera released {release}: remove it"),
+        (
+            verdict is not None and verdict.label not in bundle.labels,
+            "label is not one of the camera's: remove it",
+        ),
+    ):
+        if wrong:
+            raise RecordingError(f"{path}, line {number}: this {fault}")
     return recorded
 
 

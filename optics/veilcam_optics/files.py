@@ -1,7 +1,5 @@
 """Files that are whole at every moment: what they held before, or all that was written."""
 
-from __future__ import annotations
-
 import os
 import secrets
 from collections.abc import Iterator

@@ -13,10 +13,18 @@ import uvicorn
 
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_server.api.app import create_app
-from veilcam_server.bundles.loader import Identity, last_good, release_form, rotation_policy
+from veilcam_server.bundles.loader import (
+    Identity,
+    Opener,
+    last_good,
+    note_start,
+    release_form,
+    rotation_policy,
+)
 from veilcam_server.bundles.manager import BundleManager
+from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
-from veilcam_server.calibration.loading import make_opener, open_calibration, settle_time
+from veilcam_server.calibration.loading import open_calibration, settle_time, source_opener
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
@@ -25,7 +33,9 @@ from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
+    BundleOlderError,
     BundleUnfitError,
+    BundleUntrustedError,
     EpochError,
     FenceError,
     ProblemError,
@@ -64,11 +74,12 @@ def build_service(settings: Settings) -> Service:
             bundle = read_bundle(settings.bundle)
             form = release_form(settings, bundle)
             signed = open_calibration(settings, bundle, faults.append)
-            opener = make_opener(settings, bundle, signed)
+            owners = Owners.open(settings.owner_keys)
+            opener = Opener(bundle, source_opener(settings, signed), owners)
             store = BundleStore(
                 settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
             )
-            keys = last_good(store, opener, faults.append) or opener.load(bundle)
+            keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
             policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
@@ -93,10 +104,12 @@ def build_service(settings: Settings) -> Service:
             _begin(camera)
             undo.pop_all()
     except (
-        *(BundleError, BundleUnfitError, DeviceError, EpochError),
+        *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
+        *(DeviceError, EpochError),
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
+    note_start(store, opener, keys, faults.append)
     return Service(
         camera,
         Identity(
@@ -203,6 +216,8 @@ def _serve(
                 create_app(service, admission),
                 log_config=None,
                 access_log=False,
+                # An upgrade is asked like anything else, and refused by the application.
+                ws="none",
                 server_header=False,
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,

@@ -165,9 +165,9 @@ class HostRefusedError(
     code="host_refused",
     status=421,
     title="This host name is not served",
-    detail="this daemon answers to localhost only: use http://localhost:PORT",
+    detail="this daemon has no such name: use localhost, or start it with --hosts NAME",
 ):
-    """The ``Host`` of a request is not this machine."""
+    """The ``Host`` of a request is not this daemon."""
 
 
 class CrossSiteError(
@@ -367,6 +367,21 @@ class BundleUnfitError(
     ProblemError, code="bundle_unfit", status=409, title="The bundle does not fit this camera"
 ):
     """A bundle for another camera than the one that is there."""
+
+
+class BundleUntrustedError(
+    ProblemError,
+    code="bundle_untrusted",
+    status=403,
+    title="The bundle is not of this camera's owner",
+):
+    """A bundle that no owner of this camera signed."""
+
+
+class BundleOlderError(
+    ProblemError, code="bundle_older", status=409, title="A newer bundle was in use"
+):
+    """A bundle of an older version than one that was in use."""
 
 
 class BundleInUseError(

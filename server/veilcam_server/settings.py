@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import ipaddress
 import json
 import os
+import re
+from collections.abc import Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -15,10 +18,23 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_server.demo_data import BUNDLE
 
+PREFIX = "VEILCAM_"
+"""Of every setting in the environment."""
+STATE_DIRECTORY = f"{PREFIX}STATE_DIRECTORY"
+"""Says what systemd's ``STATE_DIRECTORY`` says, where systemd does not."""
+_OTHERS = frozenset(
+    (
+        *(f"{PREFIX}URL", f"{PREFIX}TOKEN", f"{PREFIX}CA_FILE"),  # of the client
+        f"{PREFIX}TEST_THREADS",  # of the tests
+        STATE_DIRECTORY,
+    )
+)
+"""Names in the environment that are no settings of a daemon, and may stand beside them."""
+
 
 def default_state_dir() -> Path:
-    """Where systemd says (``StateDirectory=``), or the user's state directory (XDG)."""
-    given = os.environ.get("STATE_DIRECTORY")
+    """Where the environment or systemd says (``StateDirectory=``), or that of the user (XDG)."""
+    given = os.environ.get(STATE_DIRECTORY) or os.environ.get("STATE_DIRECTORY")
     if given:
         return Path(given)
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
@@ -30,7 +46,7 @@ class Wiring(BaseSettings):
 
     # Of the docstrings below 'veilcamd --help' is made, one command-line option of each.
     model_config = SettingsConfigDict(
-        env_prefix="VEILCAM_", extra="forbid", frozen=True, use_attribute_docstrings=True
+        env_prefix=PREFIX, extra="forbid", frozen=True, use_attribute_docstrings=True
     )
 
     panel: str = "ST7735R"
@@ -61,6 +77,8 @@ class DoctorSettings(Wiring):
 
     bundle: Path | None = None
     """That of 'veilcamd serve'."""
+    owner_keys: Path | None = None
+    """That of 'veilcamd serve'."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """That of 'veilcamd serve'."""
     mask_secret: Path | None = None
@@ -71,6 +89,9 @@ DEFAULT_PORT = 8787
 SCENE_NAME = "scene.npy"
 """Of the scene file in the state directory, where no other is given."""
 
+_HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
+"""Name or address, and perhaps a port."""
+
 _WORDS = frozenset(("auth", "device", "log_level", "release"))
 """Settings that are one of a few words."""
 
@@ -78,7 +99,7 @@ _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
-        *("heartbeat", "log_level"),
+        *("heartbeat", "log_level", "hosts", "frame_ancestors"),
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -91,6 +112,11 @@ class Settings(Wiring):
 
     bundle: Path
     """Masks and classifiers, a *.veilcam file. With --simulate, the demo's by default."""
+    owner_keys: Path | None = None
+    """Take bundles of these owners alone, and of rising version: a file of public keys, one line
+    each, of 'veilcam-train bundle keygen'."""
+    allow_older: bool = False
+    """Start with a bundle of an older version than the one that was in use."""
     device: Literal["pi", "simulated"] = "pi"
     """Use a simulated panel and sensor instead of a Raspberry Pi's."""
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
@@ -107,6 +133,12 @@ class Settings(Wiring):
     """Port; 0 takes a free one."""
     socket: Path | None = None
     """Listen on a unix socket instead."""
+    hosts: Annotated[tuple[str, ...], NoDecode] = ()
+    """Further name that it answers to, as camera.example or with :PORT: that of a reverse proxy, or
+    of this machine. Give several, if need be."""
+    frame_ancestors: Annotated[tuple[str, ...], NoDecode] = ()
+    """Origin whose pages may show this daemon's in a frame, as https://home.example. Give several,
+    if need be. Default: none may."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """Where mask epochs, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None
@@ -160,13 +192,31 @@ class Settings(Wiring):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """debug, info, warning or error."""
 
-    @field_validator("scenes", mode="before")
+    @field_validator("scenes", "hosts", "frame_ancestors", mode="before")
     @classmethod
-    def _one_or_a_list(cls, scenes: object) -> object:
+    def _one_or_a_list(cls, given: object) -> object:
         """In the environment: one, or a JSON list of several."""
-        if not isinstance(scenes, str):
-            return scenes
-        return json.loads(scenes) if scenes.startswith("[") else (scenes,)
+        if not isinstance(given, str):
+            return given
+        return json.loads(given) if given.startswith("[") else (given,)
+
+    @field_validator("hosts")
+    @classmethod
+    def _host_names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        for host in hosts:
+            if not re.fullmatch(_HOST, host):
+                raise ValueError(f"{host!r} is no host name: use camera.example, or with :PORT")
+        return tuple(host.lower() for host in hosts)
+
+    @field_validator("frame_ancestors")
+    @classmethod
+    def _origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
+            if not re.fullmatch(f"https?://{_HOST}", origin):
+                raise ValueError(
+                    f"{origin!r} is no origin: use https://home.example, or with :PORT"
+                )
+        return origins
 
     @field_validator("host")
     @classmethod
@@ -178,6 +228,18 @@ class Settings(Wiring):
         except ValueError:
             raise ValueError(f"{host!r} is no IP address: use 127.0.0.1 or ::1") from None
         return host
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_unknown_name(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """A setting that is misspelled would be one that is silently left out."""
+        unknown = unknown_names()
+        if unknown:
+            lines = (
+                f"{name} in the environment is no setting: {unknown[name]}" for name in unknown
+            )
+            raise ValueError("; ".join(lines))
+        return given
 
     @model_validator(mode="before")
     @classmethod
@@ -212,6 +274,8 @@ class Settings(Wiring):
             raise ValueError("--scene-api is for a simulated camera: add --simulate")
         if self.device != "simulated" and self.imperfections is not None:
             raise ValueError("only a simulated camera is given --imperfections: add --simulate")
+        if self.allow_older and self.owner_keys is not None:
+            raise ValueError("with --owner-keys no older bundle is taken: leave out --allow-older")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":
@@ -252,3 +316,23 @@ class Settings(Wiring):
     def scene_file(self) -> Path:
         """What 'veilcamd show' writes, and a simulated camera without --scenes sees."""
         return self.state_dir / SCENE_NAME
+
+
+def unknown_names() -> dict[str, str]:
+    """Every ``VEILCAM_...`` in the environment that is nobody's, with what to do about it.
+
+    Values are left out: they may be secret.
+    """
+    known = _OTHERS | {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
+    given = (name for name in sorted(os.environ) if name.upper().startswith(PREFIX))
+    # As pydantic-settings reads them, in capitals or not.
+    return {name: _remedy(name.upper(), known) for name in given if name.upper() not in known}
+
+
+def _remedy(name: str, known: Set[str]) -> str:
+    """The nearest known name: one that goes on where this one ends, or one that looks like it."""
+    rests = sorted(each.removeprefix(PREFIX) for each in known)
+    rest = name.removeprefix(PREFIX)
+    near = [each for each in rests if rest and each.startswith(rest)]
+    near = near or difflib.get_close_matches(rest, rests, n=1)
+    return f"did you mean {PREFIX}{near[0]}?" if near else "leave it out"

@@ -27,6 +27,7 @@ from veilcam_optics.keys.masks import MaskDistribution, Secret
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.manager import BundleManager
+from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.camera import MaskedCamera
@@ -200,6 +201,7 @@ class Bench:
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
     calibration: CalibrationService | None = None
+    owners: Owners = field(default_factory=Owners)
 
     def note(self, make: Callable[..., Event]) -> None:
         """Remember new epochs and states."""
@@ -235,7 +237,8 @@ class Bench:
         self.state_dir.mkdir(exist_ok=True, mode=0o700)
         write_bundle(path, self.bundle)
         bundle = read_bundle(path)
-        opener = Opener(bundle, load_pairs if bundle.mode == "pairs" else lambda _: self.source)
+        source = load_pairs if bundle.mode == "pairs" else lambda _: self.source
+        opener = Opener(bundle, source, self.owners)
         store = BundleStore(self.state_dir / "bundles", path, bundle.digest)
         return BundleManager(
             store, opener, LoadedBundle(bundle_info(bundle), self.source), limit=limit

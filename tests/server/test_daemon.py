@@ -323,6 +323,7 @@ def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_fil
         )
 
 
+@pytest.mark.slow
 def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(
     tmp_path: Path, bundle: Bundle, bundle_file: Path, scene_file: Path
 ) -> None:
@@ -405,6 +406,7 @@ def test_fresh_masks_need_a_secret_and_pairs_have_none(
             build_service(settings(tmp_path, bundle_file, scene_file, **more))
 
 
+@pytest.mark.slow
 def test_a_label_makes_other_masks(
     tmp_path: Path, fresh_file: Path, scene_file: Path, secret_file: Path, secret: Secret
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.cli.main import app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.demo_data import BUNDLE
-from veilcam_server.settings import Settings, default_state_dir
+from veilcam_server.settings import Settings, default_state_dir, unknown_names
 
 runner = CliRunner()
 
@@ -120,6 +121,51 @@ def test_state_goes_where_systemd_says(monkeypatch: pytest.MonkeyPatch) -> None:
     assert default_state_dir() == Path("/elsewhere/veilcam")
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/veilcam")
     assert default_state_dir() == Path("/var/lib/veilcam")
+    monkeypatch.setenv("VEILCAM_STATE_DIRECTORY", "/srv/veilcam")
+    assert default_state_dir() == Settings(bundle=Path("a.veilcam")).state_dir
+    assert default_state_dir() == Path("/srv/veilcam")
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("VEILCAM_PROT", "did you mean VEILCAM_PORT?"),
+        ("VEILCAM_TLS_CERT", "did you mean VEILCAM_TLS_CERTIFICATE?"),
+        ("veilcam_paneltab", "did you mean VEILCAM_PANEL_TAB?"),
+        ("VEILCAM_XYZZY_PLUGH_FROTZ", "leave it out"),
+        ("VEILCAM_", "leave it out"),
+    ],
+)
+def test_a_name_that_is_nobody_s_is_refused(
+    monkeypatch: pytest.MonkeyPatch, name: str, remedy: str
+) -> None:
+    monkeypatch.setenv(name, "the value, which may be secret")
+    assert refused() == f"{name} in the environment is no setting: {remedy}"
+    result = runner.invoke(app, ["serve", "--simulate"])
+    assert result.exit_code == 1
+    assert result.stderr == f"veilcamd: error: {refused()}\n"
+
+
+def test_every_name_at_fault_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VEILCAM_PROT", "1")
+    monkeypatch.setenv("VEILCAM_HOTS", "::1")
+    assert refused().count("did you mean") == 2
+
+
+def test_no_name_that_is_used_anywhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    root = Path(__file__).resolve().parents[2]
+    files = [root / "Makefile", root / "README.md"]
+    for room in ("client", "server", "deploy", "docs", "examples", "benchmarks"):
+        files += (
+            path for path in (root / room).rglob("*") if path.suffix in (".py", ".md", ".env")
+        )
+    named = set(
+        re.findall(r"VEILCAM_[A-Z][A-Z_]*[A-Z]\b", "\n".join(path.read_text() for path in files))
+    )
+    assert {"VEILCAM_TOKEN", "VEILCAM_URL", "VEILCAM_PANEL_TAB", "VEILCAM_TEST_THREADS"} <= named
+    for name in (*named, "veilcam_port"):
+        monkeypatch.setenv(name, "a value")
+    assert unknown_names() == {}
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,8 @@ from rich.progress import track
 from schemathesis.core.result import Ok
 from tests.stress.leaks import Planted, plant, plant_fresh
 
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_optics.keys.masks import Secret
 from veilcam_server.camera.epochs import RESERVED
@@ -52,6 +54,9 @@ EVENTS, LISTENED = 2048, 1.0
 MORE = 5
 """So many times as many requests come from the caller with every scope."""
 PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
+
+# Made-up bytes, as for every file.
+schemathesis.serializer.alias([BUNDLE_MEDIA_TYPE, NPY_MEDIA_TYPE], "application/octet-stream")
 
 _UNIQUE = re.compile(
     rb"(?im)(^(x-request-id|date): .*$|\b(request_id|request|at|timestamp|ms)\b[^,}]*)"
@@ -121,7 +126,9 @@ class Fuzz:
                     self._send(name, method, path, case.as_transport_kwargs(base_url=self._url))
             if bundle is not None:
                 path = "/v1/bundles"
-                self._send(name, "POST", path, {"url": self._url + path, "data": bundle})
+                headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
+                upload = {"url": self._url + path, "headers": headers}
+                self._send(name, "POST", path, {**upload, "data": bundle})
                 digest = hashlib.sha256(bundle).hexdigest()
                 url = f"{self._url}{path}/{digest}/activate"
                 self._send(name, "POST", f"{path}/{{digest}}/activate", {"url": url})

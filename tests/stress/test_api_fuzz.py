@@ -21,6 +21,7 @@ from veilcam_server.api.app import create_app
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import RateLimit
+from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def store(tmp_path: Path) -> TokenStore:
 def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
     """URL of an application that listens, with a log and audit files."""
     audit, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
-    admission = Admission(store, True, audit, refused, RateLimit(1e6, 1000))
+    admission = Admission(store, Site(), audit, refused, RateLimit(1e6, 1000))
     service = bench.service(bench.camera())
     with (
         (tmp_path / "log").open("w") as log,

@@ -1,7 +1,5 @@
 """Files of a run: private ones behind a checksum, and places tried before the work."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -11,7 +9,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
 
 from veilcam_optics.files import write_whole
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -73,15 +71,17 @@ def check_file(option: str, path: Path, ending: str) -> None:
     Raises:
         TrainingError: a name with another ending, a folder, or a place that cannot be written to.
     """
-    if path.suffix != ending:
-        raise TrainingError(f"{option} {path} is not valid: use a name that ends in {ending}")
+    require(
+        path.suffix == ending, f"{option} {path} is not valid: use a name that ends in {ending}"
+    )
     with _tried(option, path):
-        if path.is_dir():
-            raise TrainingError(f"{option} {path} is not valid: that is a folder, use another name")
-        if not path.parent.is_dir():
-            raise TrainingError(
-                f"{option} {path} is not valid: make the folder {path.parent} first"
-            )
+        require(
+            not path.is_dir(), f"{option} {path} is not valid: that is a folder, use another name"
+        )
+        require(
+            path.parent.is_dir(),
+            f"{option} {path} is not valid: make the folder {path.parent} first",
+        )
         # Written, as permissions do not tell: in /proc even root can make nothing.
         NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.").close()
 

@@ -4,8 +4,6 @@ Every epoch has streams of its own, so a fit that is killed and taken up again d
 numbers as one that was not.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """``veilcam bundle``: the bundles of a daemon, over its API."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +24,10 @@ app = typer.Typer(
     help="Install, activate and remove bundles, with a token of the scope admin:bundles.",
 )
 
+AllowOlder = Annotated[
+    bool,
+    typer.Option("--allow-older", help="Also if it is of an older version than the one in use."),
+]
 Digest = Annotated[str, typer.Argument(metavar="DIGEST", help="Its first digits are enough.")]
 
 
@@ -43,11 +45,14 @@ def install(
     file: Annotated[Path, typer.Argument(help="A bundle, *.veilcam.")],
     *,
     activate: Annotated[bool, typer.Option("--activate", help="Use it from now on.")] = False,
+    allow_older: AllowOlder = False,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 120.0,
     json: JsonOption = False,
 ) -> None:
     """Hand a bundle over to the daemon, which checks it."""
+    if allow_older and not activate:
+        fail("--allow-older goes with --activate", USAGE)
     try:
         bundle = file.read_bytes()
     except OSError as error:
@@ -55,7 +60,9 @@ def install(
 
     def question(camera: Camera) -> InstalledBundle:
         installed = camera.install_bundle(bundle)
-        return camera.activate_bundle(installed.digest) if activate else installed
+        if not activate:
+            return installed
+        return camera.activate_bundle(installed.digest, allow_older=allow_older)
 
     show(ask(url, timeout, question), bundle_in_words, json=json)
 
@@ -64,13 +71,17 @@ def install(
 def activate(
     digest: Digest,
     *,
+    allow_older: AllowOlder = False,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 120.0,
     json: JsonOption = False,
 ) -> None:
     """Take masks and classifiers from this bundle from now on."""
-    answer = ask(url, timeout, lambda camera: camera.activate_bundle(_whole(camera, digest)))
-    show(answer, bundle_in_words, json=json)
+
+    def question(camera: Camera) -> InstalledBundle:
+        return camera.activate_bundle(_whole(camera, digest), allow_older=allow_older)
+
+    show(ask(url, timeout, question), bundle_in_words, json=json)
 
 
 @app.command()

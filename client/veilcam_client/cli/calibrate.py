@@ -1,7 +1,5 @@
 """``veilcam calibrate``: a daemon's camera measured with itself, over its API."""
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Answers in words, for a terminal."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from json import dumps
 
@@ -216,20 +214,25 @@ def dated_in_words(event: Event) -> str:
 
 def event_in_words(event: Event) -> str:
     """What happened, in one line."""
-    if isinstance(event, (Classified, CaptureTaken)):
-        label = (
-            f"{event.label}  {100 * event.confidence:.1f} %  " if event.kind != "capture" else ""
-        )
-        return f"{label}epoch {event.epoch}{'  replay' if event.replay else ''}"
-    if isinstance(event, MaskChanged):
-        return f"epoch {event.epoch}"
-    if isinstance(event, StateChanged):
-        return f"{event.state}  {event.detail or ''}".rstrip()
-    if isinstance(event, RotationChanged):
-        return policy_in_words(event.policy)
-    if isinstance(event, BundleChanged):
-        return f"{event.task}  bundle {event.digest[:12]}"
+    match event:
+        case Classified() | CaptureTaken():
+            return _taken_in_words(event)
+        case MaskChanged():
+            return f"epoch {event.epoch}"
+        case StateChanged():
+            return f"{event.state}  {event.detail or ''}".rstrip()
+        case RotationChanged():
+            return policy_in_words(event.policy)
+        case BundleChanged():
+            version = f"  version {event.version}" if event.version or event.older else ""
+            older = ", older than the one before" if event.older else ""
+            return f"{event.task}  bundle {event.digest[:12]}{version}{older}"
     return _rare_in_words(event)
+
+
+def _taken_in_words(event: Classified | CaptureTaken) -> str:
+    label = f"{event.label}  {100 * event.confidence:.1f} %  " if event.kind != "capture" else ""
+    return f"{label}epoch {event.epoch}{'  replay' if event.replay else ''}"
 
 
 def _rare_in_words(event: CalibrationChanged | Fault | Gap) -> str:
@@ -244,6 +247,9 @@ def bundle_in_words(installed: InstalledBundle) -> str:
     """What a bundle is, in one line; a star stands at the one in use."""
     star, held = ("*" if installed.active else " "), installed.bundle
     content = "damaged" if held is None else f"{held.task}, {masks_in_words(held)}"
+    if held is not None and held.version:
+        content += f", version {held.version}"
+        content += f" signed by {held.signed_by}" if held.signed_by else " not signed"
     own = "  configured" if installed.configured else ""
     return f"{star} {installed.digest[:12]}  {installed.size / 1e6:7.1f} MB  {content}{own}"
 

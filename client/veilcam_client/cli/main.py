@@ -1,7 +1,5 @@
 """The command line ``veilcam``: ask a camera from a terminal."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """What the commands have in common: options, answers, and errors with exit codes."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """``veilcam token``: the tokens of a daemon, over its API."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

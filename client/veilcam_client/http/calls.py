@@ -3,8 +3,6 @@
 The sync and the async camera share these, so they cannot drift apart.
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +23,7 @@ from veilcam_client.wire.captures import Capture, Classification, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPE, HeldScene
+from veilcam_client.wire.simulation import HeldScene, picture_media_type
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
@@ -119,9 +117,9 @@ def revoke_token(token_id: str) -> Call[Token]:
 
 
 def hold_scene(picture: bytes) -> Call[HeldScene]:
-    """PUT /v1/simulation/scene."""
-    path = "/v1/simulation/scene"
-    return Call("PUT", path, HeldScene, picture, media_type=PICTURE_MEDIA_TYPE)
+    """PUT /v1/simulation/scene; raises ValueError for bytes that are no picture."""
+    media_type = picture_media_type(picture)
+    return Call("PUT", "/v1/simulation/scene", HeldScene, picture, media_type=media_type)
 
 
 def install_bundle(bundle: bytes) -> Call[InstalledBundle]:
@@ -129,10 +127,11 @@ def install_bundle(bundle: bytes) -> Call[InstalledBundle]:
     return Call("POST", "/v1/bundles", InstalledBundle, bundle, media_type=BUNDLE_MEDIA_TYPE)
 
 
-def activate_bundle(digest: str) -> Call[InstalledBundle]:
+def activate_bundle(digest: str, allow_older: bool = False) -> Call[InstalledBundle]:
     """POST /v1/bundles/DIGEST/activate."""
+    path = f"/v1/bundles/{quote(digest, safe='')}/activate"
     return Call(
-        "POST", f"/v1/bundles/{quote(digest, safe='')}/activate", InstalledBundle, once=True
+        "POST", f"{path}?allow_older=true" if allow_older else path, InstalledBundle, once=True
     )
 
 

@@ -1,7 +1,5 @@
 """Who asks, and whom to trust: a token, and the authority that vouches for the daemon."""
 
-from __future__ import annotations
-
 import ipaddress
 import os
 import ssl

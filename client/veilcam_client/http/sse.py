@@ -1,7 +1,5 @@
 """Server-sent events as the WHATWG HTML standard defines them, from bytes to messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

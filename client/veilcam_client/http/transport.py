@@ -1,7 +1,5 @@
 """HTTP: the one module that knows httpx. Sends calls, retries them, reads event streams."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 import time

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from veilcam_client.wire.base import EXAMPLE_DIGEST, Answer
 
-BUNDLE_MEDIA_TYPE = "application/octet-stream"
+BUNDLE_MEDIA_TYPE = "application/vnd.veilcam.bundle"
 
 
 class BundleInfo(Answer):
@@ -19,6 +19,10 @@ class BundleInfo(Answer):
     embedding_shape: tuple[int, ...]
     pairs: int
     """Stored masks; 0 in mode ``fresh``."""
+    version: int = 0
+    """Of its owner's choice, from 1 on; 0 for one that has none."""
+    signed_by: str | None = None
+    """First digits of the SHA-256 of its owner's key; None for one that is not signed."""
 
 
 class InstalledBundle(Answer):
@@ -49,6 +53,8 @@ EXAMPLE_BUNDLE = BundleInfo(
     labels=("0", "1"),
     embedding_shape=(2, 3),
     pairs=6,
+    version=4,
+    signed_by="3a6eb0790f39",
 )
 _BUNDLE = InstalledBundle(
     digest=EXAMPLE_DIGEST, size=48_213, active=True, configured=False, bundle=EXAMPLE_BUNDLE

@@ -69,6 +69,10 @@ class BundleChanged(_Event):
     kind: Literal["bundle"] = "bundle"
     digest: str
     task: str
+    version: int = 0
+    """Of its owner's choice; 0 for one that has none."""
+    older: bool = False
+    """Whether that is lower than the version of the bundle before."""
 
 
 class CalibrationChanged(_Event):

@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.wire.base import Answer
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
-PICTURE_MEDIA_TYPE = "application/octet-stream"
+_BEGINNINGS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\x93NUMPY": NPY_MEDIA_TYPE}
+PICTURE_MEDIA_TYPES = tuple(_BEGINNINGS.values())
 
 
 class HeldScene(Answer):
@@ -26,6 +28,18 @@ def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(picture), allow_pickle=False)
     return buffer.getvalue()
+
+
+def picture_media_type(picture: bytes) -> str:
+    """Return the media type of a picture's file, as its first bytes tell.
+
+    Raises:
+        ValueError: neither a PNG, nor a JPEG, nor an ``.npy`` file.
+    """
+    for beginning, media_type in _BEGINNINGS.items():
+        if picture.startswith(beginning):
+            return media_type
+    raise ValueError("this is no picture: give the content of a PNG, JPEG or .npy file")
 
 
 EXAMPLES = (HeldScene(scene=1),)

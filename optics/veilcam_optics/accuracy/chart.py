@@ -1,7 +1,5 @@
 """Error against time, log-log, with the Pareto front."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Job: a free field, 4 mm behind a random pattern of squares lit by a plane wave."""
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 

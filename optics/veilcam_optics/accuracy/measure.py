@@ -1,7 +1,5 @@
 """Jobs, the settings that may do them, and what one setting costs and misses."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -44,11 +42,23 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class Method:
     """One method with all its dials set."""
 
     method: str
     dials: Mapping[str, str | int | float]
+
+    @property
+    def label(self) -> str:
+        """Method and dials in words."""
+        dials = ", ".join(f"{name} {value}" for name, value in self.dials.items())
+        return f"{self.method} ({dials})" if dials else self.method
+
+
+@dataclass(frozen=True, slots=True)
+class Setting(Method):
+    """How a method is made ready and compared."""
+
     prepare: Callable[[], Prepared]
     source: str = OURS
     """Which library: ``veilcam``, or the name of a peer."""
@@ -58,12 +68,6 @@ class Setting:
     """Compare up to one constant: for libraries with a unit or a carrier phase of their own."""
     reference: Callable[[], Tensor] | None = None
     """Truth for a geometry that only this setting has; None: the job's."""
-
-    @property
-    def label(self) -> str:
-        """Method and dials in words."""
-        dials = ", ".join(f"{name} {value}" for name, value in self.dials.items())
-        return f"{self.method} ({dials})" if dials else self.method
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +83,9 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class Point(Method):
     """What one setting was measured to miss and to cost."""
 
-    method: str
-    dials: Mapping[str, str | int | float]
     source: str
     supported: bool
     error: float
@@ -94,12 +96,6 @@ class Point:
     prepare_seconds: float
     """Time of what is computed once per geometry."""
     runs: int
-
-    @property
-    def label(self) -> str:
-        """Method and dials in words."""
-        dials = ", ".join(f"{name} {value}" for name, value in self.dials.items())
-        return f"{self.method} ({dials})" if dials else self.method
 
 
 def relative_error(value: Tensor, reference: Tensor, *, free_factor: bool = False) -> float:

@@ -1,7 +1,5 @@
 """Job: from a mask to the point spread function on the paper's 380 x 507 grid."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache, partial
 

@@ -1,7 +1,5 @@
 """Measured points as a table and as JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -12,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import torch
-from rich.table import Table
+from rich.table import Column, Table
 
 from veilcam_optics.accuracy.measure import Point, pareto_front
 
@@ -38,14 +36,18 @@ def duration(seconds: float) -> str:
 def table(result: Result) -> Table:
     """Fastest first; a dot marks what no other setting beats in both time and error."""
     front = {id(point) for point in pareto_front(result.points)}
-    shown = Table(title=result.title, title_justify="left", pad_edge=False)
-    shown.add_column("")
-    shown.add_column("method")
-    shown.add_column("dials")
-    shown.add_column("dtype", no_wrap=True)
-    shown.add_column("error", justify="right", no_wrap=True)
-    shown.add_column("time", justify="right", no_wrap=True)
-    shown.add_column("set-up", justify="right", no_wrap=True)
+    shown = Table(
+        "",
+        "method",
+        "dials",
+        Column("dtype", no_wrap=True),
+        Column("error", justify="right", no_wrap=True),
+        Column("time", justify="right", no_wrap=True),
+        Column("set-up", justify="right", no_wrap=True),
+        title=result.title,
+        title_justify="left",
+        pad_edge=False,
+    )
     for point in sorted(result.points, key=lambda p: p.seconds):
         shown.add_row(
             "●" if id(point) in front else "",
@@ -64,7 +66,7 @@ def write_json(path: Path, results: Sequence[Result], *, quick: bool) -> None:
     """Write every point with the machine, date, and versions that it was measured with."""
     record = {
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{_processor()}, {os.cpu_count()} cores",
+        "machine": machine(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
         "quick": quick,
@@ -79,6 +81,11 @@ def write_json(path: Path, results: Sequence[Result], *, quick: bool) -> None:
         },
     }
     path.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def machine() -> str:
+    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
+    return f"{_processor()}, {os.cpu_count()} cores"
 
 
 def _processor() -> str:

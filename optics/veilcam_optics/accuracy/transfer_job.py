@@ -1,7 +1,5 @@
 """Job: from a mask to the transfer matrix of a camera, by every way there is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import cache, partial

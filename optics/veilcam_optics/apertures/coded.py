@@ -1,7 +1,5 @@
 """Amplitude masks that others use: MLS, MURA, Fresnel zones, pinhole."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,7 +7,7 @@ import torch
 from scipy.signal import max_len_seq
 from torch import Tensor
 
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive
 from veilcam_optics.propagation.sampling import Grid, as_float, tiled
 
 
@@ -27,8 +25,7 @@ def mls_cells(order: int = 6, repeats: int = 2) -> Tensor:
     """
     require_count("repeats", repeats)
     require_count("order", order, least=2)
-    if order > 16:
-        raise invalid("order", order, "", "an integer from 2 to 16")
+    require(order <= 16, "order", order, "", "an integer from 2 to 16")
     bits = np.asarray(max_len_seq(order)[0], dtype=np.float64)
     signs = torch.from_numpy(2 * np.tile(bits, repeats) - 1)
     return (torch.outer(signs, signs) + 1) / 2
@@ -44,8 +41,13 @@ def mura_cells(side: int) -> Tensor:
         OpticsError: If ``side`` is not an odd prime.
     """
     require_count("side", side, least=3)
-    if any(side % divisor == 0 for divisor in range(2, math.isqrt(side) + 1)):
-        raise invalid("side", side, "", "an odd prime, e.g. 11, 31, 61 or 101")
+    require(
+        all(side % divisor != 0 for divisor in range(2, math.isqrt(side) + 1)),
+        "side",
+        side,
+        "",
+        "an odd prime, e.g. 11, 31, 61 or 101",
+    )
     residue = torch.full((side,), -1.0, dtype=torch.float64)
     residue[[number * number % side for number in range(1, side)]] = 1
     cells = (torch.outer(residue, residue) + 1) / 2
@@ -104,9 +106,14 @@ def fresnel_zones(grid: Grid, radius: float, *, phase: float = 0.0, binary: bool
     require_positive("radius", radius, "m")
     farthest = max(float(grid.y().abs().max()), float(grid.x().abs().max()))
     pitch = max(as_float(grid.pitch_y), as_float(grid.pitch_x))
-    if 2 * farthest * pitch > radius**2:
-        least = math.sqrt(2 * farthest * pitch)
-        raise invalid("radius", radius, "m", f"at least {least:.3e} m, or a finer or smaller grid")
+    least = math.sqrt(2 * farthest * pitch)
+    require(
+        2 * farthest * pitch <= radius**2,
+        "radius",
+        radius,
+        "m",
+        f"at least {least:.3e} m, or a finer or smaller grid",
+    )
     squared = grid.y().square()[:, None] + grid.x().square()
     zones = (1 + torch.cos(torch.pi * squared / radius**2 - phase)) / 2
     return (zones >= 0.5).to(torch.float64) if binary else zones
@@ -125,6 +132,7 @@ def pinhole(grid: Grid, radius: float, *, parts: int = 8) -> Tensor:
     x = (grid.x()[:, None] + inner * grid.pitch_x).flatten()
     inside = (y.square()[:, None] + x.square() <= radius**2).to(torch.float64)
     hole = inside.reshape(grid.rows, parts, grid.columns, parts).mean((1, 3))
-    if not bool((hole > 0).any()):
-        raise invalid("radius", radius, "m", "a larger hole, a finer grid, or more parts")
+    require(
+        bool((hole > 0).any()), "radius", radius, "m", "a larger hole, a finer grid, or more parts"
+    )
     return hole

@@ -1,14 +1,12 @@
 """A point spread function that was measured: an image of a point source, background removed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import OpticsError, invalid, require
 
 
 def read_image(path: Path) -> Tensor:
@@ -29,8 +27,13 @@ def read_image(path: Path) -> Tensor:
         raise OpticsError(f"cannot read the image {path.name}: use a PNG or TIFF file") from error
     if values.dtype == np.bool_:
         values = values.astype(np.uint8) * np.uint8(255)
-    if not np.issubdtype(values.dtype, np.integer):
-        raise invalid("path", str(values.dtype), "", "an image of 8 or 16 bit integers")
+    require(
+        np.issubdtype(values.dtype, np.integer),
+        "path",
+        str(values.dtype),
+        "",
+        "an image of 8 or 16 bit integers",
+    )
     # Pillow hands 16 bit gray out as int32 in some versions.
     largest = 255 if values.dtype == np.uint8 else 65535
     scaled = torch.from_numpy(values.astype(np.float64) / largest)
@@ -56,10 +59,8 @@ def remove_background(image: Tensor, *, margin: float = 0.02, deviations: float 
     Raises:
         OpticsError: If ``margin`` is not in (0, 0.5), ``deviations`` is negative, or NaN is found.
     """
-    if not 0 < margin < 0.5:
-        raise invalid("margin", margin, "", "a share between 0 and 0.5")
-    if not deviations >= 0:
-        raise invalid("deviations", deviations, "", "a number >= 0")
+    require(0 < margin < 0.5, "margin", margin, "", "a share between 0 and 0.5")
+    require(deviations >= 0, "deviations", deviations, "", "a number >= 0")
     if not bool(torch.isfinite(image).all()):
         raise OpticsError("image holds NaN or infinity: use finite values")
     rows, columns = image.shape[-2:]

@@ -1,14 +1,12 @@
 """Phase masks: an ideal lens, a tape-like diffuser, and a contour mask."""
 
-from __future__ import annotations
-
 import math
 
 import torch
 from torch import Tensor
 
 from veilcam_optics.apertures.coded import pinhole
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive, require_shape
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import TURN, unit_phasor
 from veilcam_optics.propagation.sampling import Grid, as_float
@@ -26,8 +24,7 @@ def phase_plate(height: Tensor, wavelength: float, *, index: float = 1.5) -> Ten
         OpticsError: If the wavelength is not positive or the index not above 1.
     """
     require_positive("wavelength", wavelength, "m")
-    if not index > 1:
-        raise invalid("index", index, "", "a refractive index > 1")
+    require(index > 1, "index", index, "", "a refractive index > 1")
     return unit_phasor(TURN * (index - 1) / wavelength * height.double(), torch.complex128)
 
 
@@ -45,9 +42,9 @@ def lens(grid: Grid, focal_length: float, wavelength: float, *, diameter: float)
     require_positive("wavelength", wavelength, "m")
     pitch = max(as_float(grid.pitch_y), as_float(grid.pitch_x))
     rim = min(diameter / 2, math.hypot(grid.height / 2, grid.width / 2))
-    if rim * pitch / (wavelength * focal_length) > 0.5:
-        finest = wavelength * focal_length / (2 * rim)
-        raise invalid("grid.pitch", pitch, "m", f"at most {finest:.3e} m for this lens")
+    finest = wavelength * focal_length / (2 * rim)
+    sampled = rim * pitch / (wavelength * focal_length) <= 0.5
+    require(sampled, "grid.pitch", pitch, "m", f"at most {finest:.3e} m for this lens")
     squared = grid.y().square()[:, None] + grid.x().square()
     curvature = unit_phasor(-torch.pi / (wavelength * focal_length) * squared, torch.complex128)
     return curvature * pinhole(grid, diameter / 2)
@@ -73,8 +70,13 @@ def diffuser_height(
     require_positive("roughness", roughness, "m")
     require_positive("correlation", correlation, "m")
     pitch = max(as_float(grid.pitch_y), as_float(grid.pitch_x))
-    if correlation < 2 * pitch:
-        raise invalid("correlation", correlation, "m", f"at least two samples, {2 * pitch:.3e} m")
+    require(
+        correlation >= 2 * pitch,
+        "correlation",
+        correlation,
+        "m",
+        f"at least two samples, {2 * pitch:.3e} m",
+    )
     noise = torch.randn(grid.shape, generator=generator, dtype=torch.float64)
     fy = torch.fft.fftfreq(grid.rows, as_float(grid.pitch_y), dtype=torch.float64)
     fx = torch.fft.rfftfreq(grid.columns, as_float(grid.pitch_x), dtype=torch.float64)
@@ -107,8 +109,7 @@ def contour_pattern(
         OpticsError: If a length is not positive or lines are wider than their spacing.
     """
     require_positive("width", width, "m")
-    if width >= spacing:
-        raise invalid("width", width, "m", f"less than the spacing, {spacing:.3e} m")
+    require(width < spacing, "width", width, "m", f"less than the spacing, {spacing:.3e} m")
     noise = diffuser_height(grid, roughness=1.0, correlation=spacing, generator=generator)
     slopes = torch.gradient(
         noise,
@@ -150,10 +151,14 @@ def phase_for_pattern(
     """
     require_count("iterations", iterations)
     require_positive("distance", distance, "m")
-    if tuple(pattern.shape) != grid.shape:
-        raise invalid("pattern.shape", tuple(pattern.shape), "", f"{grid.shape}, the grid's")
-    if not (bool((pattern >= 0).all()) and float(pattern.sum()) > 0):
-        raise invalid("pattern", "an irradiance", "", "values >= 0, not all zero")
+    require_shape("pattern", pattern, *grid.shape)
+    require(
+        bool((pattern >= 0).all()) and float(pattern.sum()) > 0,
+        "pattern",
+        "an irradiance",
+        "",
+        "values >= 0, not all zero",
+    )
     wanted = (pattern.double() / pattern.double().mean()).sqrt()
     method = AngularSpectrum(padding="none")
     there = method.prepare(grid, grid, distance, wavelength)

@@ -4,11 +4,9 @@ Axis order is (rows, columns) everywhere. Rows run along the panel's fine axis, 
 the sensor's short side. The origin of every plane is the optical axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive, require_within
 
 CHANNELS = ("R", "G", "B")
 
@@ -43,20 +41,32 @@ class Panel:
             require_positive(f"panel.{name}", getattr(self, name), "m")
         for axis in ("y", "x"):
             aperture, pitch = getattr(self, f"aperture_{axis}"), getattr(self, f"pitch_{axis}")
-            if aperture > pitch:
-                raise invalid(
-                    f"panel.aperture_{axis}", aperture, "m", f"at most the pitch, {pitch:.3e} m"
-                )
-        if any(channel not in range(len(CHANNELS)) for channel in self.filter_cycle):
-            raise invalid("panel.filter_cycle", self.filter_cycle, "", "indices 0 (R), 1, 2 (B)")
-        if not 0 <= self.filter_leakage <= 1:
-            raise invalid("panel.filter_leakage", self.filter_leakage, "", "0 (ideal) to 1 (none)")
+            require(
+                aperture <= pitch,
+                f"panel.aperture_{axis}",
+                aperture,
+                "m",
+                f"at most the pitch, {pitch:.3e} m",
+            )
+        require(
+            all(channel in range(len(CHANNELS)) for channel in self.filter_cycle),
+            "panel.filter_cycle",
+            self.filter_cycle,
+            "",
+            "indices 0 (R), 1, 2 (B)",
+        )
+        require_within("panel.filter_leakage", self.filter_leakage, "", 0, 1)
         table = self.filter_amplitudes
         square = len(table) in {0, len(CHANNELS)} and all(
             len(row) == len(CHANNELS) for row in table
         )
-        if not square or any(not 0 <= amplitude <= 1 for row in table for amplitude in row):
-            raise invalid("panel.filter_amplitudes", table, "", "3 x 3 amplitudes from 0 to 1")
+        require(
+            square and all(0 <= amplitude <= 1 for row in table for amplitude in row),
+            "panel.filter_amplitudes",
+            table,
+            "",
+            "3 x 3 amplitudes from 0 to 1",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +102,13 @@ class Sensor:
         require_count("sensor.columns", self.columns)
         require_count("sensor.bit_depth", self.bit_depth)
         require_positive("sensor.pixel", self.pixel, "m")
-        if min(self.channel_weights) < 0 or abs(sum(self.channel_weights) - 1) > 1e-9:
-            raise invalid(
-                "sensor.channel_weights", self.channel_weights, "", "three shares that sum to 1"
-            )
+        require(
+            min(self.channel_weights) >= 0 and abs(sum(self.channel_weights) - 1) <= 1e-9,
+            "sensor.channel_weights",
+            self.channel_weights,
+            "",
+            "three shares that sum to 1",
+        )
 
     @property
     def height(self) -> float:
@@ -122,17 +135,20 @@ class Camera:
         require_positive("camera.distance", self.distance, "m")
         for name, wavelength in zip(CHANNELS, self.wavelengths, strict=True):
             require_positive(f"camera.wavelengths[{name}]", wavelength, "m")
-        if self.window.first_row + self.window.rows > self.panel.rows:
-            raise invalid(
-                "window.rows", self.window.rows, "rows", f"what fits {self.panel.rows} panel rows"
-            )
-        if self.window.first_column + self.window.columns > self.panel.columns:
-            raise invalid(
-                "window.columns",
-                self.window.columns,
-                "columns",
-                f"what fits {self.panel.columns} panel columns",
-            )
+        require(
+            self.window.first_row + self.window.rows <= self.panel.rows,
+            "window.rows",
+            self.window.rows,
+            "rows",
+            f"what fits {self.panel.rows} panel rows",
+        )
+        require(
+            self.window.first_column + self.window.columns <= self.panel.columns,
+            "window.columns",
+            self.window.columns,
+            "columns",
+            f"what fits {self.panel.columns} panel columns",
+        )
 
     @property
     def mask_shape(self) -> tuple[int, int]:
@@ -153,7 +169,7 @@ class Camera:
             (column - middle) * self.panel.pitch_x for column in range(self.window.columns)
         )
 
-    def lit_sides(self, scene: Scene) -> tuple[float, float]:
+    def lit_sides(self, scene: "Scene") -> tuple[float, float]:
         """Height and width of the sensor and the scene's geometric image around it [m]."""
         image = scene.pixel_at_sensor(self)
         return (

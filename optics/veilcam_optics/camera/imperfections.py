@@ -1,7 +1,5 @@
 """Imperfections of a built camera, and conditions of light and sensor. All absent by default."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -12,7 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
 from veilcam_optics.camera.masks import respond
-from veilcam_optics.errors import invalid, require_within
+from veilcam_optics.errors import require, require_ratio, require_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +111,13 @@ class Imperfections:
 
     def check(self, camera: Camera) -> None:
         """Raise :class:`OpticsError` if ``camera`` cannot have them."""
-        if self.distance_error <= -camera.distance:
-            valid = f"more than minus the camera's distance, {-camera.distance:.3e} m"
-            raise invalid("imperfections.distance_error", self.distance_error, "m", valid)
+        require(
+            self.distance_error > -camera.distance,
+            "imperfections.distance_error",
+            self.distance_error,
+            "m",
+            f"more than minus the camera's distance, {-camera.distance:.3e} m",
+        )
         self._check_lines(camera.mask_shape)
 
     def actual(self, camera: Camera) -> Camera:
@@ -143,8 +145,7 @@ class Imperfections:
     def _check_lines(self, shape: tuple[int, int]) -> None:
         for name, count in zip(("dead_rows", "dead_columns"), shape, strict=True):
             for line in getattr(self, name):
-                if not 0 <= line < count:
-                    raise invalid(f"imperfections.{name}", line, "", f"0 to {count - 1}")
+                require(0 <= line < count, f"imperfections.{name}", line, "", f"0 to {count - 1}")
 
 
 NOMINAL = Imperfections()
@@ -207,21 +208,29 @@ class Conditions:
         require_within("conditions.off_axis", self.off_axis, "rad", 0, 1.4)
         for name, low, high in (("levels", 2, 65536), ("adc_bits", 1, 24)):
             value = getattr(self, name)
-            if value != 0 and not (type(value) is int and low <= value <= high):
-                raise invalid(
-                    f"conditions.{name}", value, "", f"0 (none) or an integer {low} to {high}"
-                )
-        if math.isnan(self.snr_db) or self.snr_db == -math.inf:
-            raise invalid(
-                "conditions.snr_db", self.snr_db, "dB", "a finite number, or inf for none"
+            require(
+                value == 0 or (type(value) is int and low <= value <= high),
+                f"conditions.{name}",
+                value,
+                "",
+                f"0 (none) or an integer {low} to {high}",
             )
-        if self.electrons and self.snr_db != math.inf:
-            raise invalid(
-                "conditions.snr_db", self.snr_db, "dB", "inf where electrons count the shot noise"
-            )
+        require_ratio("conditions.snr_db", self.snr_db)
+        require(
+            self.electrons == 0 or self.snr_db == math.inf,
+            "conditions.snr_db",
+            self.snr_db,
+            "dB",
+            "inf where electrons count the shot noise",
+        )
         for name in ("read_noise", "full_well"):
-            if getattr(self, name) and not self.electrons:
-                raise invalid("conditions.electrons", 0, "electrons", f"> 0 to give {name} a scale")
+            require(
+                self.electrons > 0 or not getattr(self, name),
+                "conditions.electrons",
+                0,
+                "electrons",
+                f"> 0 to give {name} a scale",
+            )
 
 
 def half_field(scene: Scene) -> float:

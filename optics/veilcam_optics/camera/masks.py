@@ -4,15 +4,13 @@ A mask is a tensor of weights, amplitude transmittances in [0, 1], of shape ``ca
 What the panel is told are levels, whole numbers from 0 (opaque) to ``panel.levels - 1`` (open).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Panel
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import OpticsError, require
 
 
 def random_mask(camera: Camera, generator: torch.Generator) -> Tensor:
@@ -25,8 +23,10 @@ def check_weights(weights: Tensor, camera: Camera) -> None:
 
     The message never holds a weight: a mask is a secret.
     """
-    if tuple(weights.shape) != camera.mask_shape:
-        raise invalid("weights.shape", tuple(weights.shape), "", f"the window, {camera.mask_shape}")
+    shape = tuple(weights.shape)
+    require(
+        shape == camera.mask_shape, "weights.shape", shape, "", f"the window, {camera.mask_shape}"
+    )
     if not bool(torch.isfinite(weights).all()):
         raise OpticsError("weights hold NaN or infinity: use finite numbers in [0, 1]")
 

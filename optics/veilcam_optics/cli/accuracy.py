@@ -1,7 +1,5 @@
 """``veilcam-optics accuracy``: run every method on the jobs and show what accuracy costs."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """``veilcam-optics decode``: a released embedding back into a scene, with the device's secret."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """``veilcam-optics``: what the camera's optics do, and what computing them costs."""
 
-from __future__ import annotations
-
 import typer
 
 from veilcam_optics.cli.accuracy import accuracy

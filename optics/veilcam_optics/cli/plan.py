@@ -1,7 +1,5 @@
 """``veilcam-optics plan``: what to compute for a camera and a scene, how finely, and why."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -18,8 +18,6 @@ is below 1e-8. In float32 it is not small beside 1, which is why float32 is an o
 precision (products in float32, factors in float64) the default.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -29,7 +27,7 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Embedding, Scene
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import OpticsError, require, require_choice
 from veilcam_optics.transfer.operator import TransferOperator
 
 
@@ -99,13 +97,13 @@ class Decoder:
 
     def flatten(self, measurements: Tensor) -> Tensor:
         """Measurements as (batch, embedding pixels) in the decoder's type; refuse another shape."""
-        if tuple(measurements.shape[1:]) not in (self.embedding.shape, (self.embedding.size,)):
-            raise invalid(
-                "measurements.shape",
-                tuple(measurements.shape),
-                "",
-                f"(batch, *{self.embedding.shape})",
-            )
+        require(
+            tuple(measurements.shape[1:]) in (self.embedding.shape, (self.embedding.size,)),
+            "measurements.shape",
+            tuple(measurements.shape),
+            "",
+            f"(batch, *{self.embedding.shape})",
+        )
         return measurements.flatten(1).to(self.mean_measurement.dtype)
 
 
@@ -134,13 +132,15 @@ class SceneDecoding:
         scene = operator.scene
         if operator.colour:
             raise OpticsError("a colour operator cannot be decoded: use colour=False")
-        if statistics.pixels != scene.rows * scene.columns:
-            raise invalid(
-                "statistics.pixels", statistics.pixels, "pixels", f"the scene's, {scene.shape}"
-            )
+        require(
+            statistics.pixels == scene.rows * scene.columns,
+            "statistics.pixels",
+            statistics.pixels,
+            "pixels",
+            f"the scene's, {scene.shape}",
+        )
         dtype = next(operator.buffers()).dtype
-        if dtype != precision.products:
-            raise invalid("operator's dtype", dtype, "", f"{precision.products}")
+        require_choice("operator's dtype", dtype, [precision.products])
         self.operator, self.noise, self.precision = operator, noise, precision
         self.statistics = statistics.to(precision.products)
 
@@ -198,8 +198,13 @@ class SceneDecoding:
     def _gain(self, gain: float | Tensor, device: torch.device) -> Tensor:
         value = torch.as_tensor(gain, dtype=self.precision.products, device=device)
         size = self.operator.embedding.size
-        if tuple(value.shape) not in ((), (size,)):
-            raise invalid("gain.shape", tuple(value.shape), "", f"one number, or ({size},)")
+        require(
+            tuple(value.shape) in ((), (size,)),
+            "gain.shape",
+            tuple(value.shape),
+            "",
+            f"one number, or ({size},)",
+        )
         if not bool((value.isfinite() & (value > 0)).all()):
             raise OpticsError("gain is not valid: use finite numbers > 0")
         return value.reshape(-1, 1)

@@ -4,15 +4,13 @@ One safetensors file: the tensors of the statistics and of the distribution that
 from, and as its metadata one JSON text with the rest. None of it is secret. It holds no code.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import safetensors.torch
 import torch
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
@@ -33,8 +31,7 @@ DISTRIBUTION = ("lowest", "highest", "curve")
 MAX_BYTES = 2**30
 
 
-class _Header(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+class _Header(BaseModel, frozen=True, extra="forbid", strict=True):
     format: Literal["veilcam-frame"] = "veilcam-frame"
     version: Literal[1] = 1
     camera: Camera

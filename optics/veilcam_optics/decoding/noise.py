@@ -1,13 +1,11 @@
 """What a decoder expects of the noise in a measurement."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 from torch import Tensor
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,10 +20,8 @@ class MeasurementNoise:
     model_error: float = 0.0
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.snr_db):
-            raise invalid("noise.snr_db", self.snr_db, "dB", "a finite number")
-        if not (math.isfinite(self.model_error) and self.model_error >= 0):
-            raise invalid("noise.model_error", self.model_error, "", "a finite number >= 0")
+        require_within("noise.snr_db", self.snr_db, "dB", -math.inf, math.inf)
+        require_within("noise.model_error", self.model_error, "", 0, math.inf)
 
     def variance(self, mean: Tensor, spread: Tensor) -> Tensor:
         """Expected variance of the noise in each pixel of a measurement.

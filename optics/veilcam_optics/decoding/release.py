@@ -9,8 +9,6 @@ much of the scene. ``raw`` is the measurement itself. What each form gives away 
 docs/fresh-masks.md.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mean and covariance of the scenes that a camera looks at: public, and all that decoding needs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Self
@@ -9,7 +7,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import OpticsError, invalid, require, require_count, require_shape
 
 
 @dataclass(frozen=True)
@@ -29,16 +27,15 @@ class SceneStatistics:
 
     def __post_init__(self) -> None:
         pixels = self.mean.shape[0] if self.mean.ndim == 1 else 0
-        if pixels == 0:
-            raise invalid("statistics.mean.shape", tuple(self.mean.shape), "", "(pixels,)")
-        if self.basis.ndim != 2 or self.basis.shape[0] != pixels or self.basis.shape[1] < 1:
-            raise invalid(
-                "statistics.basis.shape", tuple(self.basis.shape), "", f"({pixels}, 1 or more)"
-            )
-        if self.residual.shape != self.mean.shape:
-            raise invalid(
-                "statistics.residual.shape", tuple(self.residual.shape), "", f"({pixels},)"
-            )
+        require(pixels != 0, "statistics.mean.shape", tuple(self.mean.shape), "", "(pixels,)")
+        require(
+            self.basis.ndim == 2 and self.basis.shape[0] == pixels and self.basis.shape[1] >= 1,
+            "statistics.basis.shape",
+            tuple(self.basis.shape),
+            "",
+            f"({pixels}, 1 or more)",
+        )
+        require_shape("statistics.residual", self.residual, pixels)
         if not all(bool(t.isfinite().all()) for t in (self.mean, self.basis, self.residual)):
             raise OpticsError("statistics hold NaN or infinity: make them again")
         if bool((self.residual < 0).any()):
@@ -67,8 +64,7 @@ class SceneStatistics:
 
     def truncate(self, rank: int) -> Self:
         """The ``rank`` strongest components alone; the others' variance goes to the residual."""
-        if not 1 <= rank <= self.rank:
-            raise invalid("rank", rank, "", f"1 to {self.rank}, as many as there are")
+        require(1 <= rank <= self.rank, "rank", rank, "", f"1 to {self.rank}, as many as there are")
         dropped = self.basis[:, rank:].square().sum(1)
         return type(self)(self.mean, self.basis[:, :rank], self.residual + dropped)
 
@@ -88,8 +84,7 @@ def fit_statistics(batches: Iterable[Tensor], rank: int) -> SceneStatistics:
     Raises:
         OpticsError: fewer than two scenes, or batches that differ in shape.
     """
-    if rank < 1:
-        raise invalid("rank", rank, "", "at least 1")
+    require_count("rank", rank)
     count, origin, first, second = 0, None, None, None
     for batch in batches:
         flat = batch.reshape(len(batch), -1).double()
@@ -99,8 +94,13 @@ def fit_statistics(batches: Iterable[Tensor], rank: int) -> SceneStatistics:
             first = torch.zeros_like(origin)
             second = origin.new_zeros(len(origin), len(origin))
         assert first is not None and second is not None  # noqa: S101, PT018
-        if flat.shape[1] != len(origin):
-            raise invalid("scenes.shape", tuple(batch.shape), "", f"{len(origin)} pixels each")
+        require(
+            flat.shape[1] == len(origin),
+            "scenes.shape",
+            tuple(batch.shape),
+            "",
+            f"{len(origin)} pixels each",
+        )
         offset = flat - origin
         count += len(flat)
         first += offset.sum(0)

@@ -1,7 +1,5 @@
 """Everything that light, panel and sensor may do, each one object, all of them in one registry."""
 
-from __future__ import annotations
-
 from veilcam_optics.effects import light, mask, sensor
 from veilcam_optics.effects.base import Assessment, Comparison, Effect
 from veilcam_optics.effects.model import Model, Sampling

@@ -1,7 +1,5 @@
 """An effect: when it is there, what it does to light and measurements, and its worth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """What all effects of a model do together, stage by stage, each where it is present alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import torch

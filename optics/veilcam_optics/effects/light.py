@@ -1,7 +1,5 @@
 """Effects of the light on its way from the scene through the panel to the sensor."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise

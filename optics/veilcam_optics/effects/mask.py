@@ -1,7 +1,5 @@
 """Effects of the panel: its structure, what it shows for a mask, and where it sits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import MappingProxyType

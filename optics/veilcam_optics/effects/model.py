@@ -1,15 +1,13 @@
 """A model of the light: camera, scene, embedding, conditions, and how finely each is computed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import torch
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_choice, require_count, require_positive
 from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import Reach
 
@@ -50,16 +48,12 @@ class Sampling:
     dtype: torch.dtype = torch.float32
 
     def __post_init__(self) -> None:
-        if self.method not in {"transfer", "factors", "grid"}:
-            raise invalid(
-                "sampling.method", repr(self.method), "", '"transfer", "factors" or "grid"'
-            )
+        require_choice("sampling.method", self.method, ("transfer", "factors", "grid"))
         for name in ("wavelengths", "layers", "zones"):
             require_count(f"sampling.{name}", getattr(self, name))
         require_positive("sampling.step", self.step, "m")
         require_positive("sampling.oversampling", self.oversampling, "")
-        if self.dtype not in {torch.float32, torch.float64}:
-            raise invalid("sampling.dtype", self.dtype, "", "torch.float32 or torch.float64")
+        require_choice("sampling.dtype", self.dtype, (torch.float32, torch.float64))
 
 
 @dataclass(frozen=True)
@@ -81,12 +75,20 @@ class Model:
         for name, width, wavelength in zip(
             CHANNELS, conditions.bandwidth, camera.wavelengths, strict=True
         ):
-            if width > wavelength / 2:
-                valid = f"at most half the wavelength, {wavelength / 2:.3e} m"
-                raise invalid(f"conditions.bandwidth[{name}]", width, "m", valid)
-        if conditions.depth_range > scene.distance:
-            valid = f"at most the scene's distance, {scene.distance:.3e} m"
-            raise invalid("conditions.depth_range", conditions.depth_range, "m", valid)
+            require(
+                width <= wavelength / 2,
+                f"conditions.bandwidth[{name}]",
+                width,
+                "m",
+                f"at most half the wavelength, {wavelength / 2:.3e} m",
+            )
+        require(
+            conditions.depth_range <= scene.distance,
+            "conditions.depth_range",
+            conditions.depth_range,
+            "m",
+            f"at most the scene's distance, {scene.distance:.3e} m",
+        )
         conditions.imperfections.check(camera)
 
     def with_sampling(
@@ -98,7 +100,7 @@ class Model:
         layers: int | None = None,
         zones: int | None = None,
         dtype: torch.dtype | None = None,
-    ) -> Model:
+    ) -> Self:
         """The same model computed otherwise; None keeps what is there."""
         sampling = self.sampling
         return replace(
@@ -114,7 +116,7 @@ class Model:
             ),
         )
 
-    def with_samples(self, of: str, count: int) -> Model:
+    def with_samples(self, of: str, count: int) -> Self:
         """The same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
         samples: dict[str, Any] = {of: count}
         return replace(self, sampling=replace(self.sampling, **samples))

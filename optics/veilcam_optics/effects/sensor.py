@@ -1,7 +1,5 @@
 """Effects of the sensor: colours, photons, electrons, numbers. All after the optics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import MappingProxyType
@@ -230,8 +228,10 @@ class Converter(Effect):
         return f"{conditions.adc_bits} bits up to an embedding value of {ends:.3g}"
 
     def measurement(
-        self, values: Tensor, model: Model, generator: torch.Generator | None
+        self,
+        values: Tensor,
+        model: Model,
+        generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
         """Rounded, with the gradient of the identity."""
-        del generator
         return digitised(values, model.conditions.adc_bits, converter_range(model.conditions))

@@ -4,8 +4,6 @@ The name of an epoch is its counter, enciphered: names look random and never rep
 the secret finds the counter again, which is what it takes to decode an embedding elsewhere.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 

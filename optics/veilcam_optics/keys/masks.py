@@ -5,8 +5,6 @@ everything here is whole numbers. Without it, the mask of one epoch says nothing
 An epoch must be used once; counting them, durably, is the device's duty.
 """
 
-from __future__ import annotations
-
 import hmac
 import re
 import secrets
@@ -22,7 +20,13 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_optics.errors import OpticsError, invalid, require_count, require_positive
+from veilcam_optics.errors import (
+    OpticsError,
+    require,
+    require_count,
+    require_positive,
+    require_shape,
+)
 
 SECRET_BYTES = 32
 MAX_EPOCH = 2**64 - 1
@@ -120,12 +124,14 @@ class MaskDistribution:
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.dtype != np.uint8:
                 raise OpticsError(f"distribution.{name} is not valid: use a uint8 array")
-            if array.ndim != dimensions or array.size == 0:
-                raise invalid(
-                    f"distribution.{name}.shape", array.shape, "", f"{dimensions} dimensions"
-                )
-        if self.lowest.shape != self.highest.shape:
-            raise invalid("distribution.highest.shape", self.highest.shape, "", "that of lowest")
+            require(
+                array.ndim == dimensions and array.size != 0,
+                f"distribution.{name}.shape",
+                array.shape,
+                "",
+                f"{dimensions} dimensions",
+            )
+        require_shape("distribution.highest", self.highest, *self.lowest.shape)
         if bool((self.lowest > self.highest).any()):
             raise OpticsError("distribution.lowest exceeds highest: use at most the same number")
         if max(int(self.highest.max()), int(self.curve.max())) >= self.curve.size:
@@ -147,8 +153,7 @@ class MaskDistribution:
         """
         require_positive("exponent", exponent, "")
         levels = camera.panel.levels
-        if levels > 256:
-            raise invalid("panel.levels", levels, "", "at most 256 for keyed masks")
+        require(levels <= 256, "panel.levels", levels, "", "at most 256 for keyed masks")
         curve = np.round((levels - 1) * np.linspace(0, 1, levels) ** exponent).astype(np.uint8)
         shape = camera.mask_shape
         return cls(np.zeros(shape, np.uint8), np.full(shape, levels - 1, np.uint8), curve)
@@ -166,7 +171,7 @@ class MaskDistribution:
             total -= float(count) * float((shares * np.log2(shares)).sum())
         return total
 
-    def draw(self, stream: KeyStream) -> Levels:
+    def draw(self, stream: "KeyStream") -> Levels:
         """One mask, uint8 of shape ``camera.mask_shape``.
 
         A byte serves where it lies under the largest multiple of the range's size; where it does
@@ -211,22 +216,29 @@ def epoch_key(
             distribution for another window or panel.
     """
     name = device.encode()
-    if not 1 <= len(name) <= MAX_DEVICE_BYTES:
-        raise invalid("device", device, "", f"a name of 1 to {MAX_DEVICE_BYTES} bytes")
+    require(
+        1 <= len(name) <= MAX_DEVICE_BYTES,
+        "device",
+        device,
+        "",
+        f"a name of 1 to {MAX_DEVICE_BYTES} bytes",
+    )
     require_count("epoch", epoch, least=0)
-    if epoch > MAX_EPOCH:
-        raise invalid("epoch", epoch, "", "at most 2^64 - 1")
-    if distribution.lowest.shape != camera.mask_shape:
-        raise invalid(
-            "distribution.shape", distribution.lowest.shape, "", f"the window, {camera.mask_shape}"
-        )
-    if distribution.curve.size != camera.panel.levels:
-        raise invalid(
-            "distribution.curve.size",
-            distribution.curve.size,
-            "levels",
-            f"the panel's, {camera.panel.levels}",
-        )
+    require(epoch <= MAX_EPOCH, "epoch", epoch, "", "at most 2^64 - 1")
+    require(
+        distribution.lowest.shape == camera.mask_shape,
+        "distribution.shape",
+        distribution.lowest.shape,
+        "",
+        f"the window, {camera.mask_shape}",
+    )
+    require(
+        distribution.curve.size == camera.panel.levels,
+        "distribution.curve.size",
+        distribution.curve.size,
+        "levels",
+        f"the panel's, {camera.panel.levels}",
+    )
     info = b"".join(
         (
             CONTEXT,

@@ -1,7 +1,5 @@
 """Plans: the cheapest way to compute embeddings to within a tolerance, and the reasons."""
 
-from __future__ import annotations
-
 from veilcam_optics.plan.planning import Plan, plan
 
 __all__ = ["Plan", "plan"]

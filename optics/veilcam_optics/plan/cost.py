@@ -4,8 +4,6 @@ The rates are those of one core of a server processor. They need not be right fo
 order of the settings must be, and the ratio of arithmetic to overhead hardly changes it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Errors at the embedding: of every effect if it were ignored, and of every sampling."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

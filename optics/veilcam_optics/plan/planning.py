@@ -1,16 +1,13 @@
 """From a tolerance to a plan: what to compute, how finely, and why."""
 
-from __future__ import annotations
-
 import io
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from torch import Tensor
 
 from veilcam_optics import effects
@@ -19,7 +16,7 @@ from veilcam_optics.camera.imperfections import IDEAL, Conditions
 from veilcam_optics.effects import Assessment, Model
 from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
-from veilcam_optics.errors import invalid, require_count
+from veilcam_optics.errors import require, require_count
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.plan.search import search, settle_free, together
@@ -116,8 +113,7 @@ def plan(
     Raises:
         OpticsError: a tolerance outside (0, 1), no batch, or conditions that cannot be.
     """
-    if not (math.isfinite(tolerance) and 0 < tolerance < 1):
-        raise invalid("tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
+    require(0 < tolerance < 1, "tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
     require_count("batch", batch)
     error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
     complete = error_model.model
@@ -163,12 +159,15 @@ def _assess(
 
 def table(plan: Plan) -> Table:
     """Every effect: on or off, error if ignored, cost, reason."""
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    shown.add_column("effect", no_wrap=True)
-    shown.add_column("", no_wrap=True)
-    shown.add_column("error if ignored", justify="right", no_wrap=True)
-    shown.add_column("cost [ms]", justify="right", no_wrap=True)
-    shown.add_column("why")
+    shown = Table(
+        Column("effect", no_wrap=True),
+        Column("", no_wrap=True),
+        Column("error if ignored", justify="right", no_wrap=True),
+        Column("cost [ms]", justify="right", no_wrap=True),
+        "why",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
     for found in plan.assessments:
         shown.add_row(
             found.name,

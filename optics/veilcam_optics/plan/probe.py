@@ -5,8 +5,6 @@ uniform weights. A transfer matrix has one entry for each offset along y and eac
 them, evenly spread, stand for all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The cheapest setting whose errors, taken together, stay under the tolerance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace

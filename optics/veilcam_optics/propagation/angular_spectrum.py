@@ -5,8 +5,6 @@ free-space propagation in far and near fields", Opt. Express 17, 19662 (2009); s
 K. Matsushima, Opt. Express 18, 18453 (2010).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -14,7 +12,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require_choice, require_within
 from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
@@ -58,10 +56,8 @@ class AngularSpectrum:
     band_limit: bool = True
 
     def __post_init__(self) -> None:
-        if self.padding not in ("full", "reach", "none"):
-            raise invalid("padding", repr(self.padding), "", '"full", "reach" or "none"')
-        if not 0 <= self.guard < math.inf:
-            raise invalid("guard", self.guard, "", "a finite share >= 0")
+        require_choice("padding", self.padding, ("full", "reach", "none"))
+        require_within("guard", self.guard, "", 0, math.inf)
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate where no frequency is dropped, or the flank of the band limit is soft enough."""

@@ -1,7 +1,5 @@
 """What every way to carry a field from one plane to another has in common."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -9,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require, require_choice, require_shape
 from veilcam_optics.propagation.sampling import Grid, Real, as_float, as_scalar
 
 Propagation = Callable[[Tensor], Tensor]
@@ -76,34 +74,27 @@ class Propagator(Protocol):
 
 def unit_phasor(phase: Tensor, dtype: torch.dtype) -> Tensor:
     """Return exp(i phase): float64 phase reduced modulo 2 pi first, and only then cast."""
-    if phase.dtype != torch.float64:
-        raise invalid("phase", str(phase.dtype), "", "float64")
+    require_choice("phase", phase.dtype, [torch.float64])
     reduced = torch.remainder(phase, TURN).to(real_type(dtype))
     return torch.complex(torch.cos(reduced), torch.sin(reduced))
 
 
 def real_type(dtype: torch.dtype) -> torch.dtype:
     """Return the real type that belongs to a complex ``dtype``."""
-    if dtype not in _COMPLEX.values():
-        raise invalid("dtype", str(dtype), "", "torch.complex64 or torch.complex128")
+    require_choice("dtype", dtype, _COMPLEX.values())
     return dtype.to_real()
 
 
 def complex_type(dtype: torch.dtype) -> torch.dtype:
     """Return the complex type that belongs to a real ``dtype``."""
-    if dtype not in _COMPLEX:
-        raise invalid("dtype", str(dtype), "", "torch.float32 or torch.float64")
+    require_choice("dtype", dtype, _COMPLEX)
     return _COMPLEX[dtype]
 
 
 def check_field(field: Tensor, source: Grid, dtype: torch.dtype) -> None:
     """Refuse a field that does not match what was prepared."""
-    if tuple(field.shape[-2:]) != source.shape:
-        raise invalid(
-            "field.shape", tuple(field.shape), "", f"(..., {source.rows}, {source.columns})"
-        )
-    if field.dtype != dtype:
-        raise invalid("field.dtype", str(field.dtype), "", f"{dtype}, as prepared")
+    require_shape("field", field, ..., *source.shape)
+    require_choice("field.dtype", field.dtype, [dtype])
 
 
 def separable(source: Grid, rows: Tensor, columns: Tensor) -> Propagation:
@@ -122,6 +113,5 @@ def check_job(
     """Return distance and wavelength as float64 scalars, refusing what has no meaning."""
     z = as_scalar("distance", distance, device)
     length = as_scalar("wavelength", wavelength, device)
-    if as_float(length) <= 0:
-        raise invalid("wavelength", as_float(length), "m", "a finite number > 0")
+    require(as_float(length) > 0, "wavelength", as_float(length), "m", "a finite number > 0")
     return z, length

@@ -3,15 +3,13 @@
 J. W. Goodman, "Introduction to Fourier Optics", equation 4-25.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require
 from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
@@ -67,8 +65,7 @@ class Fraunhofer:
             OpticsError: Also if ``distance`` is zero.
         """
         z, length = check_job(distance, wavelength, device)
-        if as_float(z) == 0:
-            raise invalid("distance", 0, "m", "a distance in the far field")
+        require(as_float(z) != 0, "distance", 0, "m", "a distance in the far field")
         area = length * z
         y, x = source.y(device), source.x(device)
         v, u = target.y(device), target.x(device)

@@ -5,8 +5,6 @@ function). Which of the two is well sampled depends on the distance: D. Voelz, "
 Fourier Optics", section 5.4.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,7 +12,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require, require_within
 from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
@@ -51,8 +49,7 @@ class FresnelTransfer:
     band_limit: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.guard < math.inf:
-            raise invalid("guard", self.guard, "", "a finite share >= 0")
+        require_within("guard", self.guard, "", 0, math.inf)
 
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Accurate while rays are flat and the transfer function is sampled finely enough."""
@@ -133,8 +130,13 @@ class FresnelImpulse:
             OpticsError: Also if ``distance`` is zero.
         """
         z, length = check_job(distance, wavelength, device)
-        if as_float(z) == 0:
-            raise invalid("distance", 0, "m", "another method than the impulse response, or not 0")
+        require(
+            as_float(z) != 0,
+            "distance",
+            0,
+            "m",
+            "another method than the impulse response, or not 0",
+        )
         y, x = source.y(device), source.x(device)
         v, u = target.y(device), target.x(device)
         # -i for the two axes together, where each contributes exp(-i pi / 4).

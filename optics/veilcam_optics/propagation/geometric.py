@@ -1,7 +1,5 @@
 """Geometric shadow: what is left of propagation without diffraction."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import invalid, require_positive
+from veilcam_optics.errors import require, require_positive
 from veilcam_optics.propagation.base import Propagation, Support, check_job, real_type, separable
 from veilcam_optics.propagation.sampling import Grid, Real, as_float
 
@@ -68,8 +66,13 @@ class GeometricShadow:
             OpticsError: Also if ``distance`` is negative.
         """
         z, _ = check_job(distance, wavelength, device)
-        if as_float(z) < 0:
-            raise invalid("distance", as_float(z), "m", "a distance >= 0: a shadow has no way back")
+        require(
+            as_float(z) >= 0,
+            "distance",
+            as_float(z),
+            "m",
+            "a distance >= 0: a shadow has no way back",
+        )
         magnified = 1 + z / self.source_distance
         kind = real_type(dtype)
         rows = _overlap(

@@ -1,11 +1,9 @@
 """Point spread functions of any mask, real or complex, at one wavelength."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require
 from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.base import check_field
 from veilcam_optics.propagation.illumination import plane_wave, spherical_wave
@@ -52,8 +50,13 @@ class PointSpread:
         """
         self.source, self.target, self.dtype = source, target, dtype
         if as_float(scene_distance) == AT_INFINITY:
-            if any(as_float(offset) != 0 for offset in point):
-                raise invalid("point", point, "m", "(0, 0) at infinity, or a finite scene_distance")
+            require(
+                all(as_float(offset) == 0 for offset in point),
+                "point",
+                point,
+                "m",
+                "(0, 0) at infinity, or a finite scene_distance",
+            )
             self._wave = plane_wave(source, wavelength, dtype=dtype, device=device)
         else:
             self._wave = spherical_wave(

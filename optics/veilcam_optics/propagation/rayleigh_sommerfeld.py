@@ -3,15 +3,13 @@
 J. W. Goodman, "Introduction to Fourier Optics", equation 3-40, first kind, all terms.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import OpticsError, invalid, require_count
+from veilcam_optics.errors import OpticsError, require, require_count
 from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
@@ -75,8 +73,7 @@ class RayleighSommerfeld:
             OpticsError: Also if ``distance`` is not positive, or if the job is too large.
         """
         z, length = check_job(distance, wavelength, device)
-        if as_float(z) <= 0:
-            raise invalid("distance", as_float(z), "m", "a distance > 0")
+        require(as_float(z) > 0, "distance", as_float(z), "m", "a distance > 0")
         if source.rows * source.columns * target.rows * target.columns > self.largest:
             raise OpticsError(
                 f"a sum over {source.shape} x {target.shape} samples is too large: use the angular "

@@ -4,16 +4,15 @@ A grid never has a "middle sample" that depends on its parity: sample ``i`` of `
 ``(i - (n - 1) / 2) * pitch + centre``, for odd and even ``n`` alike.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive
 
 Real = float | Tensor
 """A physical quantity: a number, or a zero-dimensional tensor that may require a gradient."""
@@ -27,10 +26,8 @@ def as_float(value: Real) -> float:
 def as_scalar(argument: str, value: Real, device: torch.device | None = None) -> Tensor:
     """Return ``value`` as a float64 scalar that keeps its graph; refuse NaN and infinity."""
     scalar = torch.as_tensor(value, dtype=torch.float64, device=device)
-    if scalar.ndim != 0:
-        raise invalid(argument, f"tensor of shape {tuple(scalar.shape)}", "", "one number")
-    if not bool(torch.isfinite(scalar)):
-        raise invalid(argument, as_float(scalar), "", "a finite number")
+    require(scalar.ndim == 0, argument, f"tensor of shape {tuple(scalar.shape)}", "", "one number")
+    require(bool(torch.isfinite(scalar)), argument, as_float(scalar), "", "a finite number")
     return scalar
 
 
@@ -52,7 +49,7 @@ class Grid:
         require_positive("grid.pitch_x", as_float(self.pitch_x), "m")
 
     @classmethod
-    def square(cls, rows: int, columns: int, pitch: Real) -> Grid:
+    def square(cls, rows: int, columns: int, pitch: Real) -> Self:
         """Return a centred grid with the same ``pitch`` [m] along both axes."""
         return cls(rows, columns, pitch, pitch)
 

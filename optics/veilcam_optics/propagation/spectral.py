@@ -1,7 +1,5 @@
 """What the transfer-function methods share: padding, the two transforms, and the band limit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

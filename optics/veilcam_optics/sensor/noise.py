@@ -1,7 +1,5 @@
 """Noise on a measurement, added after the optics."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -9,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require_ratio
 
 DARK = 1e-6
 """Share of an image's brightest value up to which the noise's amplitude loses its gradient."""
@@ -37,8 +35,7 @@ def shot_noise(values: Tensor, snr_db: float, generator: torch.Generator | None 
     Raises:
         OpticsError: ``snr_db`` is NaN or minus infinity.
     """
-    if math.isnan(snr_db) or snr_db == -math.inf:
-        raise invalid("snr_db", snr_db, "dB", "a finite number, or inf for no noise")
+    require_ratio("snr_db", snr_db)
     if snr_db == math.inf or values.numel() == 0:
         return values
     noise = torch.randn(values.shape, generator=generator, dtype=values.dtype, device=values.device)

@@ -1,7 +1,5 @@
 """The sensor's way from irradiance to numbers: Bayer filter, counted photons, converter."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -6,8 +6,6 @@ resize to the embedding, add shot noise. The two resizings are bilinear without 
 pixels between the samples are not read. ``resampling="area"`` replaces both by area averages.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import OpticsError, require, require_choice, require_shape
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import TURN, unit_phasor
 from veilcam_optics.propagation.sampling import Grid, area_average, fast_length, tiled
@@ -46,10 +44,14 @@ class Algorithm1:
     snr_db: float = 40.0
 
     def __post_init__(self) -> None:
-        if self.resampling not in ("bilinear", "area"):
-            raise invalid("resampling", repr(self.resampling), "", '"bilinear" or "area"')
-        if math.isnan(self.snr_db):
-            raise invalid("snr_db", self.snr_db, "dB", "a number, or infinity for no noise")
+        require_choice("resampling", self.resampling, ("bilinear", "area"))
+        require(
+            not math.isnan(self.snr_db),
+            "snr_db",
+            self.snr_db,
+            "dB",
+            "a number, or infinity for no noise",
+        )
         rows, columns = self._object_samples()
         if rows > self.grid.rows or columns > self.grid.columns:
             image = self.scene.height * self.camera.distance / self.scene.distance
@@ -88,8 +90,7 @@ class Algorithm1:
 
         The paper leaves them upright; the camera inverts, and so does every other path here.
         """
-        if tuple(pictures.shape[-2:]) != self.scene.shape:
-            raise invalid("pictures.shape", tuple(pictures.shape), "", f"(..., {self.scene.shape})")
+        require_shape("pictures", pictures, ..., *self.scene.shape)
         inverted = pictures.flip(-2, -1)
         if self.resampling == "area":
             side, pitch = self.scene.pixel_at_sensor(self.camera), float(self.grid.pitch_y)
@@ -123,8 +124,7 @@ class Algorithm1:
         Raises:
             OpticsError: If a shape does not match.
         """
-        if tuple(psf.shape) != (3, *self.grid.shape):
-            raise invalid("psf.shape", tuple(psf.shape), "", f"(3, {self.grid.shape})")
+        require_shape("psf", psf, 3, *self.grid.shape)
         if not pictures.numel():  # which the FFT refuses
             return pictures.new_zeros(*pictures.shape[:-2], *self.embedding.shape)
         shares = torch.tensor(

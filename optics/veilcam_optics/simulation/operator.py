@@ -1,7 +1,5 @@
 """A model made to run: from scenes and a mask to embeddings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch
@@ -14,7 +12,7 @@ from veilcam_optics.effects.light import Zone, zones
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
-from veilcam_optics.errors import OpticsError, invalid
+from veilcam_optics.errors import OpticsError, require_shape
 from veilcam_optics.simulation.rotated_mask import RotatedMask
 from veilcam_optics.transfer.grid import GridLight, sample_pitch
 from veilcam_optics.transfer.operator import Reach, TransferOperator
@@ -128,9 +126,7 @@ class LightOperator(nn.Module):
         Raises:
             OpticsError: the scenes have another shape.
         """
-        if tuple(scenes.shape[1:]) != self.model.scene.shape:
-            valid = f"(batch, *{self.model.scene.shape})"
-            raise invalid("scenes.shape", tuple(scenes.shape), "", valid)
+        require_shape("scenes", scenes, "batch", *self.model.scene.shape)
         scenes = scenes.to(self.dtype)
         if self.fade is not None:
             scenes = scenes * self.fade

@@ -1,7 +1,5 @@
 """A mask that is shifted and turned by any angle, on a grid."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -6,8 +6,6 @@ one-dimensional Fresnel diffraction integral with a closed form, so dead space a
 and nothing is padded or aliased.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

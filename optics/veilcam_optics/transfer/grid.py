@@ -5,8 +5,6 @@ the point spread function (PSF), and the embedding is the scene's geometric imag
 PSF and averaged over embedding pixels (the paper's Algorithm 1 with exact areas).
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import torch
@@ -14,7 +12,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.errors import invalid, require_positive
+from veilcam_optics.errors import require, require_positive, require_shape
 from veilcam_optics.propagation import AngularSpectrum, GeometricShadow, Propagator
 from veilcam_optics.propagation.base import TURN, complex_type, unit_phasor
 from veilcam_optics.propagation.psf import AT_INFINITY, PointSpread
@@ -209,8 +207,7 @@ class GridLight:
     def embed_colour(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
         """As :meth:`embed`, from colour to colour, both of shape (..., 3, rows, columns)."""
         self._check_psf(psf)
-        if scenes.ndim < 3 or scenes.shape[-3] != len(CHANNELS):
-            raise invalid("scenes.shape", tuple(scenes.shape), "", "(..., 3, rows, columns)")
+        require_shape("scenes", scenes, ..., len(CHANNELS), "rows", "columns")
         channels = [
             self._convolve_and_bin(scenes[..., channel, :, :], psf[channel], embedding)
             for channel in range(len(CHANNELS))
@@ -223,8 +220,7 @@ class GridLight:
         All of it happens in the frequency domain: the PSF is a Fourier series on the padded grid,
         a box is a sinc and an offset a phase, so that no fraction of a sample is ever rounded.
         """
-        if tuple(scenes.shape[-2:]) != self.scene.shape:
-            raise invalid("scenes.shape", tuple(scenes.shape), "", f"(..., {self.scene.shape})")
+        require_shape("scenes", scenes, ..., *self.scene.shape)
         # Offsets reach no further than the grid, so the series need not be padded beyond it.
         lengths = tuple(fast_length(count) for count in self.grid.shape)
         spectrum = torch.fft.rfft2(psf, s=lengths) / (lengths[0] * lengths[1])
@@ -282,14 +278,13 @@ class GridLight:
         """Return the weights in this object's type; only counts are told, they are a secret."""
         check_weights(weights, self.camera)
         outside = int(((weights < 0) | (weights > 1)).sum())
-        if outside:
-            raise invalid("weights", f"{outside} values outside [0, 1]", "", "0 (dark) to 1 (open)")
+        require(
+            not outside, "weights", f"{outside} values outside [0, 1]", "", "0 (dark) to 1 (open)"
+        )
         return weights.to(device=self.device, dtype=self.dtype)
 
     def _check_psf(self, psf: Tensor) -> None:
-        wanted = (len(CHANNELS), *self.grid.shape)
-        if tuple(psf.shape) != wanted:
-            raise invalid("psf.shape", tuple(psf.shape), "", f"{wanted}, as psf(weights) gives it")
+        require_shape("psf", psf, len(CHANNELS), *self.grid.shape)
 
 
 def _sensor_grid(camera: Camera, scene: Scene, pitch: float) -> Grid:

@@ -4,8 +4,6 @@ A scene pixel's image and an embedding pixel are boxes; ``kappa`` is the one con
 other, a trapezoid in their offset. A kernel integrates products of aperture fields against it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

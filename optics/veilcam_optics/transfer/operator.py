@@ -12,8 +12,6 @@ apart interfere in fringes much finer than an embedding pixel, which average out
 (dr, dc) are enough, and how many is the dial between accuracy and time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,7 +21,7 @@ from torch import Tensor, nn
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.errors import invalid, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive, require_shape
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
 from veilcam_optics.transfer.regions import Region, embed_lit
 
@@ -192,8 +190,13 @@ class TransferOperator(nn.Module):
                 else variables.wavelengths.unbind()
             )
             beams = [Beam(channel, wavelength) for channel, wavelength in enumerate(wavelengths)]
-        if {beam.channel for beam in beams} != set(range(len(CHANNELS))):
-            raise invalid("beams", f"{len(beams)} beams", "", "at least one for each of R, G and B")
+        require(
+            {beam.channel for beam in beams} == set(range(len(CHANNELS))),
+            "beams",
+            f"{len(beams)} beams",
+            "",
+            "at least one for each of R, G and B",
+        )
         axes = {
             distance: make_axes(
                 camera,
@@ -309,8 +312,7 @@ class TransferOperator(nn.Module):
 
     def _check_scenes(self, scenes: Tensor) -> None:
         expected = (3, *self.scene.shape) if self.colour else self.scene.shape
-        if tuple(scenes.shape[1:]) != expected:
-            raise invalid("scenes.shape", tuple(scenes.shape), "", f"(batch, *{expected})")
+        require_shape("scenes", scenes, "batch", *expected)
 
 
 def make_axes(

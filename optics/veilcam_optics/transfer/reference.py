@@ -6,8 +6,6 @@ rule). Nothing is shared with the transfer operator's kernels but the field of o
 and meant to be: it says how wrong the fast ways are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

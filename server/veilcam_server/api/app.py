@@ -8,9 +8,11 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 
 from veilcam_client import __version__
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api import problems
 from veilcam_server.api.metrics import Metrics
-from veilcam_server.api.middleware import RequestContext
+from veilcam_server.api.middleware import Body, RequestContext
 from veilcam_server.api.routes import (
     bundles,
     calibration,
@@ -18,6 +20,7 @@ from veilcam_server.api.routes import (
     diagnostics,
     events,
     lease,
+    page,
     rotation,
     simulation,
     tokens,
@@ -28,7 +31,10 @@ from veilcam_server.service.service import Service
 
 MAX_BODY = 16 * 1024
 """No request needs more than a few hundred bytes, but for uploads [bytes]."""
-_ROUTES = (captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation)
+_ROUTES = (
+    *(captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation),
+    page,
+)
 
 
 def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
@@ -75,10 +81,15 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
         RequestContext,
         admission=admission,
         metrics=metrics,
-        max_body=MAX_BODY,
-        max_uploads={
-            ("POST", bundles.PREFIX): service.upload_limit,
-            ("PUT", simulation.PATH): simulation.MAX_PICTURE,
+        open_paths=(page.PATH,),
+        body=Body(MAX_BODY),
+        uploads={
+            ("POST", bundles.PREFIX): Body(
+                service.upload_limit, (BUNDLE_MEDIA_TYPE,), required=True
+            ),
+            ("PUT", simulation.PATH): Body(
+                simulation.MAX_PICTURE, PICTURE_MEDIA_TYPES, required=True
+            ),
         },
     )
     return app

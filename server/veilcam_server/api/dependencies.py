@@ -19,18 +19,23 @@ from veilcam_server.service.service import Service
 
 ResultT = TypeVar("ResultT")
 
-ALWAYS = (
+OPEN = (
     "bad_request",
-    "unauthorized",
-    "forbidden",
     "cross_site",
     "host_refused",
-    "rate_limited",
-    "too_many_requests",
+    "unsupported_media_type",
     "internal_error",
-    "tokens_unavailable",
 )
 """What every route can answer with."""
+ALWAYS = (
+    *OPEN,
+    "unauthorized",
+    "forbidden",
+    "rate_limited",
+    "too_many_requests",
+    "tokens_unavailable",
+)
+"""What every route that wants a token can answer with."""
 BODY = ("body_too_large", "invalid_request", "idempotency_key_reused")
 """What a route with a body can answer with besides."""
 DEVICE = (
@@ -49,7 +54,15 @@ DEVICE = (
 
 def problems(*codes: str) -> dict[int | str, dict[str, object]]:
     """OpenAPI entries for the problems of a route, those of every route included."""
-    wanted = (*ALWAYS, *codes)
+    return _problems((*ALWAYS, *codes))
+
+
+def open_problems() -> dict[int | str, dict[str, object]]:
+    """OpenAPI entries for the problems of a route that wants no token."""
+    return _problems(OPEN)
+
+
+def _problems(wanted: tuple[str, ...]) -> dict[int | str, dict[str, object]]:
     answers: dict[int | str, dict[str, object]] = {}
     for status in sorted({PROBLEMS[code].status for code in wanted}):
         answers[status] = {
@@ -89,7 +102,7 @@ async def _once(
     caller: CallerDep,
     idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,128}$")] = None,
 ) -> Once:
-    head = f"{request.method} {request.url.path}\n".encode()
+    head = f"{request.method} {request.url.path}?{request.url.query}\n".encode()
     return Once(
         request.app.state.idempotency,
         # A caller's own: nobody is answered with what another one was told.

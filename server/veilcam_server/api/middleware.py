@@ -1,4 +1,4 @@
-"""Around every request: its id, who asks, body limit, audit, log line, and the last resort."""
+"""Around every request: its id, who asks, its body, audit, log line, and the last resort."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import re
 import secrets
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
@@ -16,7 +17,12 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from veilcam_server.api.metrics import Metrics
-from veilcam_server.api.problems import DefectError, error_response, problem_response
+from veilcam_server.api.problems import (
+    DefectError,
+    UnsupportedMediaTypeError,
+    error_response,
+    problem_response,
+)
 from veilcam_server.errors import ProblemError
 from veilcam_server.security.admission import Admission
 
@@ -27,6 +33,32 @@ MAX_PATH = 128
 log = structlog.get_logger()
 
 
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What a route takes.
+
+    Attributes:
+        limit: its size [bytes].
+        media_types: of which it has to be said to have one.
+        required: whether an empty one needs a media type too.
+    """
+
+    limit: int
+    media_types: tuple[str, ...] = ("application/json",)
+    required: bool = False
+
+    def require_media_type(self, headers: Headers) -> None:
+        """Raise :class:`UnsupportedMediaTypeError` unless the body has one of the media types.
+
+        A page of another site can make a browser send text and forms without asking first; none of
+        these types is among them (https://fetch.spec.whatwg.org/#cors-safelisted-request-header).
+        """
+        empty = "transfer-encoding" not in headers and headers.get("content-length", "0") == "0"
+        given = headers.get("content-type", "").partition(";")[0].strip().lower()
+        if (self.required or not empty) and given not in self.media_types:
+            raise UnsupportedMediaTypeError(self.media_types)
+
+
 class RequestContext:
     """Pure ASGI, so that event streams pass through unbuffered."""
 
@@ -35,11 +67,14 @@ class RequestContext:
         app: ASGIApp,
         admission: Admission,
         metrics: Metrics,
-        max_body: int,
-        max_uploads: Mapping[tuple[str, str], int],
+        *,
+        open_paths: Collection[str],
+        body: Body,
+        uploads: Mapping[tuple[str, str], Body],
     ) -> None:
         self._app, self._admission, self._metrics = app, admission, metrics
-        self._max_body, self._max_uploads = max_body, max_uploads
+        self._open_paths, self._body, self._uploads = open_paths, body, uploads
+        self._headers = security_headers(admission.site.frame_ancestors)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -52,6 +87,7 @@ class RequestContext:
         state = scope.setdefault("state", {})
         state.update(request_id=request_id, caller=None, problem=None, noted={})
         peer = scope["client"][0] if scope.get("client") else "local socket"
+        body = self._uploads.get((scope["method"], scope["path"]), self._body)
         begun, status = time.monotonic(), 0
 
         async def send_with_id(message: Message) -> None:
@@ -60,7 +96,7 @@ class RequestContext:
                 status = message["status"]
                 answer = MutableHeaders(scope=message)
                 answer["X-Request-Id"] = request_id
-                answer["Cache-Control"] = "no-store"
+                answer.update(self._headers)
                 self._audit(scope, status, peer)
                 self._metrics.observe(*_names(scope), status, time.monotonic() - begun)
             await send(message)
@@ -68,12 +104,17 @@ class RequestContext:
         try:
             with ExitStack() as stack:
                 try:
-                    state["caller"] = stack.enter_context(self._admission.admitted(headers, peer))
+                    self._admission.site.require(scope["method"], scope["path"], headers)
+                    # No limit: an answer that everybody gets costs no more than a refusal.
+                    if not self._is_open(scope):
+                        admitted = self._admission.admitted(headers, peer)
+                        state["caller"] = stack.enter_context(admitted)
+                    body.require_media_type(headers)
                 except ProblemError as error:
                     response = error_response(scope, error)
                     await response(scope, receive, send_with_id)
                     return
-                await self._app(scope, self._limited(scope, receive), send_with_id)
+                await self._app(scope, _limited(receive, body.limit), send_with_id)
         except Exception as error:
             # The text of an error that nobody foresaw may hold anything, so it is not logged.
             log.error(
@@ -103,6 +144,9 @@ class RequestContext:
                 ms=round(1e3 * (time.monotonic() - begun), 1),
             )
 
+    def _is_open(self, scope: Scope) -> bool:
+        return scope["method"] in ("GET", "HEAD") and scope["path"] in self._open_paths
+
     def _audit(self, scope: Scope, status: int, peer: str) -> None:
         """Note everything but what was only read; who watches the events learns what is seen."""
         path, state = scope["path"], scope["state"]
@@ -119,20 +163,38 @@ class RequestContext:
             **state["noted"],
         )
 
-    def _limited(self, scope: Scope, receive: Receive) -> Receive:
-        """Stop measurement a body that is too large, whatever length it claims to have."""
-        limit = self._max_uploads.get((scope["method"], scope["path"]), self._max_body)
-        received = 0
 
-        async def receive_some() -> Message:
-            nonlocal received
-            message = await receive()
-            received += len(message.get("body", b""))
-            if received > limit:
-                raise HTTPException(413, f"this request has at most {limit} bytes")
-            return message
+def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
+    """What tells a browser to make nothing of an answer: of every one, also of refusals.
 
-        return receive_some
+    Args:
+        frame_ancestors: origins of the pages that may show it in a frame.
+    """
+    framing = " ".join(frame_ancestors) or "'none'"
+    return {
+        "Cache-Control": "no-store",
+        "Content-Security-Policy": (
+            f"default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors {framing}"
+        ),
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+    }
+
+
+def _limited(receive: Receive, limit: int) -> Receive:
+    """Stop measurement a body that is too large, whatever length it claims to have."""
+    received = 0
+
+    async def receive_some() -> Message:
+        nonlocal received
+        message = await receive()
+        received += len(message.get("body", b""))
+        if received > limit:
+            raise HTTPException(413, f"this request has at most {limit} bytes")
+        return message
+
+    return receive_some
 
 
 def _names(scope: Scope) -> tuple[str, str]:

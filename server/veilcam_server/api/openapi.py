@@ -25,9 +25,11 @@ from veilcam_client.wire import (
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_server.api import metrics
 from veilcam_server.api.problems import example_of
+from veilcam_server.api.routes import page
 
 _EVENT = events.EXAMPLE
 _TEXTS = {
+    "text/html": page.TEXT,
     "text/plain": metrics.EXAMPLE,
     "text/event-stream": (
         f"event: {_EVENT.kind}\nid: {_EVENT.id}\ndata: {_EVENT.model_dump_json()}\n\n"

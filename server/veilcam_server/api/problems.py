@@ -56,6 +56,18 @@ class BodyTooLargeError(
     """More bytes than the route takes."""
 
 
+class UnsupportedMediaTypeError(
+    ProblemError,
+    code="unsupported_media_type",
+    status=415,
+    title="The body's media type is not taken here",
+):
+    """A body that is not said to be what the route takes."""
+
+    def __init__(self, taken: tuple[str, ...]) -> None:
+        super().__init__(f"send it with Content-Type: {' or '.join(taken)}")
+
+
 class InvalidRequestError(
     ProblemError, code="invalid_request", status=422, title="The request is not valid"
 ):

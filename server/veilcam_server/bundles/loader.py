@@ -11,10 +11,14 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.errors import (
     BundleInvalidError,
+    BundleOlderError,
+    BundleStoreError,
     BundleUnfitError,
+    BundleUntrustedError,
     StartError,
     UnknownBundleError,
 )
@@ -45,6 +49,8 @@ def bundle_info(bundle: Bundle) -> BundleInfo:
         labels=bundle.labels,
         embedding_shape=bundle.embedding.shape,
         pairs=len(bundle.pairs),
+        version=bundle.version,
+        signed_by=None if bundle.owner is None else bundle.owner.short,
     )
 
 
@@ -117,16 +123,28 @@ class LoadedBundle:
     source: MaskSource = field(repr=False)
 
 
+_UNUSABLE = (UnknownBundleError, BundleInvalidError, BundleUnfitError, BundleUntrustedError)
+OpenSource = Callable[[Bundle], MaskSource]
+
+
 class Opener:
     """Opens bundles for a camera that stands as it is.
 
     Args:
         configured: the bundle that the daemon was started with.
         open_source: makes a bundle's source of masks, or raises :class:`StartError`.
+        owners: whose bundles are taken.
     """
 
-    def __init__(self, configured: Bundle, open_source: Callable[[Bundle], MaskSource]) -> None:
+    def __init__(
+        self, configured: Bundle, open_source: OpenSource, owners: Owners | None = None
+    ) -> None:
         self._configured, self._open_source = configured, open_source
+        self.owners = owners or Owners()
+
+    def with_source(self, open_source: OpenSource) -> Opener:
+        """The same, but for what makes a bundle's source of masks."""
+        return Opener(self._configured, open_source, self.owners)
 
     def read(self, path: Path) -> Bundle:
         """Read a bundle that fits this camera.
@@ -148,9 +166,15 @@ class Opener:
                 )
         return bundle
 
-    def open(self, path: Path, digest: str) -> LoadedBundle:
-        """Open the bundle of this digest; raises as :meth:`read`."""
+    def take(self, path: Path) -> Bundle:
+        """Read a bundle that may be used; raises as :meth:`read` and :meth:`Owners.check`."""
         bundle = self.read(path)
+        self.owners.check(bundle)
+        return bundle
+
+    def open(self, path: Path, digest: str) -> LoadedBundle:
+        """Open the bundle of this digest; raises as :meth:`take`."""
+        bundle = self.take(path)
         if bundle.digest != digest:
             raise BundleInvalidError("this bundle was changed on the disk: install it again")
         return self.load(bundle)
@@ -163,19 +187,76 @@ class Opener:
             raise BundleUnfitError(str(error)) from None
 
 
-def last_good(store: BundleStore, opener: Opener, report: Report) -> LoadedBundle | None:
-    """The bundle that was in use last and still can be; None for the configured one.
+def last_good(
+    store: BundleStore,
+    opener: Opener,
+    configured: Bundle,
+    report: Report,
+    *,
+    allow_older: bool = False,
+) -> LoadedBundle:
+    """The bundle that was in use last and still can be.
+
+    One that is older than what was in use is the last resort.
 
     Args:
-        store: where they are.
-        opener: makes them usable.
-        report: takes why one is not in use any more.
+        store: knows what was in use.
+        opener: of bundles that may be used.
+        configured: the bundle that the daemon was started with.
+        report: takes why one cannot be used any more, or that it is older.
+        allow_older: may be older than the one in use before.
+
+    Raises:
+        BundleUnfitError, BundleUntrustedError: the configured one cannot be used.
+        BundleOlderError: the configured one is new to this daemon, and older.
     """
+    opener.owners.check(configured)
+    older: list[LoadedBundle] = []
     for digest in store.candidates():
-        if digest == store.configured:
-            break
         try:
-            return opener.open(store.path(digest), digest)
-        except (UnknownBundleError, BundleInvalidError, BundleUnfitError) as error:
+            if digest == store.configured:
+                keys = opener.load(configured)
+            else:
+                keys = opener.open(store.path(digest), digest)
+            said = opener.owners.check_version(keys.info, store.used, allow_older=allow_older)
+        except BundleOlderError:
+            if not store.goes_on:
+                raise
+            older.append(keys)
+        except _UNUSABLE as error:
+            if digest == store.configured and not older:
+                raise
             report(BundleInvalidError(f"bundle {digest[:12]} is not in use any more: {error}"))
-    return None
+        else:
+            if said:
+                report(_is_older(keys))
+            return keys
+    # There is one: the configured one was the last, and did not raise.
+    report(_is_older(older[0]))
+    return older[0]
+
+
+def _is_older(keys: LoadedBundle) -> BundleOlderError:
+    return BundleOlderError(
+        f"bundle {keys.info.digest[:12]} of version {keys.info.version} is in use, which is older "
+        "than the one before it"
+    )
+
+
+def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle, report: Report) -> None:
+    """Write down which bundle the daemon starts with, unless it is one that had to stand in.
+
+    Args:
+        store: keeps that.
+        opener: knows whose bundles are taken.
+        keys: of the bundle.
+        report: takes that it cannot be made durable.
+    """
+    digest = keys.info.digest
+    # After a loss nothing is written: every start says it again until a bundle is activated.
+    if digest != store.candidates()[0] or store.lost:
+        return
+    try:
+        store.settle(digest, opener.owners.remember(keys.info, store.used))
+    except BundleStoreError as error:
+        report(BundleStoreError(f"which bundle is in use is not remembered: {error}"))

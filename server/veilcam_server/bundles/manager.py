@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle, InstalledBundles
-from veilcam_server.bundles.loader import LoadedBundle, Opener, bundle_info
+from veilcam_server.bundles.loader import LoadedBundle, Opener, OpenSource, bundle_info
+from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore, append
 from veilcam_server.errors import (
     BundleInvalidError,
@@ -58,32 +61,40 @@ class BundleManager:
 
         Raises:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
+            BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
             BundlesFullError, BundleStoreError, BundlesBusyError: it cannot be stored now.
         """
         async with self._alone():
             with self._store.incoming() as (path, stream):
                 async for chunk in chunks:
                     await asyncio.to_thread(append, stream, chunk)
-                bundle = await asyncio.to_thread(self._opener.read, path)
-                await asyncio.to_thread(self._store.install, path, bundle.digest)
-            self._infos[bundle.digest] = bundle_info(bundle)
-            return await self._response(bundle.digest)
+                info = await asyncio.to_thread(self._take, path)
+                await asyncio.to_thread(self._store.install, path, info.digest)
+            self._infos[info.digest] = info
+            return await self._response(info.digest)
 
-    async def activate(self, digest: str, change: Change) -> InstalledBundle:
+    async def activate(
+        self, digest: str, change: Change, *, allow_older: bool = False
+    ) -> InstalledBundle:
         """Use another bundle, also after a restart; when that fails, the one before goes on.
+
+        Args:
+            digest: of the bundle.
+            change: makes the camera use it.
+            allow_older: it may be of an older version, where bundles need no signature.
 
         Raises:
             UnknownBundleError: there is none of this digest.
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
+            BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
             BundleStoreError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():
             before = self._keys
-            path = await asyncio.to_thread(self._store.path, digest)
-            staged = await asyncio.to_thread(self._store.stage, digest, before.info.digest)
+            keys, used = await asyncio.to_thread(self._open, digest, allow_older)
+            staged = await asyncio.to_thread(self._store.stage, digest, before.info.digest, used)
             try:
-                if digest != before.info.digest:
-                    keys = await asyncio.to_thread(self._opener.open, path, digest)
+                if keys is not before:
                     await change(keys)
                     self._keys, self._infos[digest] = keys, keys.info
                 try:
@@ -98,18 +109,18 @@ class BundleManager:
                 staged.close()
             return await self._response(digest)
 
-    async def reopen(self, opener: Opener, change: Change) -> None:
+    async def reopen(self, open_source: OpenSource, change: Change) -> None:
         """Open the bundle in use anew, and all others from now on.
 
         Args:
-            opener: that makes them usable from now on.
+            open_source: makes a bundle's source of masks from now on.
             change: makes the camera use the keys; what it raises leaves everything as it is.
 
         Raises:
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
         """
         async with self._changing:
-            digest = self._keys.info.digest
+            digest, opener = self._keys.info.digest, self._opener.with_source(open_source)
             path = await asyncio.to_thread(self._store.path, digest)
             keys = await asyncio.to_thread(opener.open, path, digest)
             await change(keys)
@@ -121,6 +132,22 @@ class BundleManager:
             await asyncio.to_thread(self._store.remove, digest, self._keys.info.digest)
             self._infos.pop(digest, None)
         return await self.all()
+
+    def _take(self, path: Path) -> BundleInfo:
+        """What a file holds that was uploaded and may be used some time."""
+        info = bundle_info(self._opener.take(path))
+        if self._opener.owners.keys:  # else an older one may be allowed when it is activated
+            self._opener.owners.check_version(info, self._store.used)
+        return info
+
+    def _open(self, digest: str, allow_older: bool) -> tuple[LoadedBundle, Used]:
+        """A bundle that may be used now, and what is remembered once it is."""
+        owners, keys = self._opener.owners, self._keys
+        used = dataclasses.replace(self._store.used, version=keys.info.version)
+        if digest != keys.info.digest:
+            keys = self._opener.open(self._store.path(digest), digest)
+            owners.check_version(keys.info, used, allow_older=allow_older)
+        return keys, owners.remember(keys.info, used)
 
     async def _response(self, digest: str) -> InstalledBundle:
         path = self._store.path(digest)

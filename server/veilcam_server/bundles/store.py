@@ -8,17 +8,19 @@ held before or what it holds now; that record is kept twice (:mod:`~veilcam_serv
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from pydantic import BaseModel, ConfigDict
 
 from veilcam_optics.files import sync_folder
+from veilcam_server.bundles.owners import Used
 from veilcam_server.errors import (
     BundleInUseError,
     BundlesFullError,
@@ -39,6 +41,12 @@ class _InUse(BaseModel):
     active: str
     before: str
     configured: str
+    version: int = 0
+    """Of the active one."""
+    highest: int = 0
+    """Version of the newest one in use ever that an owner had signed."""
+    newest: str = ""
+    """Digest of that."""
 
 
 class BundleStore:
@@ -84,6 +92,23 @@ class BundleStore:
         if chosen is None or chosen.configured != self.configured:
             return (self.configured,)
         return tuple(dict.fromkeys((chosen.active, chosen.before, self.configured)))
+
+    @property
+    def lost(self) -> bool:
+        """Whether it was lost which one was in use."""
+        return self._record.lost
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the daemon was last started with the same bundle, or has never been started."""
+        chosen = self._record.read()
+        return chosen is None or chosen.configured == self.configured
+
+    @property
+    def used(self) -> Used:
+        """What is remembered of the bundles that were in use."""
+        chosen = self._record.read()
+        return Used() if chosen is None else Used(chosen.version, chosen.highest, chosen.newest)
 
     def digests(self) -> tuple[str, ...]:
         """All of them, the configured one first."""
@@ -143,15 +168,22 @@ class BundleStore:
             path.unlink()
             sync_folder(self._directory)
 
-    def stage(self, digest: str, before: str) -> Staged[_InUse]:
+    def stage(self, digest: str, before: str, used: Used) -> Staged[_InUse]:
         """Write down that ``digest`` is in use, for :meth:`commit`.
 
         Everything that a full disk can prevent is done here.
 
+        Args:
+            digest: of the bundle in use.
+            before: of the one in use before it.
+            used: what is remembered from now on.
+
         Raises:
             BundleStoreError: the disk refuses.
         """
-        record = _InUse(active=digest, before=before, configured=self.configured)
+        record = _InUse(
+            active=digest, before=before, configured=self.configured, **dataclasses.asdict(used)
+        )
         with _durable():
             self._make_directory()
             return self._record.stage(lambda _: record)
@@ -163,6 +195,20 @@ class BundleStore:
 
     def _make_directory(self) -> None:
         self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+
+    def settle(self, digest: str, used: Used) -> None:
+        """Write down what the daemon starts with, unless that is known.
+
+        Raises:
+            BundleStoreError: the disk refuses.
+        """
+        chosen = self._record.read()
+        same = chosen is not None and chosen.configured == self.configured
+        if chosen is not None and same and (chosen.active, self.used) == (digest, used):
+            return
+        before = chosen.before if chosen is not None and same else digest
+        with closing(self.stage(digest, before, used)) as staged:
+            self.commit(staged)
 
     def _temporary(self) -> tuple[int, str]:
         self._make_directory()

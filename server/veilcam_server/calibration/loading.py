@@ -6,7 +6,7 @@ from pathlib import Path
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import NOMINAL
-from veilcam_server.bundles.loader import Opener, open_source
+from veilcam_server.bundles.loader import OpenSource, open_source
 from veilcam_server.calibration.record import RECORD_NAME, RecordFile, SigningKey, imperfections_of
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.errors import CalibrationError, StartError
@@ -87,10 +87,10 @@ def panel_tab(settings: Settings) -> str | None:
     return None if settings.device == "simulated" else settings.panel_tab
 
 
-def make_opener(settings: Settings, bundle: Bundle, signed: SignedCalibration | None) -> Opener:
-    """What opens bundles, their readers made for the camera as it was measured."""
+def source_opener(settings: Settings, signed: SignedCalibration | None) -> OpenSource:
+    """What makes a bundle's source of masks, its readers for the camera as it was measured."""
     imperfections = NOMINAL if signed is None else imperfections_of(signed.record)
-    return Opener(bundle, lambda keys: open_source(settings, keys, imperfections))
+    return lambda bundle: open_source(settings, bundle, imperfections)
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:

@@ -26,10 +26,10 @@ from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.loading import (
     check_record,
-    make_opener,
     panel_tab,
     record_path,
     settle_time,
+    source_opener,
 )
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
@@ -279,7 +279,7 @@ class CalibrationService:
             await asyncio.to_thread(self.write, signed)
             await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source))
 
-        await served.bundles.reopen(make_opener(self._settings, self._bundle, signed), change)
+        await served.bundles.reopen(source_opener(self._settings, signed), change)
         self._signed = signed
 
     @property

@@ -21,6 +21,9 @@ from veilcam_server.settings import Wiring
 _Settings = TypeVar("_Settings", bound=BaseSettings)
 _Own = ParamSpec("_Own")
 
+_METAVARS = {"scenes": "PATH", "hosts": "NAME", "frame_ancestors": "ORIGIN"}
+"""Of options that may be given several times."""
+
 
 def options_of(
     settings: type[_Settings], names: Collection[str] = ()
@@ -69,9 +72,8 @@ def _options(name: str, field: FieldInfo) -> tuple[Parameter, ...]:
     if name == "device":
         return (_parameter("simulate", bool, _text(field)),)
     panel = "Wiring" if name in Wiring.model_fields else None
-    metavar = "PATH" if name == "scenes" else None
     kind = _kind(field.annotation)
-    return (_parameter(name, kind, _help(field), panel=panel, metavar=metavar),)
+    return (_parameter(name, kind, _help(field), panel=panel, metavar=_METAVARS.get(name)),)
 
 
 def _kind(annotation: Any) -> Any:

@@ -9,15 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from veilcam_server.bundles.owners import Owners
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import drivers
 from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.machine import Machine
-from veilcam_server.errors import StartError
+from veilcam_server.errors import BundleUntrustedError, StartError
 from veilcam_server.masks.secret import find_secret
-from veilcam_server.settings import DoctorSettings, Wiring
-from veilcam_training.bundle import BundleError, read_bundle
+from veilcam_server.settings import DoctorSettings, Wiring, unknown_names
+from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 LEAST_SYSTEMD = 250
 """The first with encrypted credentials."""
@@ -59,6 +60,7 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
         ("panel", lambda: [_needed(settings, name, what) for name, what in display.needs.items()]),
         ("frame memory", lambda: [_frame_memory(machine)]),
         ("camera", lambda: [_camera(machine, settings, sensor, usable)]),
+        ("environment", lambda: [_environment()]),
         ("state directory", lambda: [_state_dir(machine, settings.state_dir)]),
         ("disk", lambda: [_room(machine, settings.state_dir)]),
         ("bundle", lambda: _bundle(machine, settings)),
@@ -217,6 +219,14 @@ def _camera(machine: Machine, wiring: Wiring, sensor: SensorDriver, usable: Set[
     return Finding("camera", "ok", f"{model}, number {wiring.camera_number}")
 
 
+def _environment() -> Finding:
+    unknown = unknown_names()
+    if not unknown:
+        return Finding("environment", "ok", "every VEILCAM_... is known")
+    found = f"{', '.join(unknown)}: no setting"
+    return Finding("environment", "bad", found, " ".join(unknown.values()))
+
+
 def _state_dir(machine: Machine, directory: Path) -> Finding:
     path = machine.path(directory)
     if not path.exists():
@@ -257,16 +267,17 @@ def _room(machine: Machine, directory: Path) -> Finding:
 def _bundle(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
     if settings.bundle is None:
         yield Finding("bundle", "bad", "none named", "give --bundle, or VEILCAM_BUNDLE")
-        yield Finding("mask secret", "skipped", "needs the bundle")
+        yield from _without_bundle()
         return
     try:
         bundle = read_bundle(settings.bundle)
     except BundleError as error:
         found, remedy = _halves(error, settings.bundle)
         yield Finding("bundle", "bad", f"{settings.bundle}: {found}", remedy)
-        yield Finding("mask secret", "skipped", "needs the bundle")
+        yield from _without_bundle()
         return
     yield Finding("bundle", "ok", f"{settings.bundle}: {bundle.task}, {bundle.mode}")
+    yield _owner(settings, bundle)
     if bundle.mode != "fresh":
         yield Finding("mask secret", "ok", "none needed: the bundle holds pairs")
         return
@@ -280,6 +291,21 @@ def _bundle(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
         yield Finding("mask secret", "bad", *_halves(error))
     else:
         yield Finding("mask secret", "ok", f"{settings.mask_secret or 'credential'}, yours alone")
+
+
+def _without_bundle() -> Iterator[Finding]:
+    for name in ("owner", "mask secret"):
+        yield Finding(name, "skipped", "needs the bundle")
+
+
+def _owner(settings: DoctorSettings, bundle: Bundle) -> Finding:
+    try:
+        Owners.open(settings.owner_keys).check(bundle)
+    except (StartError, BundleUntrustedError) as error:
+        return Finding("owner", "bad", *_halves(error))
+    if bundle.owner is None:
+        return Finding("owner", "ok", "any: no --owner-keys are given")
+    return Finding("owner", "ok", f"version {bundle.version}, signed by {bundle.owner.short}")
 
 
 def _wall_clock(machine: Machine) -> Finding:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,8 +11,6 @@ from pydantic import JsonValue
 from starlette.datastructures import Headers
 
 from veilcam_server.errors import (
-    CrossSiteError,
-    HostRefusedError,
     RateLimitError,
     TokenStoreError,
     TooManyStreamsError,
@@ -23,14 +20,12 @@ from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.caller import ANYONE, Caller
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
+from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report, log_fault
 
 log = structlog.get_logger()
-
-_LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d{1,5})?", re.IGNORECASE)
-_DEFAULT_PORTS = {"http": 80, "https": 443}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +34,7 @@ class Admission:
 
     Attributes:
         tokens: None lets everybody in who reaches the daemon.
-        this_machine: refuse requests whose ``Host`` is not this machine.
+        site: whose ``Host`` is answered, and the pages that may ask.
         audit: what callers did; None in tests.
         refused: what was asked without a valid token, or from another host or site.
         rate: how often one caller may ask.
@@ -50,7 +45,7 @@ class Admission:
     """
 
     tokens: TokenStore | None = None
-    this_machine: bool = True
+    site: Site = field(default_factory=Site)
     audit: AuditLog | None = None
     refused: AuditLog | None = None
     rate: RateLimit = field(default_factory=lambda: RateLimit(1000.0, 1000))
@@ -105,21 +100,11 @@ class Admission:
             peer: address that it comes from.
 
         Raises:
-            HostRefusedError: for another machine.
-            CrossSiteError: from a page of another site.
             UnauthorizedError: without a valid token.
             RateLimitError: too often.
             TooManyRequestsError: too many at once.
             TokenStoreError: the tokens cannot be read.
         """
-        # A page in a browser can make its own name resolve to this machine (DNS rebinding);
-        # the Host header then betrays it.
-        if self.this_machine and not _LOOPBACK.fullmatch(headers.get("host", "")):
-            raise HostRefusedError
-        # A browser sends what a page of another site tells it to, also where it keeps the answer
-        # from that page. It names the page itself; what is no browser names none.
-        if not _is_same_origin(headers):
-            raise CrossSiteError
         caller = self._caller(headers, peer)
         name = caller.id if self.tokens is not None else peer
         self.rate.take(name)
@@ -149,29 +134,6 @@ class Admission:
             raise
 
 
-def _is_same_origin(headers: Headers) -> bool:
-    """Whether no header says that a page of another origin asks."""
-    host = headers.get("host", "")
-    return all(_names_host(origin, host) for origin in headers.getlist("origin")) and all(
-        site in ("same-origin", "none") for site in headers.getlist("sec-fetch-site")
-    )
-
-
-def _names_host(origin: str, host: str) -> bool:
-    """Whether an ``Origin`` has the host and port of ``Host``; ``null`` has none.
-
-    A port left out is the default of the origin's scheme, which may be another than ours: a proxy
-    in front of the daemon may speak TLS.
-    """
-    scheme, _, place = origin.lower().partition("://")
-    port = _DEFAULT_PORTS.get(scheme)
-    return port is not None and _with_port(place, port) == _with_port(host.lower(), port)
-
-
-def _with_port(place: str, port: int) -> str:
-    return place if re.search(r":\d+$", place) else f"{place}:{port}"
-
-
 @contextmanager
 def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[Admission]:
     """Yield what stands in front of a daemon.
@@ -192,7 +154,7 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
     try:
         yield Admission(
             tokens,
-            not settings.serves_others,
+            Site(settings.hosts, settings.serves_others, settings.frame_ancestors),
             audit,
             refused,
             RateLimit(settings.rate_limit, settings.rate_burst),

@@ -286,17 +286,26 @@ class Service:
             number = await self._queue.run(lambda: scenes.hold(picture))
         return HeldScene(scene=number)
 
-    async def activate_bundle(self, digest: str) -> InstalledBundle:
+    async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
         """Use another bundle from now on; raises as :meth:`Bundles.activate`, or as `rotate`."""
-        return await self.bundles.activate(digest, self._use)
+        return await self.bundles.activate(digest, self._use, allow_older=allow_older)
 
     async def _use(self, keys: LoadedBundle) -> None:
         """Show a mask of other keys, and read behind it with them, or change nothing."""
         with self._admitted():
             first = await asyncio.to_thread(self._camera.first_of, keys.source)
             await self._queue.run(lambda: self._camera.change_source(keys.source, first))
+        older = keys.info.version < self._identity.bundle.version
         self._identity = replace(self._identity, bundle=keys.info)
-        self._events.publish(partial(BundleChanged, digest=keys.info.digest, task=keys.info.task))
+        self._events.publish(
+            partial(
+                BundleChanged,
+                digest=keys.info.digest,
+                task=keys.info.task,
+                version=keys.info.version,
+                older=older,
+            )
+        )
 
     def events(self, last_event_id: str | None) -> AsyncIterator[Event | None]:
         """Events after ``last_event_id``; None is a heartbeat."""

@@ -99,6 +99,11 @@ class StateFile(Generic[StateT]):
             return None
         return found.st_ino, found.st_mtime_ns, found.st_size
 
+    @property
+    def lost(self) -> bool:
+        """Whether the last :meth:`read` found no copy whole where there had been two."""
+        return self._told == StateLostError.code
+
     def read(self) -> StateT | None:
         """Return the record that was written last; None if there is none, or none is whole.
 

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from veilcam_client import AsyncCamera, BundleChanged, Camera
 from veilcam_client.cli import main as commands
-from veilcam_client.cli.format import event_in_words
+from veilcam_client.cli.format import bundle_in_words, event_in_words
+from veilcam_client.wire.bundles import EXAMPLE_BUNDLE, InstalledBundle
 from veilcam_client.wire.events import EVENT
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ async def test_bundles_by_both_cameras(daemon: Daemon, kind: type) -> None:
     assert other.bundle.task == "fashion"
     assert (await result(camera.install_bundle(b"bundle"))).digest == DIGEST
     assert daemon.requests[-1].content == b"bundle"
-    assert daemon.requests[-1].headers["content-type"] == "application/octet-stream"
+    assert daemon.requests[-1].headers["content-type"] == "application/vnd.veilcam.bundle"
     assert (await result(camera.activate_bundle(DIGEST))).active
     assert len(await result(camera.remove_bundle(DIGEST))) == 1
 
@@ -62,6 +63,46 @@ def test_a_file_is_handed_over(
     assert result.stdout.startswith(f"{star} abababababab")
     assert daemon.requests[0].content == b"bundle"
     assert len(daemon.requests) == 1 + len(options)
+
+
+@pytest.mark.usefixtures("url")
+@pytest.mark.parametrize("command", [["activate", "ab"], ["install", "a.veilcam", "--activate"]])
+@pytest.mark.parametrize("options", [[], ["--allow-older"]])
+def test_an_older_one_is_asked_for(
+    daemon: Daemon,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: list[str],
+    options: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.veilcam").write_bytes(b"bundle")
+    result = runner.invoke(commands.app, ["bundle", *command, *options])
+    assert result.exit_code == 0, result.output
+    query = daemon.requests[-1].url.query
+    assert query == (b"allow_older=true" if options else b"")
+
+
+@pytest.mark.usefixtures("url")
+def test_allow_older_without_activate_would_do_nothing(daemon: Daemon, tmp_path: Path) -> None:
+    result = runner.invoke(commands.app, ["bundle", "install", "a.veilcam", "--allow-older"])
+    assert result.exit_code == 2
+    assert "--allow-older goes with --activate" in result.stderr
+    assert not daemon.requests
+
+
+def test_version_and_owner_in_words() -> None:
+    held = EXAMPLE_BUNDLE
+    for change, words in (
+        ({}, "6 masks, version 4 signed by 3a6eb0790f39"),
+        ({"signed_by": None}, "6 masks, version 4 not signed"),
+        ({"signed_by": None, "version": 0}, "6 masks"),
+    ):
+        bundle = held.model_copy(update=change)
+        installed = InstalledBundle(
+            digest=DIGEST, size=1, active=False, configured=False, bundle=bundle
+        )
+        assert bundle_in_words(installed).endswith(words)
 
 
 @pytest.mark.usefixtures("url")
@@ -92,3 +133,7 @@ def test_a_change_in_words() -> None:
     )
     assert isinstance(event, BundleChanged)
     assert event_in_words(event) == "mnist  bundle abababababab"
+    event = event.model_copy(update={"version": 3, "older": True})
+    assert (
+        event_in_words(event) == "mnist  bundle abababababab  version 3, older than the one before"
+    )

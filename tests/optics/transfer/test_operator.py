@@ -20,6 +20,7 @@ from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator, Vari
 from veilcam_optics.transfer.regions import Region
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
+LEAKY = replace(SMALL, panel=Panel(filter_leakage=0.1))
 SCENE = Scene(rows=4, columns=3, height=0.03)
 EMBEDDING = Embedding(rows=4, columns=5)
 
@@ -94,6 +95,7 @@ def test_every_pair_within_reach_counts() -> None:
         assert relative(transfers[channel], reference) < 1e-3
 
 
+@pytest.mark.slow
 def test_dropping_far_pairs_costs_little_and_is_monotone() -> None:
     camera = Camera(panel=Panel(filter_cycle=()))
     weights = mask(camera)
@@ -237,10 +239,9 @@ def test_a_part_of_the_scene_is_a_part_of_the_transfer(colour: bool) -> None:
 
 
 def test_leakage_brings_light_through_foreign_rows() -> None:
-    leaky = Camera(panel=Panel(filter_leakage=0.1), window=SMALL.window, sensor=SMALL.sensor)
     weights = mask(SMALL)
     ideal = TransferOperator(SMALL, SCENE, EMBEDDING, dtype=torch.float64)(weights)
-    real = TransferOperator(leaky, SCENE, EMBEDDING, dtype=torch.float64)(weights)
+    real = TransferOperator(LEAKY, SCENE, EMBEDDING, dtype=torch.float64)(weights)
     assert relative(real, ideal) > 1e-2
 
 
@@ -296,13 +297,20 @@ def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
         assert relative(make(SCENE, centre)(weights), part * 72 / 12) < 1e-6
 
 
-@pytest.mark.parametrize("pairs", [Reach(0, 0), Reach(3, 1)])
-def test_a_small_rotation_moves_every_sub_pixel_by_itself(pairs: Reach) -> None:
+@pytest.mark.parametrize(
+    ("camera", "pairs"),
+    [
+        pytest.param(SMALL, Reach(0, 0), marks=pytest.mark.slow),
+        (SMALL, Reach(3, 1)),
+        (LEAKY, Reach(0, 0)),
+    ],
+)
+def test_a_small_rotation_moves_every_sub_pixel_by_itself(camera: Camera, pairs: Reach) -> None:
     """Row r moves along x by -angle y_r, and column c along y by angle x_c."""
-    angle, weights = 1e-5, mask(SMALL)
+    angle, weights = 1e-5, mask(camera)
     straight, turned = (
         TransferOperator(
-            SMALL,
+            camera,
             SCENE,
             EMBEDDING,
             reach=pairs,
@@ -315,12 +323,12 @@ def test_a_small_rotation_moves_every_sub_pixel_by_itself(pairs: Reach) -> None:
     slope = (turned - straight) / angle
     if pairs == Reach(0, 0):  # nothing interferes, so each sub-pixel may be moved on its own
         # The error of a central difference is (move / 45 um)^2, the Fresnel zone being that wide.
-        assert relative(slope, sum_of_slopes(weights, pairs, move=1e-7)) < 1e-3
+        assert relative(slope, sum_of_slopes(camera, weights, pairs, move=1e-7)) < 1e-3
     # A tensor takes the same way, at an angle of zero too.
     zero = torch.zeros((), dtype=torch.float64, requires_grad=True)
     probe = torch.arange(float(EMBEDDING.size), dtype=torch.float64)
     found = TransferOperator(
-        SMALL,
+        camera,
         SCENE,
         EMBEDDING,
         reach=pairs,
@@ -333,18 +341,18 @@ def test_a_small_rotation_moves_every_sub_pixel_by_itself(pairs: Reach) -> None:
     assert float(gradient) == pytest.approx(float((slope @ probe).sum()), rel=1e-6)
 
 
-def sum_of_slopes(weights: Tensor, pairs: Reach, move: float) -> Tensor:
+def sum_of_slopes(camera: Camera, weights: Tensor, pairs: Reach, move: float) -> Tensor:
     """Derivative for the angle, by moving one sub-pixel at a time along y and along x."""
     total = torch.zeros(12, 20, dtype=torch.float64)
-    for row, y in enumerate(SMALL.row_centres):
-        for column, x in enumerate(SMALL.column_centres):
+    for row, y in enumerate(camera.row_centres):
+        for column, x in enumerate(camera.column_centres):
             one = torch.zeros_like(weights)
             one[row, column] = weights[row, column]
             for name, speed in (("shift_y", x), ("shift_x", -y)):
                 for sign in (1, -1):
                     shift = torch.tensor(sign * move, dtype=torch.float64)
                     operator = TransferOperator(
-                        SMALL,
+                        camera,
                         SCENE,
                         EMBEDDING,
                         reach=pairs,

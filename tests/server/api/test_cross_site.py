@@ -12,12 +12,14 @@ import httpx
 import pytest
 from starlette.types import Message
 
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
 from veilcam_server.errors import TooManyStreamsError
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import ConcurrencyLimit
+from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 from veilcam_training.bundle import Bundle, write_bundle
 
@@ -26,7 +28,10 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.anyio
 
-NAVIGATION = {"Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+NAVIGATION = [("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "document")]
+"""A link was followed, to a page of its own."""
+LINKED = (("get", "/"), ("get", "/docs"))
+"""What such a link may lead to."""
 FOREIGN: list[list[tuple[str, str]]] = [
     [("Origin", "https://page.example")],
     [("Origin", "null")],
@@ -42,8 +47,14 @@ FOREIGN: list[list[tuple[str, str]]] = [
     [("Sec-Fetch-Site", "same-site")],
     [("Sec-Fetch-Site", "")],
     [("Sec-Fetch-Site", "same-origin"), ("Sec-Fetch-Site", "cross-site")],
-    [("Sec-Fetch-Site", "cross-site"), *NAVIGATION.items()],
+    [("Sec-Fetch-Site", "cross-site"), *NAVIGATION],
+    [("Origin", "https://page.example"), ("Sec-Fetch-Site", "cross-site"), *NAVIGATION],
 ]
+MEDIA_TYPES = {
+    ("post", "/v1/bundles"): BUNDLE_MEDIA_TYPE,
+    ("put", "/v1/simulation/scene"): "image/png",
+}
+"""Of what is no JSON."""
 BODIES: dict[tuple[str, str], Any] = {
     ("put", "/v1/rotation"): {"mode": "captures", "captures": 7},
     ("post", "/v1/classifications"): {"include_embedding": True},
@@ -102,6 +113,10 @@ async def requests(
     ]
 
 
+def media_type(method: str, path: str) -> tuple[str, str]:
+    return "Content-Type", MEDIA_TYPES.get((method, path), "application/json")
+
+
 async def state(client: httpx.AsyncClient, token: dict[str, str], bench: Bench) -> dict[str, Any]:
     """All that a request could have changed, but for how long the epoch has lasted."""
     paths = ("rotation", "bundles", "tokens", "lease", "calibration")
@@ -133,14 +148,16 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
     async with running(admission=admission) as client:
         asked = await requests(client, token, upload)
         assert {("get", "/v1/events"), ("post", "/v1/bundles")} <= {each[:2] for each in asked}
-        asked += [("options", "/v1/rotation", b""), ("get", "/", b""), ("get", "/docs", b"")]
+        asked += [("options", "/v1/rotation", b""), ("get", "/docs", b"")]
+        if headers == [("Sec-Fetch-Site", "cross-site"), *NAVIGATION]:
+            asked = [each for each in asked if each[:2] not in LINKED]
         before = await state(client, token, bench)
         for method, path, body in asked:
             for known in (token, {}):
                 answer = await client.request(
                     method,
                     path,
-                    headers=[*headers, *known.items(), ("Content-Type", "application/json")],
+                    headers=[*headers, *known.items(), media_type(method, path)],
                     content=counted(body),
                 )
                 assert answer.status_code == 403, (method, path)
@@ -160,7 +177,7 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
         {"Origin": "http://localhost"},
         {"Origin": "http://localhost:80", "Sec-Fetch-Site": "same-origin"},
         {"Origin": "https://LOCALHOST:443"},
-        {"Sec-Fetch-Site": "none", **NAVIGATION},
+        {"Sec-Fetch-Site": "none", **dict(NAVIGATION)},
         {"Host": "127.0.0.1:8787", "Origin": "http://127.0.0.1:8787"},
         {"Host": "[::1]", "Origin": "http://[::1]"},
         {"Host": "[::1]:443", "Origin": "https://[::1]"},
@@ -182,7 +199,7 @@ async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they
             answer = await client.request(
                 method,
                 path,
-                headers={**token, **headers, "Content-Type": "application/json"},
+                headers=dict([*token.items(), *headers.items(), media_type(method, path)]),
                 content=body,
             )
             codes[method, path] = None if answer.is_success else answer.json()["code"]
@@ -201,6 +218,61 @@ async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they
     assert all(codes[each] is None for each in BODIES if "calibration" not in each[1])
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {"rotation", "bundles", "tokens", "panel", "captures"}
+
+
+@pytest.mark.slow
+async def test_no_get_changes_anything(
+    running: Running, bench: Bench, *, upload: bytes, admission: Admission, token: dict[str, str]
+) -> None:
+    """Browsers send neither header with what a link or a picture asks of a plain LAN address."""
+    async with running(admission=admission) as client:
+        before = await state(client, token, bench)
+        gets = [
+            path for method, path, _ in await requests(client, token, upload) if method == "get"
+        ]
+        assert len(gets) > 8
+        for path in gets:
+            for method in ("GET", "HEAD"):
+                for query in ("", "?force=true&mode=off&captures=1&scene=lamp"):
+                    await client.request(method, path + query, headers=token)
+        assert await state(client, token, bench) == before
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "change", "status"),
+    [
+        ("GET", "/", {}, 200),
+        ("GET", "/docs", {}, 404),
+        ("HEAD", "/", {}, 403),
+        ("POST", "/", {}, 403),
+        ("GET", "/v1/status", {}, 403),
+        ("GET", "/docs/", {}, 403),
+        ("GET", "/?next=/v1/status", {}, 200),
+        ("GET", "/", {"Sec-Fetch-Dest": "iframe"}, 403),
+        ("GET", "/", {"Sec-Fetch-Dest": "image"}, 403),
+        ("GET", "/", {"Sec-Fetch-Mode": "no-cors"}, 403),
+        ("GET", "/", {"Origin": "https://page.example"}, 403),
+        ("GET", "/", {"Host": "page.example"}, 421),
+    ],
+)
+async def test_a_link_on_another_site_leads_to_pages_alone(
+    running: Running, *, method: str, path: str, change: dict[str, str], status: int
+) -> None:
+    headers = {"Sec-Fetch-Site": "cross-site", **dict(NAVIGATION), **change}
+    async with running() as client:
+        answer = await client.request(method, path, headers=headers)
+        assert answer.status_code == status
+
+
+async def test_a_frame_is_let_in_where_a_page_may_have_one(running: Running) -> None:
+    headers = {"Sec-Fetch-Site": "cross-site", **dict(NAVIGATION), "Sec-Fetch-Dest": "iframe"}
+    admission = Admission(site=Site(frame_ancestors=("https://home.example", "http://b:1")))
+    async with running(admission=admission) as client:
+        answer = await client.get("/", headers=headers)
+        assert answer.status_code == 200
+        policy = answer.headers["content-security-policy"]
+        assert policy.endswith("frame-ancestors https://home.example http://b:1")
+        assert (await client.get("/v1/status", headers=headers)).status_code == 403
 
 
 async def test_a_port_that_is_no_default_is_compared(running: Running) -> None:

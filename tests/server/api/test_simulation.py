@@ -107,24 +107,29 @@ async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
 @pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize(
-    ("content", "status", "code", "detail"),
+    ("content", "media_type", "status", "code", "detail"),
     [
-        (b"", 422, "scene_invalid", "this is no image: use .npy, PNG or JPEG"),
-        (b"\x89PNG\r\n\x1a\nabc", 422, "scene_invalid", "this is no image"),
-        (bytes(MAX_PICTURE + 1), 413, "body_too_large", f"at most {MAX_PICTURE} bytes"),
+        (b"", "image/png", 422, "scene_invalid", "this is no image: use .npy, PNG or JPEG"),
+        (b"\x89PNG\r\n\x1a\nabc", "image/png", 422, "scene_invalid", "this is no image"),
+        (png(0), "image/gif", 415, "unsupported_media_type", "image/png or image/jpeg or applic"),
+        (
+            bytes(MAX_PICTURE + 1),
+            *("application/x-npy", 413, "body_too_large", f"at most {MAX_PICTURE} bytes"),
+        ),
     ],
 )
 async def test_what_is_no_picture_changes_nothing(
-    given: dict[str, Any], content: bytes, status: int, code: str, detail: str
+    given: dict[str, Any], *, content: bytes, media_type: str, status: int, code: str, detail: str
 ) -> None:
     async with client(given) as http:
-        answer = await http.put(PATH, content=content)
+        answer = await http.put(PATH, content=content, headers={"Content-Type": media_type})
         assert (answer.status_code, answer.json()["code"]) == (status, code)
         assert detail in answer.json()["detail"]
         assert (await http.post("/v1/captures")).json()["scene"] == 0
         assert (await http.get("/v1/diagnostics")).json()["faults"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_it_has_to_be_allowed(given: dict[str, Any]) -> None:
     async with camera({**given, "scene_api": False}) as sdk:

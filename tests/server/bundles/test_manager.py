@@ -13,7 +13,7 @@ import pytest
 import torch
 from tests.server.damage import DAMAGES
 
-from veilcam_client.wire.bundles import InstalledBundle, InstalledBundles
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
 from veilcam_client.wire.events import BundleChanged, Event, Fault
 from veilcam_client.wire.problems import Problem
@@ -22,6 +22,7 @@ from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.bundles import store as bundle_store
 from veilcam_server.bundles.loader import Opener, last_good
+from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
@@ -69,8 +70,13 @@ def data(bundle: Bundle, tmp_path: Path) -> bytes:
     return path.read_bytes()
 
 
+async def upload(client: httpx.AsyncClient, data: bytes) -> httpx.Response:
+    headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
+    return await client.post("/v1/bundles", content=data, headers=headers)
+
+
 async def install(client: httpx.AsyncClient, data: bytes) -> InstalledBundle:
-    answer = await client.post("/v1/bundles", content=data)
+    answer = await upload(client, data)
     assert answer.status_code == 201, answer.text
     return InstalledBundle.model_validate_json(answer.content)
 
@@ -257,12 +263,12 @@ async def test_what_cannot_be_used_is_refused_with_the_reason(
             (unfit.read_bytes(), "bundle_unfit", "another embedding"),
             (fresh_file.read_bytes(), "bundle_unfit", "another mode"),
         ):
-            answer = await client.post("/v1/bundles", content=content)
+            answer = await upload(client, content)
             assert code(answer) == wanted
             assert word in answer.json()["detail"]
             assert str(bench.state_dir) not in answer.text
         assert await active(client) == before
-        answer = await client.post("/v1/bundles", content=bytes(2**20 + 1))
+        answer = await upload(client, bytes(2**20 + 1))
         assert code(answer) == "body_too_large"
         answer = await client.post(f"/v1/bundles/{'0' * 64}/activate")
         assert code(answer) == "unknown_bundle"
@@ -290,7 +296,7 @@ async def test_there_is_room_for_so_many(
     monkeypatch.setattr(bundle_store, "CAPACITY", 1)
     async with running() as client:
         installed = await install(client, data)
-        assert code(await client.post("/v1/bundles", content=data)) == "bundles_full"
+        assert code(await upload(client, data)) == "bundles_full"
         assert (await activate(client, installed.digest)).status_code == 200
 
 
@@ -315,7 +321,7 @@ async def test_a_full_disk_leaves_nothing_behind(
 
     async with running() as client:
         monkeypatch.setattr(os, "fsync", full)
-        answer = await client.post("/v1/bundles", content=data)
+        answer = await upload(client, data)
         monkeypatch.undo()
         assert code(answer) == "bundle_not_stored"
         assert "No space left" in answer.json()["detail"]
@@ -346,7 +352,7 @@ class Restarts:
         with store.incoming() as (path, stream):
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
-        with closing(store.stage(self.digests[number], self.digests[before])) as staged:
+        with closing(store.stage(self.digests[number], self.digests[before], Used())) as staged:
             store.commit(staged)
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
@@ -354,8 +360,8 @@ class Restarts:
         bundle = read_bundle(self.files[configured])
         self.faults.clear()
         opener = Opener(bundle, load_pairs)
-        keys = last_good(self.store(configured), opener, self.faults.append)
-        return bundle.task if keys is None else keys.info.task, [str(each) for each in self.faults]
+        keys = last_good(self.store(configured), opener, bundle, self.faults.append)
+        return keys.info.task, [str(each) for each in self.faults]
 
 
 @pytest.fixture

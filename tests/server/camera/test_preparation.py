@@ -35,6 +35,7 @@ class Gated:
         self.gate = threading.Event()
         self.gate.set()
         self.counters: list[int] = []
+        self.threads: set[str] = set()
         self.fault: Exception | None = None
 
     @property
@@ -47,6 +48,7 @@ class Gated:
     def make(self, counter: int, last_mark: str) -> Mask:
         assert self.gate.wait(20)
         self.counters.append(counter)
+        self.threads.add(threading.current_thread().name)
         if self.fault is not None:
             raise self.fault
         return self._source.make(counter, last_mark)
@@ -89,6 +91,23 @@ def test_the_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gat
     camera.capture()
     assert camera.present == (bench.epochs[1], 1)
     assert (camera.lateness.late, camera.lateness.reused) == (0, 0)
+
+
+def test_before_the_first_none_took_any_time(bench: Bench) -> None:
+    with contextlib.closing(Preparation(bench.source, EpochStore(bench.state_dir))) as preparation:
+        assert (preparation.count, preparation.took) == (0, 0.0)
+
+
+def test_what_is_prepared_tells_nobody_its_mask(bench: Bench) -> None:
+    with contextlib.closing(Preparation(bench.source, EpochStore(bench.state_dir))) as preparation:
+        prepared = preparation.take()
+    assert prepared.epoch in repr(prepared)
+    assert "mask" not in repr(prepared)
+
+
+def test_a_dump_of_threads_names_the_one_that_prepares(bench: Bench, gated: Gated) -> None:
+    settled(bench.camera())
+    assert gated.threads == {"preparation_0"}
 
 
 def test_late_and_told_to_wait(bench: Bench, gated: Gated) -> None:

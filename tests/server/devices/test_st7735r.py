@@ -11,7 +11,7 @@ import pytest
 from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
 from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
-from veilcam_server.devices.st7735r import FULL_FRAME, MOST_PER_SECOND, ST7735R
+from veilcam_server.devices.st7735r import DRIVER, FULL_FRAME, MOST_PER_SECOND, ST7735R
 from veilcam_server.devices.st7735r_glass import TABS, Tab
 
 from .clock import Clock
@@ -99,6 +99,16 @@ def test_a_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> N
         assert np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
     panel.blank()
     assert not emulator.framebuffer().any()
+
+
+def test_the_simulated_panel_is_driven_as_the_real_one(clock: Clock) -> None:
+    assert DRIVER.emulate is not None
+    panel, emulator = DRIVER.emulate(CAMERA, scan=0.0, settle=0.5, clock=clock)
+    levels = draw()
+    panel.show(levels)
+    assert np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
+    assert not emulator.settled(clock.now + 0.4)
+    assert emulator.settled(clock.now + 0.6)
 
 
 @pytest.mark.parametrize("tab", TABS.values(), ids=TABS)

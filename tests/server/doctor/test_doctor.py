@@ -20,6 +20,7 @@ from veilcam_server.doctor import machine as machines
 from veilcam_server.doctor.checkup import Finding, examine
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.settings import DoctorSettings
+from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
 PROGRAMS = {
@@ -111,7 +112,7 @@ def findings(bed: Bed, plan: DoctorSettings) -> dict[str, Finding]:
 def test_a_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
     found = findings(bed, plan)
     assert {finding.outcome for finding in found.values()} == {"ok"}
-    assert len(found) == 19
+    assert len(found) == 21
     assert found["board"].found == "Raspberry Pi 5 Model B Rev 1.0"
     assert bed.opened == [0]
     assert bed.closed == [True]
@@ -206,7 +207,7 @@ def test_a_package_that_fails_at_import_is_named_with_its_error(
         return import_extra(name) if wanted == name else bed.load(wanted)
 
     found = {each.name: each for each in examine(replace(bed.machine, load=load), plan)}
-    assert len(found) == 19
+    assert len(found) == 21
     assert found[name].outcome == "bad"
     assert kind in found[name].found
     assert text.partition("\\n")[0] in found[name].found
@@ -246,7 +247,8 @@ def test_what_needs_something_else_waits_for_it(bed: Bed, plan: DoctorSettings) 
     bed.missing += ["gpiod", "libcamera"]
     found = findings(bed, plan.model_copy(update={"bundle": None}))
     waiting = {name for name, finding in found.items() if finding.outcome == "skipped"}
-    assert waiting == {"GPIO chip", "line of D/C", "line of RESET", "camera", "mask secret"}
+    wanting = {"GPIO chip", "line of D/C", "line of RESET", "camera"}
+    assert waiting == wanting | {"owner", "mask secret"}
     assert not bed.opened
 
 
@@ -273,6 +275,33 @@ def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: DoctorSettings) -> Non
     assert bed.opened == [1]
     fast = wiring.model_copy(update={"allow_fast_spi": True})
     assert findings(bed, fast)["bus clock"].outcome == "ok"
+
+
+def test_a_setting_that_is_misspelled_is_said(
+    bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert findings(bed, plan)["environment"].outcome == "ok"
+    monkeypatch.setenv("VEILCAM_PANELTAB", "red")
+    found = findings(bed, plan)["environment"]
+    assert (found.outcome, found.found) == ("bad", "VEILCAM_PANELTAB: no setting")
+    assert found.remedy == "did you mean VEILCAM_PANEL_TAB?"
+
+
+def test_a_bundle_that_its_owner_did_not_sign_is_said(
+    bed: Bed, plan: DoctorSettings, tmp_path: Path
+) -> None:
+    keys, wanted = tmp_path / "owners", plan.model_copy(update={"owner_keys": tmp_path / "owners"})
+    found = findings(bed, wanted)["owner"]
+    assert (found.outcome, found.remedy) == ("bad", "check it")
+    owner = write_key(tmp_path / "owner.pem")
+    keys.write_text(f"{owner}\n")
+    found = findings(bed, wanted)["owner"]
+    assert (found.outcome, found.found) == ("bad", "this bundle is not signed")
+    assert found.remedy == f"this camera takes bundles that {owner.short} signed"
+    assert plan.bundle is not None
+    sign_bundle(plan.bundle, 3, read_key(tmp_path / "owner.pem"))
+    found = findings(bed, wanted)["owner"]
+    assert (found.outcome, found.found) == ("ok", f"version 3, signed by {owner.short}")
 
 
 def test_a_state_directory_that_is_not_there_yet(bed: Bed, plan: DoctorSettings) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import os
 import zipfile
 from collections.abc import Callable
@@ -16,6 +15,7 @@ import pytest
 import safetensors.numpy
 import safetensors.torch
 import torch
+from tests.training.bundle.conftest import edit_manifest, pack, refuse, replace_part, unpack
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene
 from veilcam_training.bundle import (
@@ -42,8 +42,6 @@ from veilcam_training.bundle.layers import (
     Residual,
     Resize,
 )
-
-Parts = dict[str, bytes]
 
 
 def make_pair(seed: int) -> Pair:
@@ -82,37 +80,6 @@ def path(tmp_path: Path) -> Path:
     result = tmp_path / "a.veilcam"
     write_bundle(result, make_bundle())
     return result
-
-
-def unpack(path: Path) -> Parts:
-    with zipfile.ZipFile(path) as file:
-        return {name: file.read(name) for name in file.namelist()}
-
-
-def pack(path: Path, parts: Parts) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        for name, data in parts.items():
-            file.writestr(name, data)
-
-
-def edit_manifest(path: Path, edit: Callable[[dict[str, Any]], None]) -> None:
-    parts = unpack(path)
-    manifest = json.loads(parts["bundle.json"])
-    edit(manifest)
-    pack(path, {**parts, "bundle.json": json.dumps(manifest).encode()})
-
-
-def replace_part(path: Path, name: str, data: bytes) -> None:
-    """Put another part in place, with its right digest: only the content is wrong."""
-    pack(path, {**unpack(path), name: data})
-    edit_manifest(path, lambda m: m["parts"].update({name: hashlib.sha256(data).hexdigest()}))
-
-
-def refuse(path: Path, reason: str) -> None:
-    with pytest.raises(BundleError, match=reason) as caught:
-        read_bundle(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in str(caught.value)
 
 
 def test_it_comes_back_as_it_was_written(path: Path) -> None:
@@ -398,6 +365,7 @@ def test_limits_are_those_of_the_format() -> None:
     assert archive.MAX_FILE == 1024 * MEBIBYTE
     assert {name: size / MEBIBYTE for name, size in archive.MAX_PART.items()} == {
         "bundle.json": 8,
+        "owner.json": 2**-8,
         "masks.safetensors": 256,
         "weights.safetensors": 1024,
         "scene_stats.safetensors": 256,

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ import pytest
 import safetensors.numpy
 import safetensors.torch
 import torch
+from tests.training.bundle.conftest import edit_manifest, pack, refuse, replace_part, unpack
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.camera.masks import to_weights
@@ -98,36 +97,6 @@ def path(tmp_path: Path) -> Path:
     result = tmp_path / "fresh.veilcam"
     write_bundle(result, make_bundle())
     return result
-
-
-def unpack(path: Path) -> dict[str, bytes]:
-    with zipfile.ZipFile(path) as file:
-        return {name: file.read(name) for name in file.namelist()}
-
-
-def pack(path: Path, parts: dict[str, bytes]) -> None:
-    with zipfile.ZipFile(path, "w") as file:
-        for name, data in parts.items():
-            file.writestr(name, data)
-
-
-def edit_manifest(path: Path, edit: Callable[[dict[str, Any]], None]) -> None:
-    parts = unpack(path)
-    manifest = json.loads(parts["bundle.json"])
-    edit(manifest)
-    pack(path, {**parts, "bundle.json": json.dumps(manifest).encode()})
-
-
-def replace_part(path: Path, name: str, data: bytes) -> None:
-    """Put another part in place, with its right digest: only the content is wrong."""
-    pack(path, {**unpack(path), name: data})
-    edit_manifest(path, lambda m: m["parts"].update({name: hashlib.sha256(data).hexdigest()}))
-
-
-def refuse(path: Path, reason: str) -> None:
-    with pytest.raises(BundleError, match=reason) as caught:
-        read_bundle(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_it_comes_back_as_it_was_written(path: Path) -> None:

@@ -1,11 +1,14 @@
 """Grouping embeddings without a key, as one would who wants to know which share a mask."""
 
-from __future__ import annotations
+import warnings
+from operator import itemgetter
 
+import numpy as np
 import torch
+from scipy.cluster import vq
 from torch import Tensor
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 
 
 def k_means(
@@ -25,39 +28,19 @@ def k_means(
     Raises:
         TrainingError: fewer points than clusters.
     """
-    if not 1 <= clusters <= len(points):
-        raise TrainingError(f"clusters = {clusters} is not valid: use 1 to {len(points)}")
-    best, best_cost = torch.zeros(len(points), dtype=torch.int64), float("inf")
-    for _ in range(restarts):
-        centres = _spread(points, clusters, generator)
-        groups = torch.cdist(points, centres).argmin(1)
-        for _ in range(100):
-            sums = torch.zeros_like(centres).index_add_(0, groups, points)
-            counts = torch.bincount(groups, minlength=clusters)[:, None]
-            centres = torch.where(counts > 0, sums / counts.clamp_min(1), centres)
-            new = torch.cdist(points, centres).argmin(1)
-            if torch.equal(new, groups):
-                break
-            groups = new
-        cost = float((points - centres[groups]).square().sum())
-        if cost < best_cost:
-            best, best_cost = groups, cost
-    return best
-
-
-def _spread(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
-    """Seeds far from one another."""
-    first = int(torch.randint(len(points), (), generator=generator))
-    centres = points[first : first + 1]
-    distance = (points - centres).square().sum(1)
-    for _ in range(clusters - 1):
-        if float(distance.sum()) > 0:
-            index = int(torch.multinomial(distance, 1, generator=generator))
-        else:
-            index = int(torch.randint(len(points), (), generator=generator))
-        centres = torch.cat([centres, points[index : index + 1]])
-        distance = torch.minimum(distance, (points - points[index]).square().sum(1))
-    return centres
+    require(
+        1 <= clusters <= len(points), f"clusters = {clusters} is not valid: use 1 to {len(points)}"
+    )
+    values = points.double().cpu().numpy()
+    random = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # points that coincide fill fewer groups
+        starts = [
+            vq.kmeans2(values, clusters, iter=1, minit="++", rng=random)[0] for _ in range(restarts)
+        ]
+    centres, _ = min((vq.kmeans(values, start, thresh=0) for start in starts), key=itemgetter(1))
+    groups, _ = vq.vq(values, centres)
+    return torch.from_numpy(groups).long()
 
 
 def subspace_clusters(
@@ -86,8 +69,10 @@ def subspace_clusters(
     Raises:
         TrainingError: fewer points than clusters or neighbours.
     """
-    if not max(clusters, neighbours) < len(points):
-        raise TrainingError(f"{len(points)} points are too few: use more than clusters, neighbours")
+    require(
+        max(clusters, neighbours) < len(points),
+        f"{len(points)} points are too few: use more than clusters, neighbours",
+    )
     unit = points.double() / points.double().norm(dim=1, keepdim=True).clamp_min(1e-12)
     gram = unit @ unit.T
     identity = torch.eye(len(points), dtype=gram.dtype)
@@ -116,8 +101,10 @@ def adjusted_rand_index(one: Tensor, other: Tensor) -> float:
     Raises:
         TrainingError: they differ in length, or are empty.
     """
-    if len(one) != len(other) or len(one) == 0:
-        raise TrainingError(f"groupings of {len(one)} and {len(other)} points: use the same")
+    require(
+        len(one) == len(other) > 0,
+        f"groupings of {len(one)} and {len(other)} points: use the same",
+    )
     pairs = int(one.max()) + 1, int(other.max()) + 1
     table = torch.bincount(one * pairs[1] + other, minlength=pairs[0] * pairs[1]).reshape(pairs)
 

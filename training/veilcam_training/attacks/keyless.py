@@ -1,7 +1,5 @@
 """What a classifier reads from released embeddings without any key: how well a form hides."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,11 +1,12 @@
 """Bundles: what training hands to a camera. This is all of training that the server imports."""
 
-from veilcam_training.bundle.archive import read_bundle, write_bundle
+from veilcam_training.bundle.archive import read_bundle, sign_bundle, write_bundle
 from veilcam_training.bundle.classifier import build_classifier, build_untrained
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.model import Accuracy, Bundle, Pair
+from veilcam_training.bundle.signature import OwnerKey, read_key, write_key
 
 __all__ = [
     "Accuracy",
@@ -14,10 +15,14 @@ __all__ = [
     "Feature",
     "Fresh",
     "LayerRecord",
+    "OwnerKey",
     "Pair",
     "build_classifier",
     "build_untrained",
     "classifier_inputs",
     "read_bundle",
+    "read_key",
+    "sign_bundle",
     "write_bundle",
+    "write_key",
 ]

@@ -1,16 +1,17 @@
 """Reading and writing ``*.veilcam`` files: zip archives with the parts of a mode, and no code."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
 from veilcam_optics.files import write_whole
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.manifest import (
     FreshManifest,
     Manifest,
@@ -28,13 +29,15 @@ from veilcam_training.bundle.parts import (
     load_fresh,
     load_pairs,
 )
+from veilcam_training.bundle.signature import dump_owner, load_owner
 
-MANIFEST = "bundle.json"
+MANIFEST, OWNER = "bundle.json", "owner.json"
 
 MEBIBYTE = 2**20
 MAX_FILE = 1024 * MEBIBYTE
 MAX_PART = {
     MANIFEST: 8 * MEBIBYTE,
+    OWNER: 4096,
     MASKS: 256 * MEBIBYTE,
     WEIGHTS: 1024 * MEBIBYTE,
     SCENES: 256 * MEBIBYTE,
@@ -77,8 +80,11 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
     masks, which are the camera's secret.
 
     Raises:
-        BundleError: the bundle's parts do not fit together.
+        BundleError: the bundle's parts do not fit together, or it was read with a signature, which
+            holds for the file that was signed alone.
     """
+    if bundle.owner is not None:
+        raise BundleError("a signature cannot be written again: write the bundle with owner=None")
     check_bundle(bundle)
     parts, fresh = dump_parts(bundle), bundle.fresh
     manifest = Manifest(
@@ -103,41 +109,87 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         accuracy=bundle.accuracy,
         parts={name: _sha256(data) for name, data in parts.items()},
     )
+    parts = {MANIFEST: dump_manifest(manifest), **parts}
+    if bundle.version:
+        parts[OWNER] = dump_owner(bundle.version, parts[MANIFEST], None)
+    write_whole(path, _pack(parts), private=True)
+
+
+def sign_bundle(path: Path, version: int, key: Ed25519PrivateKey | None) -> None:
+    """Give a bundle its owner's version and signature, in place of those that it has.
+
+    The same bundle, version and key give the same bytes.
+
+    Args:
+        path: of the file, which is replaced whole.
+        version: 1 or more; a daemon takes those that rise.
+        key: private; None for a version without a signature.
+
+    Raises:
+        BundleError: the file is no whole bundle, the version is out of range, or the disk refuses.
+    """
+    read_bundle(path)
+    parts = _unpack(_content(path))
+    parts[OWNER] = dump_owner(version, parts[MANIFEST], key)
+    try:
+        write_whole(path, _pack(parts), private=True)
+    except OSError as error:
+        raise BundleError(f"{path} cannot be written ({error.strerror}): check it") from None
+
+
+def _pack(parts: Mapping[str, bytes]) -> bytes:
+    """An archive that depends on nothing but its parts."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in {MANIFEST: dump_manifest(manifest), **parts}.items():
-            if len(data) > MAX_PART[name]:
-                raise BundleError(f"{name} has {len(data)} bytes: use at most {MAX_PART[name]}")
-            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
-    write_whole(path, buffer.getvalue(), private=True)
+        for name in (each for each in MAX_PART if each in parts):
+            require(
+                len(parts[name]) <= MAX_PART[name],
+                f"{name} has {len(parts[name])} bytes: use at most {MAX_PART[name]}",
+            )
+            archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
 
 
-def _read(path: Path) -> Bundle:
+def _content(path: Path) -> bytes:
     try:
         size = path.stat().st_size
-        if size > MAX_FILE:
-            raise BundleError(f"has {size} bytes: a bundle has at most {MAX_FILE}")
-        data = path.read_bytes()
+        require(size <= MAX_FILE, f"has {size} bytes: a bundle has at most {MAX_FILE}")
+        return path.read_bytes()
     except FileNotFoundError:
         raise BundleError("there is no such file: check the path, or train a bundle") from None
     except OSError as error:
         raise BundleError(f"cannot be read ({error.strerror}): check the file") from None
+
+
+def _unpack(data: bytes) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            parts = _parts(archive, FREE + RATIO * size)
+            return _parts(archive, FREE + RATIO * len(data))
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
         if isinstance(error, BundleError):
             raise
         raise BundleError("is not a whole bundle (truncated or damaged): copy it again") from None
+
+
+def _read(path: Path) -> Bundle:
+    data = _content(path)
+    parts = _unpack(data)
     manifest = load_manifest(parts[MANIFEST])
     wanted = set(PARTS[manifest.mode])
-    if manifest.parts.keys() != wanted:
-        raise BundleError("bundle.json lacks the digest of a part: export the bundle again")
-    if parts.keys() - {MANIFEST} != wanted:
-        raise BundleError(f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only")
+    require(
+        manifest.parts.keys() == wanted,
+        "bundle.json lacks the digest of a part: export the bundle again",
+    )
+    require(
+        parts.keys() - {MANIFEST, OWNER} == wanted,
+        f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only",
+    )
     for name, digest in manifest.parts.items():
-        if _sha256(parts[name]) != digest:
-            raise BundleError(f"{name} is not what bundle.json says (damaged or tampered with)")
+        require(
+            _sha256(parts[name]) == digest,
+            f"{name} is not what bundle.json says (damaged or tampered with)",
+        )
+    version, owner = load_owner(parts[OWNER], parts[MANIFEST]) if OWNER in parts else (0, None)
     bundle = Bundle(
         task=manifest.task,
         labels=manifest.labels,
@@ -150,6 +202,8 @@ def _read(path: Path) -> Bundle:
         provenance=manifest.provenance,
         accuracy=manifest.accuracy,
         channels=manifest.channels,
+        version=version,
+        owner=owner,
     )
     check_bundle(bundle)
     return dataclasses.replace(bundle, digest=_sha256(data))
@@ -164,26 +218,25 @@ def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:
     """
     names = [entry.filename for entry in archive.infolist()]
     for name in names:
-        if name not in MAX_PART:
-            raise BundleError(f"holds an unknown part {name!r}: a bundle has none")
-    if len(set(names)) != len(names) or not {MANIFEST, MASKS, WEIGHTS} <= set(names):
-        raise BundleError(
-            f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again"
-        )
+        require(name in MAX_PART, f"holds an unknown part {name!r}: a bundle has none")
+    require(
+        len(set(names)) == len(names) and {MANIFEST, MASKS, WEIGHTS} <= set(names),
+        f"does not hold {MANIFEST}, {MASKS} and {WEIGHTS} once each: export it again",
+    )
     parts = {}
     for name in names:
         entry, limit = archive.getinfo(name), min(MAX_PART[name], left)
-        if entry.flag_bits & 1 or entry.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):
-            raise BundleError(f"{name} is encrypted or oddly compressed: export the bundle again")
-        if entry.file_size > limit:
-            raise BundleError(f"{name} has {entry.file_size} bytes: use at most {limit}")
+        require(
+            not entry.flag_bits & 1
+            and entry.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED),
+            f"{name} is encrypted or oddly compressed: export the bundle again",
+        )
+        require(
+            entry.file_size <= limit, f"{name} has {entry.file_size} bytes: use at most {limit}"
+        )
         with archive.open(entry) as stream:
             parts[name] = stream.read(limit + 1)
-        if len(parts[name]) > limit:
-            raise BundleError(f"{name} has more than {limit} bytes")
+        require(len(parts[name]) <= limit, f"{name} has more than {limit} bytes")
         left -= len(parts[name])
     return parts
 

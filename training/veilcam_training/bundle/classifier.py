@@ -1,14 +1,12 @@
 """From layer records and weights to a torch module, with every mismatch found first."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
 
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.layers import (
     LayerRecord,
     LayerShapeError,
@@ -27,8 +25,10 @@ def output_shape(layers: Sequence[LayerRecord], inputs: int) -> Shape:
     Raises:
         BundleError: two layers do not fit together.
     """
-    if not 1 <= len(layers) <= MAX_LAYERS:
-        raise BundleError(f"a classifier has {len(layers)} layers: use 1 to {MAX_LAYERS}")
+    require(
+        1 <= len(layers) <= MAX_LAYERS,
+        f"a classifier has {len(layers)} layers: use 1 to {MAX_LAYERS}",
+    )
     shape: Shape = (inputs,)
     for index, layer in enumerate(layers):
         try:
@@ -83,8 +83,10 @@ def check_weights(module: nn.Module, weights: Mapping[str, Tensor]) -> None:
     """
     expected = module.state_dict()
     total = sum(math.prod(tensor.shape) for tensor in expected.values())
-    if total > MAX_PARAMETERS:
-        raise BundleError(f"a classifier has {total} parameters: use at most {MAX_PARAMETERS}")
+    require(
+        total <= MAX_PARAMETERS,
+        f"a classifier has {total} parameters: use at most {MAX_PARAMETERS}",
+    )
     missing, unknown = (
         sorted(expected.keys() - weights.keys()),
         sorted(weights.keys() - expected.keys()),
@@ -95,12 +97,16 @@ def check_weights(module: nn.Module, weights: Mapping[str, Tensor]) -> None:
         raise BundleError(f"weights hold unknown {unknown[0]!r}: export the bundle again")
     for name, wanted in expected.items():
         tensor = weights[name]
-        if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
-            raise BundleError(
-                f"weight {name!r} is {tensor.dtype} {tuple(tensor.shape)}: "
-                f"use {wanted.dtype} {tuple(wanted.shape)}"
-            )
-        if not bool(torch.isfinite(tensor).all()):
-            raise BundleError(f"weight {name!r} holds NaN or infinity: train it again")
-        if name.endswith("running_var") and bool((tensor < 0).any()):
-            raise BundleError(f"weight {name!r} holds a negative variance: train it again")
+        require(
+            tensor.shape == wanted.shape and tensor.dtype == wanted.dtype,
+            f"weight {name!r} is {tensor.dtype} {tuple(tensor.shape)}: "
+            f"use {wanted.dtype} {tuple(wanted.shape)}",
+        )
+        require(
+            bool(torch.isfinite(tensor).all()),
+            f"weight {name!r} holds NaN or infinity: train it again",
+        )
+        require(
+            not (name.endswith("running_var") and (tensor < 0).any()),
+            f"weight {name!r} holds a negative variance: train it again",
+        )

@@ -3,8 +3,6 @@
 None of it is secret: masks come from a key that the camera alone has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -17,7 +15,7 @@ from veilcam_optics.decoding import Decoder, MeasurementNoise, SceneFrame, Scene
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_key
 from veilcam_optics.transfer.operator import Reach
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.layers import LayerRecord
 
 Feature = Literal["estimate", "deviation"]
@@ -86,25 +84,27 @@ def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding
         )
     except OpticsError as error:
         raise BundleError(f"key policy: {error}") from None
-    if fresh.distribution.bits < LEAST_BITS:
-        raise BundleError(
-            f"key policy: a mask holds {fresh.distribution.bits:.0f} bits: "
-            f"use a distribution with at least {LEAST_BITS:.0f}"
-        )
+    require(
+        fresh.distribution.bits >= LEAST_BITS,
+        f"key policy: a mask holds {fresh.distribution.bits:.0f} bits: "
+        f"use a distribution with at least {LEAST_BITS:.0f}",
+    )
     statistics = fresh.statistics
-    if statistics.pixels != scene.rows * scene.columns:
-        raise BundleError(
-            f"scene statistics are of {statistics.pixels} pixels: "
-            f"use {scene.rows * scene.columns} as the scene has"
-        )
-    if statistics.rank > statistics.pixels:
-        raise BundleError(
-            f"scene statistics have rank {statistics.rank}: use at most {statistics.pixels}"
-        )
-    if statistics.pixels * embedding.size > MAX_RESPONSE:
-        raise BundleError(
-            f"scene and embedding make {statistics.pixels} x {embedding.size} responses: "
-            f"use at most {MAX_RESPONSE}"
-        )
-    if not fresh.features or len(set(fresh.features)) != len(fresh.features):
-        raise BundleError(f"features = {fresh.features} are not valid: use each once at most")
+    require(
+        statistics.pixels == scene.rows * scene.columns,
+        f"scene statistics are of {statistics.pixels} pixels: "
+        f"use {scene.rows * scene.columns} as the scene has",
+    )
+    require(
+        statistics.rank <= statistics.pixels,
+        f"scene statistics have rank {statistics.rank}: use at most {statistics.pixels}",
+    )
+    require(
+        statistics.pixels * embedding.size <= MAX_RESPONSE,
+        f"scene and embedding make {statistics.pixels} x {embedding.size} responses: "
+        f"use at most {MAX_RESPONSE}",
+    )
+    require(
+        0 < len(fresh.features) == len(set(fresh.features)),
+        f"features = {fresh.features} are not valid: use each once at most",
+    )

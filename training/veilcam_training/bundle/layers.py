@@ -4,10 +4,8 @@ Every record knows the torch module it stands for and the shape that comes out o
 those of one sample, without the batch.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
@@ -31,9 +29,9 @@ class LayerShapeError(ValueError):
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-
-class _HasShape(Protocol):
-    def output_shape(self, shape: Shape) -> Shape: ...
+    def output_shape(self, shape: Shape) -> Shape:
+        """Return the shape after this layer: by default the same."""
+        return shape
 
 
 def _require(condition: bool, shape: Shape, wants: str) -> None:
@@ -113,10 +111,6 @@ class Affine(_Record):
         """Return a new torch module."""
         return AffineModule(self.scale, self.offset)
 
-    def output_shape(self, shape: Shape) -> Shape:
-        """Return the shape after this layer."""
-        return shape
-
 
 class ReLU(_Record):
     """max(x, 0)."""
@@ -126,10 +120,6 @@ class ReLU(_Record):
     def module(self) -> nn.Module:
         """Return a new torch module."""
         return nn.ReLU()
-
-    def output_shape(self, shape: Shape) -> Shape:
-        """Return the shape after this layer."""
-        return shape
 
 
 class GELU(_Record):
@@ -141,10 +131,6 @@ class GELU(_Record):
         """Return a new torch module."""
         return nn.GELU()
 
-    def output_shape(self, shape: Shape) -> Shape:
-        """Return the shape after this layer."""
-        return shape
-
 
 class Dropout(_Record):
     """Dropout in training; nothing at all in use."""
@@ -155,10 +141,6 @@ class Dropout(_Record):
     def module(self) -> nn.Module:
         """Return a new torch module."""
         return nn.Dropout(self.probability)
-
-    def output_shape(self, shape: Shape) -> Shape:
-        """Return the shape after this layer."""
-        return shape
 
 
 class Flatten(_Record):
@@ -332,7 +314,7 @@ LayerRecord = Annotated[PlainLayer | Residual, Field(discriminator="kind")]
 """Any layer record; ``kind`` tells which."""
 
 
-def checked_shape(layer: _HasShape, shape: Shape) -> Shape:
+def checked_shape(layer: _Record, shape: Shape) -> Shape:
     """Return the shape after ``layer``; raise :class:`LayerShapeError` where it grows too large."""
     after = layer.output_shape(shape)
     _require(math.prod(after) <= MAX_VALUES, shape, f"at most {MAX_VALUES} numbers after it")

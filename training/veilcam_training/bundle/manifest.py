@@ -1,11 +1,9 @@
 """``bundle.json``: everything in a bundle but its arrays, as strictly validated JSON."""
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import BaseModel, Field, JsonValue, ValidationError, model_validator
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import MeasurementNoise
@@ -21,17 +19,15 @@ VERSION = 1
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
-class PairManifest(BaseModel):
+class PairManifest(BaseModel, frozen=True, extra="forbid", strict=True):
     """The classifier of one pair; its arrays are in the other parts."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
     layers: tuple[LayerRecord, ...]
 
 
-class FreshManifest(BaseModel):
+class FreshManifest(BaseModel, frozen=True, extra="forbid", strict=True):
     """Key policy, noise and the one classifier of mode ``fresh``."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
     scheme: Literal["veilcam mask levels, version 1"] = "veilcam mask levels, version 1"
     """How a key becomes a mask: the context of :mod:`veilcam_optics.keys.masks`."""
     device: str
@@ -41,10 +37,9 @@ class FreshManifest(BaseModel):
     layers: tuple[LayerRecord, ...]
 
 
-class Manifest(BaseModel):
+class Manifest(BaseModel, frozen=True, extra="forbid", strict=True):
     """The content of ``bundle.json``."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
     format: Literal["veilcam-bundle"] = "veilcam-bundle"
     version: Literal[1] = 1
     task: str

@@ -1,7 +1,5 @@
 """The nouns: a bundle is a task and a camera, and pairs of mask and classifier or a key policy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,9 +17,10 @@ from veilcam_training.bundle.classifier import (
     count_operations,
     output_shape,
 )
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.fresh import Fresh, check_fresh
 from veilcam_training.bundle.layers import LayerRecord
+from veilcam_training.bundle.signature import OwnerKey
 
 MAX_PAIRS = 4096
 MAX_LABELS = 1024
@@ -40,10 +39,10 @@ class Accuracy:
     samples: int
 
     def __post_init__(self) -> None:
-        if not 0 <= self.value <= 1:
-            raise BundleError(f"accuracy.value = {self.value} is not valid: use 0 to 1")
-        if self.samples < 1:
-            raise BundleError(f"accuracy.samples = {self.samples} is not valid: use at least 1")
+        require(0 <= self.value <= 1, f"accuracy.value = {self.value} is not valid: use 0 to 1")
+        require(
+            self.samples >= 1, f"accuracy.samples = {self.samples} is not valid: use at least 1"
+        )
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,10 @@ class Bundle:
     """Mean over the pairs."""
     channels: Literal[1, 3] = 1
     """1 for a gray embedding, 3 for one per colour (R, G, B, each ``embedding.size`` long)."""
+    version: int = 0
+    """Of its owner's choice, from 1 on; 0 for one that has none."""
+    owner: OwnerKey | None = None
+    """Who signed the file that it was read from."""
     digest: str = ""
     """SHA-256 of the file that it was read from, hexadecimal."""
 
@@ -89,13 +92,16 @@ class Bundle:
 
 def check_bundle(bundle: Bundle) -> None:
     """Raise :class:`BundleError` unless every part of ``bundle`` fits every other."""
-    if not bundle.task or len(bundle.task) > 64:
-        raise BundleError("task is not valid: use a name of 1 to 64 letters")
-    if not 2 <= len(bundle.labels) <= MAX_LABELS or len(set(bundle.labels)) != len(bundle.labels):
-        raise BundleError(f"labels are not valid: use 2 to {MAX_LABELS} different names")
+    require(1 <= len(bundle.task) <= 64, "task is not valid: use a name of 1 to 64 letters")
+    require(
+        2 <= len(bundle.labels) <= MAX_LABELS and len(set(bundle.labels)) == len(bundle.labels),
+        f"labels are not valid: use 2 to {MAX_LABELS} different names",
+    )
     records = bundle.pairs if bundle.fresh is None else (bundle.fresh,)
-    if sum(len(record.layers) for record in records) > MAX_LAYERS:
-        raise BundleError(f"all classifiers together have too many layers: use {MAX_LAYERS}")
+    require(
+        sum(len(record.layers) for record in records) <= MAX_LAYERS,
+        f"all classifiers together have too many layers: use {MAX_LAYERS}",
+    )
     if bundle.mode == "fresh":
         _check_fresh(bundle)
     elif bundle.mode == "pairs":
@@ -103,18 +109,20 @@ def check_bundle(bundle: Bundle) -> None:
     else:
         raise BundleError(f"mode = {bundle.mode} is not valid: use 'pairs' or 'fresh'")
     products = sum(count_operations(record.layers, bundle.inputs) for record in records)
-    if products > MAX_OPERATIONS:
-        raise BundleError(
-            f"all classifiers together take {products} products: use at most {MAX_OPERATIONS}"
-        )
+    require(
+        products <= MAX_OPERATIONS,
+        f"all classifiers together take {products} products: use at most {MAX_OPERATIONS}",
+    )
 
 
 def _check_fresh(bundle: Bundle) -> None:
     fresh = bundle.fresh
     if fresh is None or bundle.pairs:
         raise BundleError("mode 'fresh' has a key policy and no pairs: export the bundle again")
-    if bundle.channels != 1:
-        raise BundleError(f"mode 'fresh' has gray embeddings: channels = {bundle.channels}, use 1")
+    require(
+        bundle.channels == 1,
+        f"mode 'fresh' has gray embeddings: channels = {bundle.channels}, use 1",
+    )
     check_fresh(fresh, bundle.camera, bundle.scene, bundle.embedding)
     _check_classifier(bundle, fresh.layers, fresh.weights)
 
@@ -122,8 +130,10 @@ def _check_fresh(bundle: Bundle) -> None:
 def _check_pairs(bundle: Bundle) -> None:
     if bundle.fresh is not None:
         raise BundleError("mode 'pairs' has no key policy: export the bundle again")
-    if not 1 <= len(bundle.pairs) <= MAX_PAIRS:
-        raise BundleError(f"the bundle holds {len(bundle.pairs)} pairs: use 1 to {MAX_PAIRS}")
+    require(
+        1 <= len(bundle.pairs) <= MAX_PAIRS,
+        f"the bundle holds {len(bundle.pairs)} pairs: use 1 to {MAX_PAIRS}",
+    )
     for index, pair in enumerate(bundle.pairs):
         try:
             _check_pair(bundle, pair)
@@ -132,14 +142,16 @@ def _check_pairs(bundle: Bundle) -> None:
 
 
 def _check_pair(bundle: Bundle, pair: Pair) -> None:
-    if pair.levels.dtype != np.uint8 or pair.levels.shape != bundle.camera.mask_shape:
-        raise BundleError(
-            f"mask is {pair.levels.dtype} {pair.levels.shape}: "
-            f"use uint8 {bundle.camera.mask_shape} as the camera's window"
-        )
+    require(
+        pair.levels.dtype == np.uint8 and pair.levels.shape == bundle.camera.mask_shape,
+        f"mask is {pair.levels.dtype} {pair.levels.shape}: "
+        f"use uint8 {bundle.camera.mask_shape} as the camera's window",
+    )
     top = bundle.camera.panel.levels - 1
-    if int(pair.levels.max()) > top:
-        raise BundleError(f"mask exceeds what the panel can show: use levels 0 to {top}")
+    require(
+        int(pair.levels.max()) <= top,
+        f"mask exceeds what the panel can show: use levels 0 to {top}",
+    )
     _check_classifier(bundle, pair.layers, pair.weights)
 
 
@@ -147,11 +159,11 @@ def _check_classifier(
     bundle: Bundle, layers: tuple[LayerRecord, ...], weights: Mapping[str, torch.Tensor]
 ) -> None:
     shape = output_shape(layers, bundle.inputs)
-    if shape != (len(bundle.labels),):
-        raise BundleError(
-            f"classifier gives shape {shape} ({math.prod(shape)} numbers) "
-            f"for {len(bundle.labels)} labels: train it again"
-        )
+    require(
+        shape == (len(bundle.labels),),
+        f"classifier gives shape {shape} ({math.prod(shape)} numbers) "
+        f"for {len(bundle.labels)} labels: train it again",
+    )
     with torch.device("meta"):
         module = build_untrained(layers)
     check_weights(module, weights)

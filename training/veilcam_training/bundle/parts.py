@@ -1,7 +1,5 @@
 """The arrays of a bundle as safetensors parts, and back."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,7 +13,7 @@ from torch import Tensor
 from veilcam_optics.decoding import SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_training.bundle.errors import BundleError
+from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.fresh import Fresh
 from veilcam_training.bundle.manifest import FreshManifest, PairManifest
 from veilcam_training.bundle.model import Bundle, Pair
@@ -58,16 +56,19 @@ def load_pairs(pairs: tuple[PairManifest, ...], parts: Mapping[str, bytes]) -> t
     """
     masks, weights = _load_masks(parts[MASKS]), _load_tensors(parts[WEIGHTS])
     count = len(pairs)
-    if masks.keys() != {f"pair.{index}.levels" for index in range(count)}:
-        raise BundleError(f"{MASKS} does not hold one mask for each of {count} pairs")
+    require(
+        masks.keys() == {f"pair.{index}.levels" for index in range(count)},
+        f"{MASKS} does not hold one mask for each of {count} pairs",
+    )
     sorted_weights: list[dict[str, Tensor]] = [{} for _ in range(count)]
     for key, tensor in weights.items():
         prefix, _, rest = key.partition(".")
         index, _, name = rest.partition(".")
-        if prefix != "pair" or not index.isdecimal() or str(int(index)) != index:
-            raise BundleError(f"{WEIGHTS} holds unknown {key!r}: export the bundle again")
-        if int(index) >= count:
-            raise BundleError(f"{WEIGHTS} holds {key!r} but there are {count} pairs")
+        require(
+            prefix == "pair" and index.isdecimal() and str(int(index)) == index,
+            f"{WEIGHTS} holds unknown {key!r}: export the bundle again",
+        )
+        require(int(index) < count, f"{WEIGHTS} holds {key!r} but there are {count} pairs")
         sorted_weights[int(index)][name] = tensor
     return tuple(
         Pair(levels=masks[f"pair.{index}.levels"], layers=pair.layers, weights=own)
@@ -87,15 +88,18 @@ def load_fresh(manifest: FreshManifest, parts: Mapping[str, bytes]) -> Fresh:
         (MASKS, arrays.keys(), _DISTRIBUTION),
         (SCENES, scenes.keys(), _STATISTICS),
     ):
-        if found != set(wanted):
-            raise BundleError(f"{name} does not hold {', '.join(wanted)}: export the bundle again")
-    if any(tensor.dtype != torch.float32 for tensor in scenes.values()):
-        raise BundleError(f"{SCENES} is not float32: export the bundle again")
+        require(
+            found == set(wanted),
+            f"{name} does not hold {', '.join(wanted)}: export the bundle again",
+        )
+    require(
+        all(tensor.dtype == torch.float32 for tensor in scenes.values()),
+        f"{SCENES} is not float32: export the bundle again",
+    )
     own = {}
     for key, tensor in weights.items():
         prefix, _, name = key.partition(".")
-        if prefix != "classifier":
-            raise BundleError(f"{WEIGHTS} holds unknown {key!r}: export the bundle again")
+        require(prefix == "classifier", f"{WEIGHTS} holds unknown {key!r}: export the bundle again")
         own[name] = tensor
     try:
         return Fresh(

@@ -1,7 +1,5 @@
 """``veilcam-train fit-fresh`` and ``frame``: masks that nobody has used before."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

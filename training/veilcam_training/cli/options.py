@@ -1,7 +1,5 @@
 """Options that several commands have, and what they do before and around a fit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

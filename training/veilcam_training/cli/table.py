@@ -1,7 +1,5 @@
 """``veilcam-train table`` runs cells of a table, ``veilcam-train report`` shows them."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Sequence
@@ -14,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from veilcam_training.config.settings import Settings, load_settings
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.grid import TABLES, Cell, Part, Place, Table, find_table
 from veilcam_training.experiments.records import check_record
@@ -123,8 +121,7 @@ def report_command(
     figures: Figures = None,
 ) -> None:
     """Report every finished cell of a table, whatever its settings; nothing is run."""
-    if not work.is_dir():
-        raise TrainingError(f"{work} is not a folder: give that of the cells as --work")
+    require(work.is_dir(), f"{work} is not a folder: give that of the cells as --work")
     if out is None and figures is None:
         raise TrainingError("there is nowhere to report to: give --out FOLDER or --figures FILE")
     _check_places(out, figures)

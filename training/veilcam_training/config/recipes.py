@@ -1,16 +1,14 @@
 """Recipes by name: the paper's, and ours; and the tasks of fresh masks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from veilcam_training.encoders.imperfections import PanelErrors
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.models.classifiers import Exposure, Normalisation
 from veilcam_training.transforms.augmentation import Augmentation
 
@@ -31,10 +29,8 @@ def one_cycle(progress: float, *, warm_up: float, lowest: float) -> float:
     return max(lowest, 0.5 * (1 + math.cos(math.pi * falling)))
 
 
-class Recipe(BaseModel):
+class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
     """One way of fitting. The default values are not tuned to any task."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 50
     batch: Annotated[int, Field(ge=2, le=65_536)] = 512
@@ -116,8 +112,7 @@ def find_recipe(name: str, situation: Situation) -> Recipe:
     Raises:
         TrainingError: an unknown name.
     """
-    if name not in RECIPES:
-        raise TrainingError(f"recipe {name!r} is unknown: use one of {', '.join(RECIPES)}")
+    require(name in RECIPES, f"recipe {name!r} is unknown: use one of {', '.join(RECIPES)}")
     return RECIPES[name](situation)
 
 

@@ -14,8 +14,6 @@ shift = 5e-5
 A fit for fresh masks has its settings, beside the name of a ``task``, in one table.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import tomllib
@@ -25,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_training.config.recipes import (
@@ -37,7 +35,7 @@ from veilcam_training.config.recipes import (
 )
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -58,10 +56,8 @@ def parse_embedding(text: str) -> Embedding:
     return Embedding(int(match[1]), int(match[2]))
 
 
-class Settings(BaseModel):
+class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
     """All that the result of a fit depends on, besides the files of the data set."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     data: str = "mnist"
     encoder: str = "learned"
@@ -85,10 +81,8 @@ class Settings(BaseModel):
         return _digest(self.model_copy(update={"psf": None}).model_dump_json(), files)
 
 
-class FreshSettings(BaseModel):
+class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
     """How to fit one classifier to a stream of masks that are used for a moment and never again."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     data: str = "mnist"
     embedding: str = "24x32"
@@ -208,8 +202,7 @@ def load_fresh_settings(path: Path | None, overrides: Mapping[str, Any]) -> Fres
     """
     content = _merge(_with_nulls(FreshSettings, _read(path)), overrides)
     task = str(content.pop("task", "mnist_24x32"))
-    if task not in TASKS:
-        raise TrainingError(f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
+    require(task in TASKS, f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
     with _refused(f"task {task}" if path is None else str(path)):
         return FreshSettings.model_validate(_merge(TASKS[task], content))
 

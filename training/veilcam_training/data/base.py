@@ -1,19 +1,18 @@
 """Images with labels, where they come from, and the part of them that validates."""
 
-from __future__ import annotations
-
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 SPLIT_SEED = 20220429
 """The validation split is the same for every run, so that no two runs select on different data."""
@@ -33,22 +32,24 @@ class Images:
     groups: Tensor | None = None
 
     def __post_init__(self) -> None:
-        if len(self.pixels) != len(self.labels):
-            raise TrainingError(
-                f"{len(self.pixels)} images but {len(self.labels)} labels: use one each"
-            )
+        require(
+            len(self.pixels) == len(self.labels),
+            f"{len(self.pixels)} images but {len(self.labels)} labels: use one each",
+        )
 
     def __len__(self) -> int:
         return len(self.labels)
 
-    def take(self, indices: Tensor) -> Images:
+    def take(self, indices: Tensor) -> Self:
         """Return the images at ``indices``, int64 (count,)."""
         groups = None if self.groups is None else self.groups[indices]
-        return Images(self.pixels[indices], self.labels[indices], groups)
+        return replace(
+            self, pixels=self.pixels[indices], labels=self.labels[indices], groups=groups
+        )
 
-    def to(self, device: torch.device | str) -> Images:
+    def to(self, device: torch.device | str) -> Self:
         """Return the same images on ``device``."""
-        return Images(self.pixels.to(device), self.labels.to(device), self.groups)
+        return replace(self, pixels=self.pixels.to(device), labels=self.labels.to(device))
 
     def scenes(self, indices: Tensor | slice = slice(None)) -> Tensor:
         """Images as scenes: float32 in [0, 1], the shape of ``pixels``."""
@@ -82,6 +83,30 @@ class Source(Protocol):
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of every file, by its name."""
+
+
+class FileSource(ABC):
+    """What data sets in files have in common: each reads one of its two parts."""
+
+    def training(self) -> Images:
+        """Read the training set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(test=False)
+
+    def test(self) -> Images:
+        """Read the test set.
+
+        Raises:
+            TrainingError: a file is missing, damaged, or not in this format.
+        """
+        return self._read(test=True)
+
+    @abstractmethod
+    def _read(self, *, test: bool) -> Images:
+        """Read the test set, or else the training set."""
 
 
 @dataclass(frozen=True)

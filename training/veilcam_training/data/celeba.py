@@ -4,8 +4,6 @@ The paper takes the first 100,000 images, gray, and splits them 85 to 15. The sp
 both parts have the same share of either class.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +15,8 @@ from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
-from veilcam_training.errors import TrainingError
+from veilcam_training.data.base import FileSource, Images, digest, find
+from veilcam_training.errors import TrainingError, require
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
     "celeba-gender": ("Male", "female", "male"),
@@ -35,7 +33,7 @@ IMAGE_FOLDER = "img_align_celeba"
 
 
 @dataclass(frozen=True)
-class CelebaSource:
+class CelebaSource(FileSource):
     """One attribute of the first ``first`` photographs.
 
     An embedding pixel of 24 x 32 is 21 rows of the original at the sensor, so the photographs are
@@ -52,22 +50,6 @@ class CelebaSource:
     def labels(self) -> tuple[str, str]:
         """Name of either class."""
         return ATTRIBUTES[self.name][1:]
-
-    def training(self) -> Images:
-        """Read the training set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or not in this format.
-        """
-        return self._read(test=False)
-
-    def test(self) -> Images:
-        """Read the test set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or not in this format.
-        """
-        return self._read(test=True)
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the attributes, and of all photographs one after the other."""
@@ -88,22 +70,27 @@ class CelebaSource:
         path, column = self._table(), ATTRIBUTES[self.name][0]
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
         # The first line counts the photographs, the second names the columns.
-        if len(lines) < 3 or column not in lines[1].split():
-            raise TrainingError(f"{path} has no column {column}: fetch it again")
-        if lines[0].split() != [str(len(lines) - 2)]:
-            raise TrainingError(
-                f"{path} has {len(lines) - 2} photographs, not as many as its first line says: "
-                "fetch it again"
-            )
+        require(
+            len(lines) >= 3 and column in lines[1].split(),
+            f"{path} has no column {column}: fetch it again",
+        )
+        require(
+            lines[0].split() == [str(len(lines) - 2)],
+            f"{path} has {len(lines) - 2} photographs, not as many as its first line says: "
+            "fetch it again",
+        )
         columns = lines[1].split()
         index = columns.index(column) + 1
         result: dict[str, int] = {}
         for number, line in enumerate(lines[2 : 2 + self.first], start=3):
             words = line.split()
-            if len(words) != len(columns) + 1 or words[index] not in ("1", "-1"):
-                raise TrainingError(f"{path} line {number} is not valid: fetch it again")
-            if words[0] in result:
-                raise TrainingError(f"{path} line {number} repeats {words[0]}: fetch it again")
+            require(
+                len(words) == len(columns) + 1 and words[index] in ("1", "-1"),
+                f"{path} line {number} is not valid: fetch it again",
+            )
+            require(
+                words[0] not in result, f"{path} line {number} repeats {words[0]}: fetch it again"
+            )
             result[words[0]] = int(words[index] == "1")
         return result
 
@@ -118,11 +105,11 @@ class CelebaSource:
     def _pixels(self, path: Path) -> npt.NDArray[np.uint8]:
         try:
             with Image.open(path) as photograph:
-                if photograph.size != SHAPE[::-1]:
-                    raise TrainingError(
-                        f"{path} has {photograph.height} x {photograph.width} pixels: "
-                        f"use the aligned photographs of {SHAPE[0]} x {SHAPE[1]}"
-                    )
+                require(
+                    photograph.size == SHAPE[::-1],
+                    f"{path} has {photograph.height} x {photograph.width} pixels: "
+                    f"use the aligned photographs of {SHAPE[0]} x {SHAPE[1]}",
+                )
                 rows, columns = self.scene.shape
                 gray = photograph.convert("L").resize((columns, rows), Image.Resampling.BOX)
                 return np.asarray(gray)
@@ -141,10 +128,10 @@ def stratified(labels: Tensor, share: float) -> Tensor:
     for label in (0, 1):
         members = (labels == label).nonzero().flatten()
         count = round(share * len(members))
-        if not 0 < count < len(members):
-            raise TrainingError(
-                f"{len(members)} photographs of class {label} do not make a training and a test "
-                "set: use more of them"
-            )
+        require(
+            0 < count < len(members),
+            f"{len(members)} photographs of class {label} do not make a training and a test "
+            "set: use more of them",
+        )
         held[members[torch.randperm(len(members), generator=generator)[:count]]] = True
     return held

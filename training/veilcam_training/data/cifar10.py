@@ -3,8 +3,6 @@
 Each record is a label byte and 3,072 bytes of pixels: red, green, blue, each row by row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +11,8 @@ import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
-from veilcam_training.errors import TrainingError
+from veilcam_training.data.base import FileSource, Images, digest, find
+from veilcam_training.errors import require
 
 LABELS = (
     "airplane",
@@ -35,7 +33,7 @@ RECORD = 1 + 3 * 32 * 32
 
 
 @dataclass(frozen=True)
-class Cifar10Source:
+class Cifar10Source(FileSource):
     """Six binary files, in the folder or in the one that the archive unpacks to."""
 
     folder: Path
@@ -44,22 +42,6 @@ class Cifar10Source:
     scene: Scene = field(default_factory=lambda: Scene(32, 32, 0.25, 0.40))
     colour: bool = True
 
-    def training(self) -> Images:
-        """Read the five training batches.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or not in this format.
-        """
-        return self._read(TRAINING)
-
-    def test(self) -> Images:
-        """Read the test batch.
-
-        Raises:
-            TrainingError: the file is missing, damaged, or not in this format.
-        """
-        return self._read(TEST)
-
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each of the six files, by its name."""
         return {name: digest(self._path(name)) for name in (*TRAINING, *TEST)}
@@ -67,20 +49,20 @@ class Cifar10Source:
     def _path(self, name: str) -> Path:
         return find(self.folder / name, self.folder / FOLDER / name)
 
-    def _read(self, names: tuple[str, ...]) -> Images:
+    def _read(self, *, test: bool) -> Images:
         records = []
-        for name in names:
+        for name in TEST if test else TRAINING:
             data = self._path(name).read_bytes()
-            if len(data) == 0 or len(data) % RECORD:
-                raise TrainingError(
-                    f"{name} has {len(data)} bytes, not a multiple of {RECORD}: fetch it again "
-                    "(the binary version, not the Python one)"
-                )
+            require(
+                len(data) > 0 and len(data) % RECORD == 0,
+                f"{name} has {len(data)} bytes, not a multiple of {RECORD}: fetch it again "
+                "(the binary version, not the Python one)",
+            )
             batch = np.frombuffer(data, np.uint8).reshape(-1, RECORD)
-            if int(batch[:, 0].max()) >= len(LABELS):
-                raise TrainingError(
-                    f"{name} has label {int(batch[:, 0].max())}: use 0 to 9; fetch it again"
-                )
+            require(
+                int(batch[:, 0].max()) < len(LABELS),
+                f"{name} has label {int(batch[:, 0].max())}: use 0 to 9; fetch it again",
+            )
             records.append(batch)
         together = torch.from_numpy(np.concatenate(records))
         return Images(together[:, 1:].reshape(-1, 3, 32, 32).contiguous(), together[:, 0].long())

@@ -1,7 +1,5 @@
 """Fetching public data sets, checked against their published digests. Only ever on request."""
 
-from __future__ import annotations
-
 import tarfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 
 @dataclass(frozen=True)
@@ -70,11 +68,11 @@ def download(name: str, folder: Path, console: Console) -> None:
     Raises:
         TrainingError: it cannot be fetched by a program, the network fails, or a digest is wrong.
     """
-    if name not in REMOTES:
-        raise TrainingError(
-            f"data set {name!r} cannot be downloaded: use one of {', '.join(REMOTES)}, "
-            "or fetch it by hand (see docs/training.md)"
-        )
+    require(
+        name in REMOTES,
+        f"data set {name!r} cannot be downloaded: use one of {', '.join(REMOTES)}, "
+        "or fetch it by hand (see docs/training.md)",
+    )
     remote = REMOTES[name]
     folder.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())

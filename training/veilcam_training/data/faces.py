@@ -3,8 +3,6 @@
 They are easier than photographs: their numbers do not stand beside those of photographs as equals.
 """
 
-from __future__ import annotations
-
 import tokenize
 import zipfile
 import zlib
@@ -14,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
-from veilcam_training.errors import TrainingError
+from veilcam_training.data.base import FileSource, Images, digest, find
+from veilcam_training.errors import TrainingError, require
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
     "faces-gender": ("female", "male", "female"),
@@ -43,7 +40,7 @@ UNREADABLE = (
 
 
 @dataclass(frozen=True)
-class FacesSource:
+class FacesSource(FileSource):
     """One attribute of the drawn faces.
 
     The file holds ``images`` uint8 (count, rows, columns), ``identity`` (count,), and one array of
@@ -65,30 +62,12 @@ class FacesSource:
         """The file; raises TrainingError if it is missing."""
         return find(self.folder / "faces.npz")
 
-    def training(self) -> Images:
-        """Read the training set; ``groups`` are the identities.
-
-        Raises:
-            TrainingError: the file is missing, damaged, or not such a file.
-        """
-        images, test = self._read()
-        return images.take((~test).nonzero().flatten())
-
-    def test(self) -> Images:
-        """Read the test set.
-
-        Raises:
-            TrainingError: the file is missing, damaged, or not such a file.
-        """
-        images, test = self._read()
-        return images.take(test.nonzero().flatten())
-
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of the file."""
         return {self.path.name: digest(self.path)}
 
-    def _read(self) -> tuple[Images, Tensor]:
-        """All images, and which of them are for testing."""
+    def _read(self, *, test: bool) -> Images:
+        """Read one part; ``groups`` are the identities."""
         path, array = self.path, ATTRIBUTES[self.name][0]
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
@@ -98,27 +77,29 @@ class FacesSource:
             raise TrainingError(
                 f"{path} is damaged, or lacks images, {array} or identity: get it again"
             ) from None
-        if pixels.dtype != np.uint8 or pixels.shape[1:] != self.scene.shape or pixels.size == 0:
-            raise TrainingError(
-                f"{path} has images {pixels.dtype} {pixels.shape}: "
-                f"use uint8 (count, {self.scene.rows}, {self.scene.columns})"
-            )
+        require(
+            pixels.dtype == np.uint8 and pixels.shape[1:] == self.scene.shape and pixels.size != 0,
+            f"{path} has images {pixels.dtype} {pixels.shape}: "
+            f"use uint8 (count, {self.scene.rows}, {self.scene.columns})",
+        )
         for name, values in ((array, labels), ("identity", identities)):
-            if values.dtype.kind not in "biu" or values.shape != pixels.shape[:1]:
-                raise TrainingError(
-                    f"{path} has {name} {values.dtype} {values.shape}: "
-                    f"use a whole number for each of the {len(pixels)} images"
-                )
-        if not np.isin(labels, (0, 1)).all():
-            raise TrainingError(f"{path} has {array} other than 0 and 1: get it again")
+            require(
+                values.dtype.kind in "biu" and values.shape == pixels.shape[:1],
+                f"{path} has {name} {values.dtype} {values.shape}: "
+                f"use a whole number for each of the {len(pixels)} images",
+            )
+        require(
+            bool(np.isin(labels, (0, 1)).all()),
+            f"{path} has {array} other than 0 and 1: get it again",
+        )
         groups = torch.from_numpy(identities.astype(np.int64))
         known = torch.unique(groups)
         order = torch.randperm(len(known), generator=torch.Generator().manual_seed(SPLIT_SEED))
         held = known[order[: round(TEST_SHARE * len(known))]]
-        if len(held) == 0:
-            raise TrainingError(
-                f"{path} has {len(known)} identities, too few for a training and a test set: "
-                "use more of them"
-            )
+        require(
+            len(held) > 0,
+            f"{path} has {len(known)} identities, too few for a training and a test set: "
+            "use more of them",
+        )
         images = Images(torch.from_numpy(pixels), torch.from_numpy(labels.astype(np.int64)), groups)
-        return images, torch.isin(groups, held)
+        return images.take((torch.isin(groups, held) == test).nonzero().flatten())

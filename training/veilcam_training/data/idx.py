@@ -4,8 +4,6 @@ The format: two zero bytes, 8 for unsigned bytes, the number of dimensions, ever
 big-endian 32-bit number, then the bytes (http://yann.lecun.com/exdb/mnist).
 """
 
-from __future__ import annotations
-
 import gzip
 import struct
 import zlib
@@ -18,8 +16,8 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import Images, digest, find
-from veilcam_training.errors import TrainingError
+from veilcam_training.data.base import FileSource, Images, digest, find
+from veilcam_training.errors import TrainingError, require
 
 DIGITS = tuple("0123456789")
 CLOTHES = (
@@ -58,14 +56,15 @@ def read_idx(path: Path, dimensions: int) -> Tensor:
     except (OSError, EOFError, zlib.error) as error:
         raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
     header = 4 + 4 * dimensions
-    if data[:4] != bytes([0, 0, 8, dimensions]) or len(data) < header:
-        raise TrainingError(
-            f"{path} is not an idx file of bytes with {dimensions} dimensions: fetch it again"
-        )
+    require(
+        data[:4] == bytes([0, 0, 8, dimensions]) and len(data) >= header,
+        f"{path} is not an idx file of bytes with {dimensions} dimensions: fetch it again",
+    )
     shape = tuple(int(size) for size in np.frombuffer(data, ">u4", dimensions, 4))
     expected = header + int(np.prod(shape, dtype=np.uint64))
-    if len(data) != expected:
-        raise TrainingError(f"{path} has {len(data)} bytes but says {expected}: fetch it again")
+    require(
+        len(data) == expected, f"{path} has {len(data)} bytes but says {expected}: fetch it again"
+    )
     pixels = np.frombuffer(data, np.uint8, offset=header).reshape(shape)
     return torch.from_numpy(pixels.copy())
 
@@ -77,7 +76,7 @@ def idx_bytes(array: Tensor) -> bytes:
 
 
 @dataclass(frozen=True)
-class IdxSource:
+class IdxSource(FileSource):
     """Four idx files in one folder."""
 
     name: str
@@ -85,22 +84,6 @@ class IdxSource:
     folder: Path
     scene: Scene = field(default_factory=Scene)
     colour: bool = False
-
-    def training(self) -> Images:
-        """Read the training set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or does not fit the other.
-        """
-        return self._read("train")
-
-    def test(self) -> Images:
-        """Read the test set.
-
-        Raises:
-            TrainingError: a file is missing, damaged, or does not fit the other.
-        """
-        return self._read("t10k")
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of each of the four files, by its name."""
@@ -112,20 +95,20 @@ class IdxSource:
         images, labels = (find(self.folder / n, self.folder / f"{n}.gz") for n in names)
         return images, labels
 
-    def _read(self, part: str) -> Images:
-        images_path, labels_path = self._paths(part)
+    def _read(self, *, test: bool) -> Images:
+        images_path, labels_path = self._paths("t10k" if test else "train")
         images, labels = read_idx(images_path, 3), read_idx(labels_path, 1)
-        if len(images) != len(labels) or len(images) == 0:
-            raise TrainingError(
-                f"{images_path} has {len(images)} images but {labels_path.name} {len(labels)} "
-                "labels: fetch both again"
-            )
-        if tuple(images.shape[1:]) != self.scene.shape:
-            raise TrainingError(
-                f"{images_path} has images of {tuple(images.shape[1:])}: use {self.scene.shape}"
-            )
-        if int(labels.max()) >= len(self.labels):
-            raise TrainingError(
-                f"{labels_path} has label {int(labels.max())}: use 0 to {len(self.labels) - 1}"
-            )
+        require(
+            len(images) == len(labels) > 0,
+            f"{images_path} has {len(images)} images but {labels_path.name} {len(labels)} "
+            "labels: fetch both again",
+        )
+        require(
+            tuple(images.shape[1:]) == self.scene.shape,
+            f"{images_path} has images of {tuple(images.shape[1:])}: use {self.scene.shape}",
+        )
+        require(
+            int(labels.max()) < len(self.labels),
+            f"{labels_path} has label {int(labels.max())}: use 0 to {len(self.labels) - 1}",
+        )
         return Images(images, labels.long())

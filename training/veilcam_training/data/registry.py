@@ -1,7 +1,5 @@
 """Every data set by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -10,7 +8,7 @@ from veilcam_training.data import celeba, faces
 from veilcam_training.data.base import Source
 from veilcam_training.data.cifar10 import Cifar10Source
 from veilcam_training.data.idx import CLOTHES, DIGITS, IdxSource
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 
 SOURCES: Mapping[str, Callable[[Path], Source]] = {
     "mnist": partial(IdxSource, "mnist", DIGITS),
@@ -27,8 +25,6 @@ def open_source(name: str, folder: Path) -> Source:
     Raises:
         TrainingError: an unknown name, or a folder that is not there.
     """
-    if name not in SOURCES:
-        raise TrainingError(f"data set {name!r} is unknown: use one of {', '.join(SOURCES)}")
-    if not folder.is_dir():
-        raise TrainingError(f"{folder} is not a folder: give the one that holds {name} as --data")
+    require(name in SOURCES, f"data set {name!r} is unknown: use one of {', '.join(SOURCES)}")
+    require(folder.is_dir(), f"{folder} is not a folder: give the one that holds {name} as --data")
     return SOURCES[name](folder)

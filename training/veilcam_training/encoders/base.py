@@ -3,8 +3,6 @@
 All of them are used in the same way, so that a comparison compares the cameras alone.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The cameras that a programmable mask is compared with: lens, coded aperture, diffuser."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """No camera at all: the best linear projection that a computer can learn, as a ceiling."""
 
-from __future__ import annotations
-
 import math
 
 import torch

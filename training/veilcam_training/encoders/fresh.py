@@ -5,8 +5,6 @@ learned, together with the classifier: not a mask, but where the secret may draw
 public; each mask is drawn within them, is used and forgotten.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +13,7 @@ from typing import Annotated, Self
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d
 
@@ -29,7 +27,7 @@ from veilcam_optics.transfer.regions import Region
 from veilcam_training.bundle import classifier_inputs
 from veilcam_training.data import Images
 from veilcam_training.encoders.base import Encoder, Setup
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.seeding import derive, stream
 from veilcam_training.transforms.scene import Transform
 
@@ -38,14 +36,12 @@ STATISTICS_SCENES = 30_000
 """How many scenes the statistics are made from, at most."""
 
 
-class Misalignment(BaseModel):
+class Misalignment(BaseModel, frozen=True, extra="forbid", strict=True):
     """What calibration leaves unknown: the decoder assumes the nominal geometry.
 
     Each mask is shown by a panel that is displaced by normal random amounts with these standard
     deviations.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     shift: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2e-6
     """Along y and along x [m]."""
@@ -180,11 +176,11 @@ class FreshCamera(Encoder):
         if part is not None or grid:
             raise TrainingError("fresh masks take whole scenes on one grid: show them as they are")
         self._ring = next(self.coming)
-        if len(scenes) % len(self._ring):
-            raise TrainingError(
-                f"{len(scenes)} images cannot be spread evenly over {len(self._ring)} masks: use a "
-                "batch that masks, times processes, divide"
-            )
+        require(
+            len(scenes) % len(self._ring) == 0,
+            f"{len(scenes)} images cannot be spread evenly over {len(self._ring)} masks: use a "
+            "batch that masks, times processes, divide",
+        )
         return self._each(PreparedMask.embed, scenes)
 
     def decode(self, measurements: Tensor) -> Tensor:
@@ -300,11 +296,11 @@ class FreshCamera(Encoder):
 
 def pooled(scene: Scene, side: int) -> Scene:
     """The same scene in pixels ``side`` times as large."""
-    if scene.rows % side or scene.columns % side:
-        raise TrainingError(
-            f"pooling = {side} does not divide the scene's {scene.rows} x {scene.columns} pixels: "
-            "use a divisor of both"
-        )
+    require(
+        scene.rows % side == 0 and scene.columns % side == 0,
+        f"pooling = {side} does not divide the scene's {scene.rows} x {scene.columns} pixels: "
+        "use a divisor of both",
+    )
     return replace(scene, rows=scene.rows // side, columns=scene.columns // side)
 
 

@@ -1,11 +1,9 @@
 """Imperfections drawn at random, so that training can expect a real panel."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from torch import Tensor
 
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections, Spreads
@@ -14,10 +12,8 @@ from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_training.encoders.base import Setup
 
 
-class PanelErrors(BaseModel):
+class PanelErrors(BaseModel, frozen=True, extra="forbid", strict=True):
     """Largest errors of a panel; each step of training draws its own up to these. All 0: none."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     gamma: Annotated[float, Field(ge=0, le=0.9)] = 0.0
     """Departure from 1 of the exponent between weight shown and weight wanted, to either side."""

@@ -1,7 +1,5 @@
 """The programmable mask: learned together with the classifier, or fixed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import chain
 from typing import Self

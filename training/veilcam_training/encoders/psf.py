@@ -1,7 +1,5 @@
 """Cameras that are known by their point spread function (PSF): simulated elsewhere, or measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile
@@ -14,7 +12,7 @@ from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
 from veilcam_optics.propagation.sampling import axis, coverage
 from veilcam_optics.transfer.reference import TransferBinning
 from veilcam_training.encoders.base import FixedEncoder, Setup
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 
 @dataclass(frozen=True)
@@ -114,12 +112,16 @@ def read_psf(path: Path, distance: float) -> Psf:
         ) from None
     if psf.ndim == 2:
         psf = np.broadcast_to(psf, (3, *psf.shape))
-    if psf.ndim != 3 or len(psf) != 3 or psf.size == 0:
-        raise TrainingError(f"{path} has a PSF of shape {psf.shape}: use (3, rows, columns)")
-    if not np.isfinite(psf).all() or psf.min() < 0 or psf.max() <= 0:
-        raise TrainingError(f"{path} has a PSF that is no irradiance: use finite numbers >= 0")
-    if not (0 < pitch < 1 and 0 < distance < 1):
-        raise TrainingError(
-            f"{path} has pitch {pitch} m and distance {distance} m: use metres, > 0"
-        )
+    require(
+        psf.ndim == 3 and len(psf) == 3 and psf.size != 0,
+        f"{path} has a PSF of shape {psf.shape}: use (3, rows, columns)",
+    )
+    require(
+        bool(np.isfinite(psf).all()) and psf.min() >= 0 and psf.max() > 0,
+        f"{path} has a PSF that is no irradiance: use finite numbers >= 0",
+    )
+    require(
+        0 < pitch < 1 and 0 < distance < 1,
+        f"{path} has pitch {pitch} m and distance {distance} m: use metres, > 0",
+    )
     return Psf(torch.from_numpy(np.ascontiguousarray(psf)), pitch, distance)

@@ -1,7 +1,5 @@
 """Every encoder by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask
 from veilcam_training.encoders.psf import PsfEncoder, read_psf
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], LinearEncoder]
 
@@ -56,12 +54,12 @@ def make_encoder(
     Raises:
         TrainingError: an unknown name, or a PSF, errors or a start that are missing or not wanted.
     """
-    if name not in ENCODERS:
-        raise TrainingError(f"encoder {name!r} is unknown: use one of {', '.join(ENCODERS)}")
+    require(name in ENCODERS, f"encoder {name!r} is unknown: use one of {', '.join(ENCODERS)}")
     if psf is not None and name != "fixed_measured":
         raise TrainingError(f"encoder {name!r} takes no PSF: leave out --psf")
-    if errors.any and name not in WITH_PANEL:
-        raise TrainingError(f"encoder {name!r} has no panel: leave out its errors")
+    require(
+        not errors.any or name in WITH_PANEL, f"encoder {name!r} has no panel: leave out its errors"
+    )
     encoder = ENCODERS[name](setup, generator, psf, errors)
     if pinhole:
         if not isinstance(encoder, LearnedMask):

@@ -4,8 +4,6 @@
 task was at fault; so each local worker is a plain ``multiprocessing`` process with its own pipe.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import multiprocessing
@@ -24,7 +22,7 @@ from typing import Generic, Protocol, TypeVar
 
 import torch
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
@@ -50,8 +48,7 @@ class Executor(Protocol):
 
 
 def _at_least_one(name: str, value: int) -> int:
-    if value < 1:
-        raise TrainingError(f"{name} = {value} is not valid: use at least 1")
+    require(value >= 1, f"{name} = {value} is not valid: use at least 1")
     return value
 
 

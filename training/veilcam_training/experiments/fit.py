@@ -1,7 +1,5 @@
 """One fit from its settings: data, camera and classifier are made, fitted and tested once."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from veilcam_training.bundle import Accuracy
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
 from veilcam_training.encoders.fresh import FreshCamera
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
 from veilcam_training.files import read_private, write_private
 from veilcam_training.trainer.callbacks import Callback, MovingAverage
@@ -132,11 +130,11 @@ def run_fresh(
         TrainingError: settings or data that cannot be used.
     """
     parts, test = _read(source, device)
-    if len(parts.training) < settings.batch:
-        raise TrainingError(
-            f"{len(parts.training)} training images do not fill a batch of {settings.batch}: "
-            "use a smaller batch"
-        )
+    require(
+        len(parts.training) >= settings.batch,
+        f"{len(parts.training)} training images do not fill a batch of {settings.batch}: "
+        "use a smaller batch",
+    )
     fingerprint = _fingerprint(settings, source, ranks)
     statistics = ranks.from_first(
         lambda: _statistics(
@@ -181,8 +179,7 @@ def _read(
     """
     parts = split(source.training() if training is None else training)
     test = source.test()
-    if len(test) == 0:
-        raise TrainingError(f"{source.name} has no test images: use a data set that holds some")
+    require(len(test) > 0, f"{source.name} has no test images: use a data set that holds some")
     return Split(parts.training.to(device), parts.validation.to(device)), test.to(device)
 
 

@@ -1,7 +1,5 @@
 """Tables of fits by name, the paper's and ours of the same kind, and the cells in them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -12,7 +10,7 @@ from typing import NamedTuple, Self
 
 from veilcam_training.config.settings import Settings
 from veilcam_training.encoders import ENCODERS
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.models.classifiers import Task, make_layers
 
 
@@ -177,10 +175,10 @@ class Table:
             if sampled and part.binnings is None and encoder != "learned":
                 continue
             places.append(Place(Row(classifier, encoder, binning), Column(data, change, embedding)))
-        if not places:
-            raise TrainingError(
-                f"table {self.name!r} has no such cells: digital has no binning 'point'"
-            )
+        require(
+            len(places) > 0,
+            f"table {self.name!r} has no such cells: digital has no binning 'point'",
+        )
         return tuple(places)
 
     def holds(self, settings: Settings) -> bool:
@@ -215,11 +213,11 @@ class Table:
         if wanted is None:
             return known
         for name in wanted:
-            if name not in known:
-                raise TrainingError(
-                    f"table {self.name!r} has no {name!r} among its {kind}: "
-                    f"use one or more of {','.join(known)}"
-                )
+            require(
+                name in known,
+                f"table {self.name!r} has no {name!r} among its {kind}: "
+                f"use one or more of {','.join(known)}",
+            )
         return tuple(dict.fromkeys(wanted))
 
     def _classifiers(self, wanted: Sequence[str] | None) -> Sequence[str]:
@@ -276,6 +274,5 @@ def find_table(name: str) -> Table:
     Raises:
         TrainingError: an unknown name.
     """
-    if name not in TABLES:
-        raise TrainingError(f"table {name!r} is unknown: use one of {', '.join(TABLES)}")
+    require(name in TABLES, f"table {name!r} is unknown: use one of {', '.join(TABLES)}")
     return TABLES[name]

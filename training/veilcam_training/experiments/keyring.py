@@ -1,7 +1,5 @@
 """Bundles of what was fitted: pairs of mask and classifier, or one classifier for fresh masks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +14,7 @@ from veilcam_training.bundle import Bundle, Fresh, Pair
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import Mask
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import HERE, Executor
 from veilcam_training.experiments.fit import FitResult, FreshResult, run_fit
 from veilcam_training.experiments.model import make_model
@@ -56,8 +54,7 @@ def fit_keyring(
     Raises:
         TrainingError: settings or data that cannot be used.
     """
-    if pairs < 1:
-        raise TrainingError(f"pairs = {pairs} is not valid: use at least 1")
+    require(pairs >= 1, f"pairs = {pairs} is not valid: use at least 1")
     check_pairs(settings, source, camera)
     seeds = [settings.seed, *(derive(settings.seed, "pair", i) for i in range(1, pairs))]
     tasks = [
@@ -86,11 +83,11 @@ def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
 
 
 def _check_binning(settings: Settings) -> None:
-    if settings.binning == "point":
-        raise TrainingError(
-            "binning 'point' is for comparison alone, a device averages over its pixels: "
-            "use binning 'area', or leave out --out"
-        )
+    require(
+        settings.binning != "point",
+        "binning 'point' is for comparison alone, a device averages over its pixels: "
+        "use binning 'area', or leave out --out",
+    )
 
 
 @dataclass(frozen=True)

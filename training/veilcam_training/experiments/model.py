@@ -1,7 +1,5 @@
 """Models as settings describe them: camera and classifier, not fitted yet."""
 
-from __future__ import annotations
-
 import torch
 
 from veilcam_optics.camera.geometry import Camera, Scene

@@ -3,8 +3,6 @@
 These show how a mask spreads light; they belong into a report made offline, not on a device.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from zipfile import BadZipFile

@@ -1,7 +1,5 @@
 """The pictures of a report: cost, curves, PSFs, embeddings, confusion matrices."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ A record of figures is one JSON file, filled by the commands that measured:
 ``{"NAME": {"value": ..., "command": ..., "commit": ..., "date": ..., "machine": ...}}``
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import math
@@ -21,13 +19,15 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Self
 
 import torch
 from pydantic import JsonValue
 from torch import distributed
 
+from veilcam_optics.accuracy.report import machine
 from veilcam_optics.files import write_whole
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.files import check_folder
 
 
@@ -42,7 +42,7 @@ class Origin:
     machine: str
 
     @classmethod
-    def here(cls, command: Sequence[str] | None = None) -> Origin:
+    def here(cls, command: Sequence[str] | None = None) -> Self:
         """Now, on this machine, by ``command``: this process's own by default."""
         return cls(
             command=shlex.join(command if command is not None else own_command()),
@@ -72,8 +72,7 @@ def record_figures(
     """
     check_record(path)
     for name, value in values.items():
-        if not math.isfinite(value):
-            raise TrainingError(f"figure {name} = {value} is not valid: use a finite number")
+        require(math.isfinite(value), f"figure {name} = {value} is not valid: use a finite number")
     entry = asdict(Origin.here(command) if origin is None else origin)
     path.parent.mkdir(parents=True, exist_ok=True)
     # Two benchmarks may end at the same time: one at a time reads, changes and writes.
@@ -123,19 +122,6 @@ def commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{head}-dirty" if changed else head
-
-
-def machine() -> str:
-    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
-    name = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                name = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    return f"{name}, {os.cpu_count()} cores"
 
 
 @contextmanager

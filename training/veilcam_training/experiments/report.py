@@ -1,7 +1,5 @@
 """``report.html`` and ``report.md``: a table beside the paper's, with its pictures."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,19 +1,17 @@
 """Finished cells of a table: their files, their places, and their test accuracies in a record."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, JsonValue, ValidationError
 
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
 from veilcam_training.config.settings import Settings
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.grid import Cell, Column, Place, Row, Table
 from veilcam_training.experiments.pictures import Pictures, save_pictures
 from veilcam_training.experiments.records import Origin, record_figures
@@ -25,10 +23,8 @@ BUNDLE = "pair.veilcam"
 CHECKPOINT = "checkpoint"
 
 
-class EpochRecord(BaseModel):
+class EpochRecord(BaseModel, frozen=True, extra="forbid"):
     """One epoch's accuracies in [0, 1]."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     loss: float
     training_accuracy: float
@@ -36,10 +32,8 @@ class EpochRecord(BaseModel):
     validation_loss: float
 
 
-class CellResult(BaseModel):
+class CellResult(BaseModel, frozen=True, extra="forbid"):
     """The numbers of a finished cell; accuracies in [0, 1]."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     settings: Settings
     fingerprint: str
@@ -104,11 +98,11 @@ def load_result(work: Path, cell: Cell, fingerprint: str) -> CellResult | None:
     if not path.exists():
         return None
     result = _read(path)
-    if result.fingerprint != fingerprint:
-        raise TrainingError(
-            f"{path.parent} was made with other settings, data or torch: "
-            "remove it to run it again, or use another --work"
-        )
+    require(
+        result.fingerprint == fingerprint,
+        f"{path.parent} was made with other settings, data or torch: "
+        "remove it to run it again, or use another --work",
+    )
     return result
 
 
@@ -147,11 +141,11 @@ def by_place(results: Sequence[CellResult]) -> Mapping[Place, tuple[CellResult, 
         group = places.setdefault(result.cell.place, [])
         group.append(result)
         first = group[0].settings
-        if result.settings.model_copy(update={"seed": first.seed}) != first:
-            raise TrainingError(
-                f"cells {group[0].cell.name} and {result.cell.name} differ in more than their "
-                "seed, so they have no mean: move one of their folders to another --work"
-            )
+        require(
+            result.settings.model_copy(update={"seed": first.seed}) == first,
+            f"cells {group[0].cell.name} and {result.cell.name} differ in more than their "
+            "seed, so they have no mean: move one of their folders to another --work",
+        )
     return {place: tuple(group) for place, group in places.items()}
 
 

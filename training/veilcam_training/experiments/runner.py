@@ -1,7 +1,5 @@
 """Running the cells of a table: each is one task of the workers, and is taken up where it ended."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,8 +30,7 @@ from veilcam_training.experiments.stopwatch import Stopwatch, time_label
 from veilcam_training.trainer.callbacks import Callback
 
 
-def _no_callbacks(cell: Cell) -> Sequence[Callback]:
-    del cell
+def _no_callbacks(_: Cell) -> Sequence[Callback]:
     return ()
 
 

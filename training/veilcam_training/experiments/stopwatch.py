@@ -1,20 +1,15 @@
 """Times of a fit, whatever else the machine does meanwhile, and of one measurement's label."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
-from statistics import median
 from typing import Literal
 
 import torch
 from torch import nn
+from torch.utils.benchmark import Timer
 
 from veilcam_training.models.whitening import plain
 from veilcam_training.trainer.callbacks import Epoch
-
-REPEATS = 100
-WARM_UP = 10
 
 Clock = Literal["processor", "elapsed"]
 """Time that the processor spent on this process, or time that went by."""
@@ -33,15 +28,13 @@ class Stopwatch:
         self._first_share = 0.0
         self._epochs = 0
 
-    def step(self, epoch: int, done: int, steps: int) -> None:
+    def step(self, epoch: int, done: int, steps: int) -> None:  # noqa: ARG002 - part of the interface
         """Take the time after the first step: what was prepared before it is done once only."""
-        del epoch
         if self._first_share == 0:
             self._first, self._first_share = self._now(), done / steps
 
-    def epoch(self, epoch: Epoch) -> None:
+    def epoch(self, epoch: Epoch) -> None:  # noqa: ARG002 - part of the interface
         """Take the time at the end of an epoch."""
-        del epoch
         self._ended = self._now()
         self._epochs += 1
 
@@ -68,16 +61,6 @@ def time_label(classifier: nn.Module, inputs: int) -> float:
 
     On the CPU, with one thread and one measurement at a time, as a device without a GPU does it.
     """
-    classifier = plain(classifier).cpu().eval()
-    measurement = torch.rand(1, inputs)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    times = []
-    try:
-        for _ in range(WARM_UP + REPEATS):
-            started = time.perf_counter()
-            int(classifier(measurement).argmax())
-            times.append(time.perf_counter() - started)
-    finally:
-        torch.set_num_threads(threads)
-    return median(times[WARM_UP:])
+    used = {"classifier": plain(classifier).cpu().eval(), "measurement": torch.rand(1, inputs)}
+    timer = Timer("int(classifier(measurement).argmax())", globals=used, num_threads=1)
+    return timer.blocked_autorange().median

@@ -1,7 +1,5 @@
 """How encoders look in the pictures of a report, and what all its pictures have in common."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from matplotlib.axes import Axes

@@ -4,8 +4,6 @@
 and ``CNN<width>`` are ours. Of scenes that were decoded there is a ``CNN<width>`` of its own.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -31,7 +29,7 @@ from veilcam_training.bundle.layers import (
     Residual,
     Resize,
 )
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 
 Layers = tuple[LayerRecord, ...]
 PlainLayers = tuple[PlainLayer, ...]
@@ -117,11 +115,11 @@ def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> L
     if isinstance(task, SceneTask):
         make_for_scene, width = _find(OF_SCENES, name)
         return make_for_scene(task, width, dropout)
-    if task.normalisation == "white" and not name.startswith(("FC", "MLP")):
-        raise TrainingError(
-            f"normalisation 'white' needs a hidden layer that takes all of a measurement: use it "
-            f"with FC or MLP, not with {name!r}"
-        )
+    require(
+        task.normalisation != "white" or name.startswith(("FC", "MLP")),
+        f"normalisation 'white' needs a hidden layer that takes all of a measurement: use it "
+        f"with FC or MLP, not with {name!r}",
+    )
     make, width = _find(OF_MEASUREMENTS, name)
     return make(task, width, dropout)
 
@@ -134,8 +132,10 @@ def _find(makers: Mapping[str, MakerT], name: str) -> tuple[MakerT, int]:
     match = re.fullmatch(r"(\D+)([1-9]\d{0,4})", name)
     of_any_width = match is not None and f"{match[1]}<width>" in makers
     kind, width = (f"{match[1]}<width>", int(match[2])) if match and of_any_width else (name, 0)
-    if kind not in makers or (width == 0 and "<" in kind):
-        raise TrainingError(f"classifier {name!r} is unknown: use one of {', '.join(makers)}")
+    require(
+        kind in makers and (width != 0 or "<" not in kind),
+        f"classifier {name!r} is unknown: use one of {', '.join(makers)}",
+    )
     return makers[kind], width
 
 
@@ -158,8 +158,7 @@ def _dropped(dropout: float) -> PlainLayers:
 
 
 def _linear(task: Task, _: int, dropout: float) -> Layers:
-    if dropout:
-        raise TrainingError("LR has no hidden layer: use dropout 0")
+    require(not dropout, "LR has no hidden layer: use dropout 0")
     return (*_sensor(task), Linear(inputs=task.inputs, outputs=task.classes))
 
 

@@ -1,7 +1,5 @@
 """Encoder and classifier in one module: from images to logits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ Normalization, 2018, have it as a layer). Afterwards ``V M`` is a matrix like an
 classifier that leaves in a bundle has no more layers than before.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from typing import cast

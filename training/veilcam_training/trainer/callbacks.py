@@ -1,7 +1,5 @@
 """Callbacks of a fit: progress, TensorBoard's logs, and the running mean of its weights."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -61,9 +59,8 @@ class MovingAverage:
         self._mean = copy.deepcopy(model.classifier).requires_grad_(False)
 
     @torch.no_grad()
-    def step(self, epoch: int, done: int, steps: int) -> None:
+    def step(self, epoch: int, done: int, steps: int) -> None:  # noqa: ARG002 - part of the interface
         """Take the new weights into the mean."""
-        del epoch, done, steps
         self._steps += 1
         share = 1 - min(self._decay, self._steps / (self._steps + 9))
         weights = self._model.classifier.state_dict()

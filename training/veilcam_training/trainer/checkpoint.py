@@ -1,7 +1,5 @@
 """Where a fit stands, on disk, so that a fit killed at any moment can be taken up again."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from pathlib import Path
@@ -9,7 +7,7 @@ from typing import Any
 
 import torch
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.files import read_private, unreadable, write_private
 
 
@@ -38,10 +36,10 @@ def load_checkpoint(path: Path, fingerprint: str) -> dict[str, Any] | None:
         content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (RuntimeError, pickle.UnpicklingError):  # whole, so another torch wrote it
         raise unreadable(path, "not by this version of torch") from None
-    if content["fingerprint"] != fingerprint:
-        raise TrainingError(
-            f"checkpoint {path} is of another fit (other data, settings or seed): "
-            "remove it to start again, or use the settings that it was made with"
-        )
+    require(
+        content["fingerprint"] == fingerprint,
+        f"checkpoint {path} is of another fit (other data, settings or seed): "
+        "remove it to start again, or use the settings that it was made with",
+    )
     state: dict[str, Any] = content["state"]
     return state

@@ -4,8 +4,6 @@ The gradients are averaged by torch's DistributedDataParallel. Batch normalisati
 over the whole batch; torch's SyncBatchNorm would do so on GPUs alone, ours does it everywhere.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +15,7 @@ from torch import Tensor, distributed, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.models.whitening import WhitenedWeights
 
 
@@ -29,10 +27,11 @@ def choose_device(name: str) -> torch.device:
     """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name not in ("cpu", "cuda"):
-        raise TrainingError(f"--device {name} is not valid: use cpu, cuda or auto")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise TrainingError("--device cuda is not valid: torch sees no CUDA device; use cpu")
+    require(name in ("cpu", "cuda"), f"--device {name} is not valid: use cpu, cuda or auto")
+    require(
+        name != "cuda" or torch.cuda.is_available(),
+        "--device cuda is not valid: torch sees no CUDA device; use cpu",
+    )
     return torch.device(name)
 
 
@@ -65,11 +64,11 @@ class Ranks:
         Raises:
             TrainingError: the batch cannot be divided evenly.
         """
-        if len(batch) % self.size:
-            raise TrainingError(
-                f"batch = {len(batch)} cannot be divided over {self.size} processes: "
-                f"use a multiple of {self.size}"
-            )
+        require(
+            len(batch) % self.size == 0,
+            f"batch = {len(batch)} cannot be divided over {self.size} processes: "
+            f"use a multiple of {self.size}",
+        )
         return batch.chunk(self.size)[self.rank]
 
     def wrap(self, module: nn.Module) -> nn.Module:
@@ -118,8 +117,7 @@ def join_ranks(device: torch.device) -> Iterator[tuple[Ranks, torch.device]]:
     cuda = device.type == "cuda"
     if cuda:
         place, gpus = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
-        if place >= gpus:
-            raise TrainingError(f"there are {gpus} GPUs: use --nproc-per-node {gpus}")
+        require(place < gpus, f"there are {gpus} GPUs: use --nproc-per-node {gpus}")
         device = torch.device("cuda", place)
         torch.cuda.set_device(device)
     distributed.init_process_group("nccl" if cuda else "gloo")

@@ -1,7 +1,5 @@
 """How well a model does on images that it was not fitted to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -9,7 +7,7 @@ from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from veilcam_training.data import Images
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import TrainingError, require
 from veilcam_training.models.lensless import LenslessClassifier
 
 BATCH = 1000
@@ -62,8 +60,7 @@ def evaluate(
     Raises:
         TrainingError: there are no images, or fewer than batches.
     """
-    if len(images) == 0:
-        raise TrainingError("there are no images to evaluate with: use a set that holds some")
+    require(len(images) > 0, "there are no images to evaluate with: use a set that holds some")
     if batches is not None and not 1 <= batches <= len(images):
         raise TrainingError(
             f"masks = {batches} is not valid: use 1 to {len(images)}, one a capture"

@@ -1,7 +1,5 @@
 """Fitting encoder and classifier together."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import time

@@ -1,7 +1,5 @@
 """One step of fitting: from a few images to a small change of encoder and classifier."""
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -11,7 +9,7 @@ from torch.nn.functional import cross_entropy
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import FreshSettings
 from veilcam_training.data import Images
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.trainer.evaluation import BATCH
 from veilcam_training.transforms.augmentation import Augmentation
@@ -102,8 +100,7 @@ def train_step(
     logits, labels = network(chosen)
     loss = cross_entropy(logits, labels, label_smoothing=label_smoothing)
     value = loss.item()
-    if not math.isfinite(value):
-        raise TrainingError(f"the loss became {value}: use lower learning rates")
+    require(math.isfinite(value), f"the loss became {value}: use lower learning rates")
     optimiser.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
     optimiser.step()

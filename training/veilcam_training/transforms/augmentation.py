@@ -1,7 +1,5 @@
 """Small random changes of training images, so that a classifier does not learn them by heart."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

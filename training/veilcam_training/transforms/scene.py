@@ -4,8 +4,6 @@ The paper's tests of robustness. Each draws a batch of images into a scene, ever
 random way, fast enough to do it afresh in every epoch.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -16,7 +14,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.transfer.regions import Region
-from veilcam_training.errors import TrainingError
+from veilcam_training.errors import require
 from veilcam_training.transforms.warp import homographies, warp
 
 HEIGHTS = (0.02, 0.20)
@@ -66,7 +64,11 @@ class Transform(ABC):
         """
 
     def in_parts(
-        self, images: Tensor, generator: torch.Generator, *, training: bool
+        self,
+        images: Tensor,
+        generator: torch.Generator,
+        *,
+        training: bool,  # noqa: ARG002 - part of the interface
     ) -> Iterator[Shown]:
         """What a camera is shown, some images at a time: by default all scenes at once.
 
@@ -75,16 +77,14 @@ class Transform(ABC):
             generator: as above.
             training: True may draw the images less independently of each other, if that is cheaper.
         """
-        del training
         yield Shown(torch.arange(len(images)), self(images, generator))
 
 
 class Identity(Transform):
     """The image is the scene."""
 
-    def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:
+    def __call__(self, images: Tensor, generator: torch.Generator) -> Tensor:  # noqa: ARG002 - part of the interface
         """Return ``images``."""
-        del generator
         return images
 
 
@@ -135,11 +135,11 @@ class Shift(Moved):
     def __init__(self, image: Scene, camera: Camera) -> None:
         # The allowance keeps 110.0000 pixels from becoming 109.
         rows, columns = (math.floor(side + 1e-6) for side in _view(image, camera))
-        if rows < image.rows or columns < image.columns:
-            raise TrainingError(
-                f"an object of {image.rows} x {image.columns} pixels does not fit the sensor's "
-                f"view of {rows} x {columns}: use a smaller or more distant scene"
-            )
+        require(
+            rows >= image.rows and columns >= image.columns,
+            f"an object of {image.rows} x {image.columns} pixels does not fit the sensor's "
+            f"view of {rows} x {columns}: use a smaller or more distant scene",
+        )
         super().__init__(_resized(image, rows, columns))
 
     def in_parts(
@@ -187,10 +187,13 @@ class Rescale(Transform):
         return low + (high - low) * torch.rand(count, generator=generator)
 
     def in_parts(
-        self, images: Tensor, generator: torch.Generator, *, training: bool
+        self,
+        images: Tensor,
+        generator: torch.Generator,
+        *,
+        training: bool,  # noqa: ARG002 - part of the interface
     ) -> Iterator[Shown]:
         """Each image on the finest grid that has room for it."""
-        del training
         heights = self.draw_heights(len(images), generator)
         octaves = (self._heights[1] / heights).log2().long().clamp(0, len(self.finer))
         factors = heights / self._image.height
@@ -264,8 +267,7 @@ def make_transform(name: str, image: Scene, camera: Camera) -> Transform:
     Raises:
         TrainingError: an unknown name, or an object larger than the sensor's view.
     """
-    if name not in TRANSFORMS:
-        raise TrainingError(f"change {name!r} is unknown: use one of {', '.join(TRANSFORMS)}")
+    require(name in TRANSFORMS, f"change {name!r} is unknown: use one of {', '.join(TRANSFORMS)}")
     return TRANSFORMS[name](image, camera)
 
 

@@ -1,7 +1,5 @@
 """Drawing images through maps of the plane: scaled, turned, tilted."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, pad

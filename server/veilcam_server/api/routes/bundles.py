@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Path, Query, Request
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_server.api.dependencies import DEVICE, OnceDep, ServiceDep, problems, unleased
@@ -13,6 +13,13 @@ from veilcam_server.api.scopes import requires
 PREFIX = "/v1/bundles"
 
 Digest = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", examples=["0f" * 32])]
+AllowOlder = Annotated[
+    bool,
+    Query(
+        description="Also if it is of an older version than the one in use. Where bundles need "
+        "their owner's signature, none that is older is ever used."
+    ),
+]
 _UPLOAD: dict[str, Any] = {
     "requestBody": {
         "required": True,
@@ -20,7 +27,7 @@ _UPLOAD: dict[str, Any] = {
     }
 }
 _CHANGE = ("bundles_busy", "bundle_not_stored", "replaying")
-_USE = ("bundle_invalid", "bundle_unfit")
+_USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older")
 
 router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:bundles")], redirect_slashes=False)
 
@@ -53,9 +60,11 @@ async def install(service: ServiceDep, request: Request) -> InstalledBundle:
         *(*_USE, *_CHANGE, "idempotency_key_reused", *DEVICE),
     ),
 )
-async def activate(service: ServiceDep, once: OnceDep, digest: Digest) -> InstalledBundle:
+async def activate(
+    service: ServiceDep, once: OnceDep, digest: Digest, allow_older: AllowOlder = False
+) -> InstalledBundle:
     """Use this bundle from now on: mask and classifier change as one, or not at all."""
-    return await once(lambda: service.activate_bundle(digest))
+    return await once(lambda: service.activate_bundle(digest, allow_older=allow_older))
 
 
 @router.delete(

@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request
 
-from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPE, HeldScene
+from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES, HeldScene
 from veilcam_server.api.dependencies import ServiceDep, problems, unleased
 from veilcam_server.api.scopes import requires
 
@@ -16,7 +16,10 @@ MAX_PICTURE = 8 * 2**20
 _PICTURE: dict[str, Any] = {
     "requestBody": {
         "required": True,
-        "content": {PICTURE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+        "content": {
+            media_type: {"schema": {"type": "string", "format": "binary"}}
+            for media_type in PICTURE_MEDIA_TYPES
+        },
     }
 }
 _REFUSALS = (

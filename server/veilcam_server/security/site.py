@@ -1,0 +1,102 @@
+"""Site of a daemon: the host names that it answers to, and the pages that may ask it."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers
+
+from veilcam_server.errors import CrossSiteError, HostRefusedError
+
+PAGES = frozenset(("/", "/docs"))
+"""Paths that a link on any page may lead to: what is there is for people, and does nothing."""
+
+_PLACE = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::\d{1,5})?")
+"""Host and perhaps port, in small letters."""
+_DEFAULT_PORTS = {"http": 80, "https": 443}
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What a daemon is called, and who may show its pages.
+
+    Attributes:
+        hosts: names besides localhost, each with its port where that is no default.
+        addresses: whether every IP address is a name of this daemon, or those of loopback alone.
+        frame_ancestors: origins of the pages that may show a page of this daemon in a frame.
+    """
+
+    hosts: tuple[str, ...] = ()
+    addresses: bool = False
+    frame_ancestors: tuple[str, ...] = ()
+
+    def require(self, method: str, path: str, headers: Headers) -> None:
+        """Refuse what a page of another site makes a browser ask.
+
+        Raises:
+            HostRefusedError: for another host.
+            CrossSiteError: from a page of another site.
+        """
+        # A page in a browser can make its own name resolve to this machine (DNS rebinding);
+        # the Host header then betrays it. An address cannot be made to lead elsewhere.
+        host = headers.get("host", "").lower()
+        if not self._serves(host):
+            raise HostRefusedError
+        # A browser sends what a page of another site tells it to, also where it keeps the answer
+        # from that page. It names the page itself; what is no browser names none.
+        if not all(self._is_own(origin.lower(), host) for origin in headers.getlist("origin")):
+            raise CrossSiteError
+        sites = headers.getlist("sec-fetch-site")
+        if all(site in ("same-origin", "none") for site in sites):
+            return
+        if method != "GET" or path not in PAGES or not self._navigates(headers):
+            raise CrossSiteError
+
+    def _serves(self, host: str) -> bool:
+        match = _PLACE.fullmatch(host)
+        if match is None:
+            return False
+        name = match[1]
+        if name == "localhost" or any(name == _name(known) for known in self.hosts):
+            return True
+        try:
+            address = ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            return False
+        return address.is_loopback or self.addresses
+
+    def _is_own(self, origin: str, host: str) -> bool:
+        """Whether an ``Origin`` is the host and port of ``Host``, or a name that was given.
+
+        ``null`` has none. A proxy in front of the daemon may ask it under another ``Host``.
+        """
+        return any(_is_of(origin, place) for place in (host, *self.hosts))
+
+    def _navigates(self, headers: Headers) -> bool:
+        """Whether a browser opens a page, in a tab or in a frame that may show it."""
+        shown = ("document", "iframe") if self.frame_ancestors else ("document",)
+        return (
+            headers.getlist("sec-fetch-mode") == ["navigate"]
+            and headers.get("sec-fetch-dest") in shown
+        )
+
+
+def _name(place: str) -> str:
+    return re.sub(r":\d+$", "", place)
+
+
+def _is_of(origin: str, place: str) -> bool:
+    """Whether ``origin`` has this host and port.
+
+    A port left out is the default of the origin's scheme, which may be another than ours: a proxy
+    in front of the daemon may speak TLS.
+    """
+    scheme, _, host = origin.partition("://")
+    port = _DEFAULT_PORTS.get(scheme)
+    return port is not None and _with_port(host, port) == _with_port(place, port)
+
+
+def _with_port(place: str, port: int) -> str:
+    return place if re.search(r":\d+$", place) else f"{place}:{port}"

@@ -1,0 +1,108 @@
+"""Capabilities of the processor: which are run, what torch says of them, and which are green."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+import typer
+from benchmarks import capabilities
+from benchmarks.capabilities import HEADER, ROOT, Run, green, run, targets_up_to
+from tests.conftest import pytest_report_header
+from typer.testing import CliRunner
+
+BEST = torch.backends.cpu.get_cpu_capability()
+
+
+def environment(folder: Path, script: str) -> str:
+    """A variable of make for an environment whose pytest is ``script``."""
+    (folder / "bin").mkdir()
+    (folder / ".installed").touch()
+    program = folder / "bin" / "pytest"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    return f"VENV={folder}"
+
+
+def test_each_kind_of_instructions_is_shown_once() -> None:
+    assert targets_up_to("DEFAULT") == ("suite-SSE",)
+    assert targets_up_to("AVX2") == ("suite-SSE", "suite-AVX2")
+    assert targets_up_to("AVX512") == ("suite-SSE", "suite-AVX2", "pytest")
+    with pytest.raises(ValueError, match="torch runs on SVE256 here"):
+        targets_up_to("SVE256")
+
+
+def test_torch_tells_its_own() -> None:
+    found = HEADER.match(pytest_report_header())
+    assert found is not None
+    assert found[1] == BEST
+
+
+@pytest.mark.parametrize(
+    ("runs", "expected"),
+    [
+        ([], set()),
+        ([Run("a", "AVX2", passed=True), Run("b", "DEFAULT", passed=True)], {"AVX2", "DEFAULT"}),
+        ([Run("a", "AVX2", passed=True), Run("b", "DEFAULT", passed=False)], {"AVX2"}),
+        # The same instructions twice count once, and both runs have to pass.
+        ([Run("a", "AVX2", passed=True), Run("b", "AVX2", passed=True)], {"AVX2"}),
+        ([Run("a", "AVX2", passed=True), Run("b", "AVX2", passed=False)], set()),
+        ([Run("a", None, passed=True)], set()),
+    ],
+)
+def test_only_what_passed_every_time_is_green(runs: list[Run], expected: set[str]) -> None:
+    assert green(runs) == expected
+
+
+@pytest.mark.parametrize(
+    ("target", "level"), [("suite-SSE", "default"), ("suite-AVX2", "avx2"), ("pytest", "")]
+)
+def test_every_test_is_asked_for_with_the_variables_of_the_makefile(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    target: str,
+    level: str,
+) -> None:
+    monkeypatch.delenv("ATEN_CPU_CAPABILITY", raising=False)
+    script = 'echo "torch: ${ATEN_CPU_CAPABILITY:-BEST}, threads: 1"; echo "asked: $*"'
+    done = run(target, environment(tmp_path, script))
+    assert done == Run(target, level or "BEST", passed=True)
+    assert "asked: -n 2 --dist worksteal -m not system\n" in capfd.readouterr().out
+
+
+def test_a_suite_that_fails_is_not_green(tmp_path: Path) -> None:
+    variable = environment(tmp_path, 'echo "torch: AVX2, threads: 1"; exit 1')
+    assert run("suite-AVX2", variable) == Run("suite-AVX2", "AVX2", passed=False)
+
+
+def test_one_that_does_not_begin_shows_nothing(tmp_path: Path) -> None:
+    assert run("suite-AVX2", environment(tmp_path, "exit 4")) == Run("suite-AVX2", None, False)
+
+
+@pytest.mark.slow
+def test_a_small_selection_under_the_oldest_instructions(tmp_path: Path) -> None:
+    selection = ROOT / "tests" / "benchmarks" / "test_structure.py"
+    script = f'exec "{sys.executable}" -m pytest "$@" -n 0 -p no:cacheprovider "{selection}"'
+    done = run("suite-SSE", environment(tmp_path, script))
+    assert done == Run("suite-SSE", "DEFAULT", passed=True)
+
+
+@pytest.mark.parametrize(("failing", "count"), [(None, 2), ("suite-AVX2", 1)])
+def test_the_count_is_recorded_and_what_is_not_had_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str | None, count: int
+) -> None:
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
+    told = {target: level for level, target in capabilities.TARGETS.items()}
+    monkeypatch.setattr(
+        capabilities, "run", lambda target: Run(target, told[target], target != failing)
+    )
+    app, record = typer.Typer(), tmp_path / "house.json"
+    app.command()(capabilities.main)
+    done = CliRunner().invoke(app, ["--figures", str(record)])
+    assert done.exit_code == (failing is not None)
+    assert "not shown here: AVX512" in done.output
+    assert json.loads(record.read_text())["capabilities_green"]["value"] == count

@@ -1,0 +1,48 @@
+"""``veilcam-train bundle`` end to end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from veilcam_server.demo_data import BUNDLE
+from veilcam_training.bundle import BundleError, OwnerKey, read_bundle
+from veilcam_training.cli.main import app
+
+
+def run(*words: str | Path) -> str:
+    result = CliRunner().invoke(app, ["bundle", *map(str, words)])
+    if result.exception is not None:
+        raise result.exception
+    return result.output
+
+
+def test_a_key_is_made_and_a_bundle_signed(tmp_path: Path) -> None:
+    key, file = tmp_path / "owner.pem", tmp_path / "a.veilcam"
+    file.write_bytes(BUNDLE.read_bytes())
+    line = run("keygen", key).splitlines()[-1]
+    owner = OwnerKey.parse(line.split()[0])
+    assert line.split()[1] == owner.short
+    said = run("sign", file, "--key", key, "--version", "3")
+    bundle = read_bundle(file)
+    assert (bundle.version, bundle.owner) == (3, owner)
+    assert f"version 3, {bundle.digest[:12]}, signed by" in said
+    assert line in said
+    secret = key.read_text().splitlines()[1]
+    assert secret not in said
+    assert "version 4" in run("version", file, "--version", "4")
+    assert (read_bundle(file).version, read_bundle(file).owner) == (4, None)
+
+
+def test_what_cannot_be_signed_is_said(tmp_path: Path) -> None:
+    key, file = tmp_path / "owner.pem", tmp_path / "a.veilcam"
+    run("keygen", key)
+    with pytest.raises(BundleError, match="there is no such file"):
+        run("sign", file, "--key", key, "--version", "1")
+    file.write_bytes(BUNDLE.read_bytes())
+    with pytest.raises(BundleError, match="was left alone"):
+        run("keygen", key)
+    with pytest.raises(SystemExit):
+        run("sign", file, "--key", key, "--version", "0")

@@ -1,0 +1,60 @@
+"""``veilcam-train bundle``: versions and signatures of an owner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from veilcam_training.bundle import OwnerKey, read_bundle, read_key, sign_bundle, write_key
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Give bundles a version and a signature, for daemons that take their owner's alone.",
+)
+console = Console(soft_wrap=True, highlight=False)
+
+File = Annotated[Path, typer.Argument(help="A bundle, *.veilcam; it is replaced.")]
+Version = Annotated[
+    int, typer.Option("--version", min=1, help="Higher than that of every bundle before it.")
+]
+
+
+@app.command()
+def keygen(
+    key: Annotated[Path, typer.Argument(help="New file, PEM; its owner alone may read it.")],
+) -> None:
+    """Make the key that bundles are signed with. Keep it off the camera."""
+    owner = write_key(key)
+    console.print(f"wrote {key}; a line for the file that is --owner-keys of veilcamd:")
+    _show(owner)
+
+
+@app.command()
+def sign(
+    file: File,
+    *,
+    key: Annotated[Path, typer.Option("--key", help="Made by 'veilcam-train bundle keygen'.")],
+    version: Version,
+) -> None:
+    """Sign a bundle with its owner's key, under a version."""
+    sign_bundle(file, version, read_key(key))
+    bundle = read_bundle(file)
+    console.print(f"{file} is version {bundle.version}, {bundle.digest[:12]}, signed by")
+    if bundle.owner is not None:
+        _show(bundle.owner)
+
+
+@app.command("version")
+def give_version(file: File, *, version: Version) -> None:
+    """Give a bundle a version, and take its signature away if it has one."""
+    sign_bundle(file, version, None)
+    bundle = read_bundle(file)
+    console.print(f"{file} is version {bundle.version}, {bundle.digest[:12]}, not signed")
+
+
+def _show(owner: OwnerKey) -> None:
+    console.print(f"{owner} {owner.short}")
