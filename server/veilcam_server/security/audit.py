@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import threading
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -42,9 +43,10 @@ class AuditLog:
         self.lost = 0
         """Lines that could not be written."""
         self._failing = False
+        self._lock = threading.Lock()
         self._file: int | None = None
         self._size = 0
-        self._torn = self._new = False
+        self._torn = False
 
     def write(self, action: str, *, durable: bool = False, **details: str | int | None) -> None:
         """Append one line: now, the action, and those details that are not None.
@@ -63,9 +65,7 @@ class AuditLog:
             **{name: value for name, value in details.items() if value is not None},
         }
         try:
-            self._append(json.dumps(entry, ensure_ascii=True).encode() + b"\n")
-            if durable:
-                self._flush()
+            self._append(json.dumps(entry, ensure_ascii=True).encode() + b"\n", flush=durable)
         except OSError as error:
             self.lost += 1
             fault = AuditError(
@@ -93,26 +93,26 @@ class AuditLog:
             os.close(self._file)
         self._file = None
 
-    def _append(self, line: bytes) -> None:
-        file = self._opened()
-        if self._size + len(line) > self._limit:
-            self.close()
-            self._number()
+    def _append(self, line: bytes, *, flush: bool) -> None:
+        with self._lock:
             file = self._opened()
-        # Half a line, of a cut or a full disk, must not spoil the next one.
-        line = b"\n" + line if self._torn else line
-        # One write to a file opened for appending: lines of two processes do not mix.
-        written = os.write(file, line)
-        self._size += written
-        self._torn = written < len(line)
-        if self._torn:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def _flush(self) -> None:
-        os.fsync(self._opened())
-        if self._new:
-            sync_folder(self._path.parent)
-        self._new = False
+            if self._size + len(line) > self._limit:
+                self.close()
+                self._number()
+                file = self._opened()
+            # Half a line, of a cut or a full disk, must not spoil the next one.
+            line = b"\n" + line if self._torn else line
+            # One write to a file opened for appending: lines of two processes do not mix.
+            written = os.write(file, line)
+            self._size += written
+            self._torn = written < len(line)
+            if self._torn:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            flushed = os.dup(file) if flush else None
+        # Nobody waits for the disk who need not: another thread may go on with the file.
+        if flushed is not None:
+            with os.fdopen(flushed) as held:
+                os.fsync(held.fileno())
 
     def _opened(self) -> int:
         if self._file is not None and os.fstat(self._file).st_nlink == 0:
@@ -120,8 +120,10 @@ class AuditLog:
         if self._file is None:
             self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
-            self._size, self._new = os.fstat(self._file).st_size, True
+            self._size = os.fstat(self._file).st_size
             self._torn = self._size > 0 and os.pread(self._file, 1, self._size - 1) != b"\n"
+            if self._size == 0:
+                sync_folder(self._path.parent)
         return self._file
 
     def _number(self) -> None:

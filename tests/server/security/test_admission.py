@@ -457,10 +457,10 @@ def test_a_line_that_must_be_durable_is_or_is_refused(
 
     monkeypatch.setattr(os, "fsync", noted)
     told.log.write("capture")
-    assert flushed == []
+    assert flushed == [told.path.parent.name]  # once: the file is new
     for _ in range(2):
         told.log.write("change", durable=True)
-    assert flushed == ["a.jsonl", told.path.parent.name, "a.jsonl"]
+    assert flushed[1:] == ["a.jsonl", "a.jsonl"]
     with full_disk(told.log), pytest.raises(AuditError, match="No space left"):
         told.log.write("lost", durable=True)
 
@@ -554,3 +554,80 @@ def test_entries_are_objects_with_a_time_and_an_action(tmp_path: Path) -> None:
     path.mkdir()
     with pytest.raises(StartError, match=r"a\.jsonl cannot be read \(Is a directory\)"):
         read_audit(path)
+
+
+async def test_no_change_is_acknowledged_whose_line_is_not_on_the_disk(
+    running: Running, logs: tuple[AuditLog, AuditLog], bench: Bench
+) -> None:
+    """Captures go on; what outlives the daemon is not answered for, and then not begun."""
+    done, _ = logs
+    put = {"mode": "captures", "captures": 5}
+    async with running(admission=Admission(audit=done)) as client:
+        assert (await client.put("/v1/rotation", json=put)).is_success
+        with full_disk(done):
+            assert (await client.post("/v1/captures")).is_success
+            for captures in (6, 7):
+                answer = await client.put("/v1/rotation", json={**put, "captures": captures})
+                assert (answer.status_code, answer.json()["code"]) == (503, "audit_not_written")
+                assert answer.headers["Retry-After"] == "1"
+                policy = (await client.get("/v1/rotation")).json()["policy"]
+                assert policy == {**put, "reuse": 0}
+            assert (await client.post("/v1/rotation/advance")).is_success
+            refused = await client.put("/v1/rotation", json={"mode": "never"})
+            assert refused.json()["code"] == "audit_not_written"
+        assert (await client.put("/v1/rotation", json={**put, "captures": 8})).is_success
+        assert (await client.get("/v1/rotation")).json()["policy"]["captures"] == 8
+    entries = read_audit(done._path)
+    assert [(entry["action"], entry.get("status")) for entry in entries] == [
+        ("PUT /v1/rotation", 200),
+        ("audit log was out of reach", None),
+        ("PUT /v1/rotation", 200),
+    ]
+
+
+async def test_a_change_whose_line_fails_is_not_answered_for(
+    running: Running, logs: tuple[AuditLog, AuditLog], store: TokenStore
+) -> None:
+    done, _ = logs
+    admin = {**bearer(store, "admin:tokens", "read:status")}
+    asked = {"label": "a lamp", "scopes": ["read:status"]}
+    async with running(admission=Admission(store, audit=done)) as client:
+        client.headers.update(admin)
+        once = {"Idempotency-Key": "k"}
+        with full_disk(done):
+            answer = await client.post("/v1/tokens", json=asked, headers=once)
+        assert (answer.status_code, answer.json()["code"]) == (503, "audit_not_written")
+        assert "secret" not in answer.text
+        # It was made, and is told once that can be written down.
+        again = await client.post("/v1/tokens", json=asked, headers=once)
+        assert again.status_code == 201
+        assert len(store.tokens()) == 2
+    assert [entry["action"] for entry in read_audit(done._path)] == [
+        "audit log was out of reach",
+        "POST /v1/tokens",
+    ]
+
+
+async def test_a_change_is_flushed_and_a_capture_is_not(
+    running: Running, logs: tuple[AuditLog, AuditLog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done, _ = logs
+    durable: list[tuple[str, bool]] = []
+    write = done.write
+
+    def noted(action: str, **details: Any) -> None:
+        durable.append((action, details["durable"]))
+        write(action, **details)
+
+    monkeypatch.setattr(done, "write", noted)
+    async with running(admission=Admission(audit=done)) as client:
+        await client.put("/v1/rotation", json={"mode": "off"})
+        await client.post("/v1/captures")
+        await client.post("/v1/rotation/advance")
+        await client.put("/v1/rotation", json={"mode": "never"})
+    assert durable == [
+        ("PUT /v1/rotation", True),
+        ("POST /v1/captures", False),
+        ("POST /v1/rotation/advance", False),
+        ("PUT /v1/rotation", False),
+    ]
