@@ -44,6 +44,10 @@ from veilcam_server.errors import (
     StartError,
     StoppedError,
 )
+from veilcam_server.gate.connections import Connections
+from veilcam_server.gate.descriptors import room_for
+from veilcam_server.gate.protocol import Deadlines
+from veilcam_server.gate.server import Gate, GateServer
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
@@ -144,13 +148,17 @@ def _begin(camera: MaskedCamera) -> None:
         log.warning("no capture yet", reason=str(error))
 
 
-class _Server(uvicorn.Server):
+class _Server(GateServer):
     """Says when it listens, ends when the device is lost, and event streams before connections."""
 
     def __init__(
-        self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        gate: Gate,
+        service: Service,
+        on_listening: Callable[[], None],
     ) -> None:
-        super().__init__(config)
+        super().__init__(config, gate)
         self._service, self._on_listening = service, on_listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -212,8 +220,15 @@ def _serve(
     service = build_service(settings)
     try:
         with open_admission(settings, service.report) as admission:
+            room = room_for(settings.connections)
+            gate = Gate(
+                Connections(room.connections),
+                Deadlines(settings.header_timeout, settings.body_timeout),
+                room.waiting,
+            )
             config = uvicorn.Config(
                 create_app(service, admission),
+                http="h11",
                 log_config=None,
                 access_log=False,
                 # An upgrade is asked like anything else, and refused by the application.
@@ -222,7 +237,7 @@ def _serve(
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
-            server = _Server(config, service, listening)
+            server = _Server(config, gate, service, listening)
             log.info(
                 "start",
                 urls=urls,

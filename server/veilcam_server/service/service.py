@@ -55,6 +55,7 @@ from veilcam_server.errors import (
     SceneInvalidError,
     WithheldError,
 )
+from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.responses import (
@@ -105,23 +106,28 @@ class Service:
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
+        self._alarms = Alarms(camera, publish)
         self._queue = DeviceQueue(queue_limit, publish)
-        self._scheduler = Scheduler(camera, self._queue)
+        self._scheduler = Scheduler(camera, self._queue, self._alarms)
         self.calibration = calibration
         if bundles is not None:
             calibration.serve(Served(camera, bundles, self._queue.run, publish))
-        for take in (self.history.add, log_event, tell_systemd, self._scheduler.wake):
-            self._events.subscribe(take)
+        for task, take in (
+            ("count of events", self.history.add),
+            ("log of events", log_event),
+            ("notice to systemd", tell_systemd),
+            ("schedule", self._scheduler.wake),
+        ):
+            self._events.subscribe(self._alarms.guarded(task, take))
         self._since = time.monotonic()
         self._found: list[ProblemError] | None = list(faults)
         self._inference_thread = ThreadPoolExecutor(1, "inference")
-        camera.listen(publish)
+        camera.listen(self._alarms.pass_on)
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
         """Keep the camera ready within; then show opaque and let go of the device."""
-        state, detail = self._camera.state
-        begun = StateChanged(id="", at=datetime.now(UTC), state=state, detail=detail)
+        begun = StateChanged(id="", at=datetime.now(UTC), **self._alarms.state._asdict())
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
         with self._events.open():
@@ -148,7 +154,9 @@ class Service:
         if self._found is not None:
             self._found.append(fault)
         else:
-            self._events.publish(partial(Fault, code=fault.code, detail=str(fault)))
+            self._events.publish(
+                partial(Fault, code=fault.code, detail=str(fault), remedy=fault.remedy)
+            )
 
     @property
     def lost(self) -> SensorLostError | None:
@@ -177,12 +185,11 @@ class Service:
 
     def status(self) -> Status:
         """State, device, bundle, rotation and queue."""
-        state, detail = self._camera.state
+        condition = self._alarms.state
         return Status(
             version=__version__,
             api_version=API_VERSION,
-            state=state,
-            detail=detail,
+            **condition._asdict(),
             experiment=self._identity.experiment,
             uptime_s=time.monotonic() - self._since,
             captures=self.history.events["capture"],

@@ -181,7 +181,7 @@ def test_a_failed_write_puts_the_mask_before_back(
     with pytest.raises(DisplayError, match="could not be changed"):
         camera.rotate()
     assert bench.pair_shown() == index
-    assert camera.state == ("ready", None)
+    assert camera.state == ("ready", None, None)
     assert camera.present == (epoch, 1)
     assert camera.capture().epoch == epoch
 
@@ -209,7 +209,7 @@ def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
         camera.capture()
     assert bench.sensor.captures == 0
     camera.rotate()
-    assert camera.state == ("ready", None)
+    assert camera.state == ("ready", None, None)
     assert camera.capture().epoch == bench.epochs[-1]
 
 
@@ -220,7 +220,7 @@ def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
     bench.display.faults = [display_fault] * 3
     with pytest.raises(DisplayError):
         camera.rotate()
-    state, detail = camera.state
+    state, detail, _ = camera.state
     assert state == "safe"
     assert detail is not None
     assert "cannot be made opaque" in detail
@@ -242,12 +242,12 @@ def test_defects_of_a_driver_end_opaque_or_are_told(bench: Bench, defects: int) 
     bench.display.faults = [ZeroDivisionError()] * defects
     with pytest.raises(ZeroDivisionError):
         camera.rotate()
-    state, detail = camera.state
+    state, detail, _ = camera.state
     assert state == "safe"
     assert ("cannot be made opaque" in str(detail)) == (defects == 3)
     assert camera.present == (None, 0)
     camera.rotate()
-    assert camera.state == ("ready", None)
+    assert camera.state == ("ready", None, None)
 
 
 def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
