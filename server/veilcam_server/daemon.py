@@ -38,11 +38,16 @@ from veilcam_server.errors import (
     BundleUntrustedError,
     EpochError,
     FenceError,
+    ProblemError,
     RotationImpossibleError,
     SelfTestError,
     StartError,
     StoppedError,
 )
+from veilcam_server.gate.connections import Connections
+from veilcam_server.gate.descriptors import room_for
+from veilcam_server.gate.protocol import Deadlines
+from veilcam_server.gate.server import Gate, GateServer
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
@@ -63,17 +68,21 @@ def build_service(settings: Settings) -> Service:
     """
     if settings.replay is not None:
         return replay_service(settings, settings.replay)
+    faults: list[ProblemError] = []
     try:
-        bundle = read_bundle(settings.bundle)
-        form = release_form(settings, bundle)
-        signed = open_calibration(settings, bundle)
-        owners = Owners.open(settings.owner_keys)
-        opener = Opener(bundle, source_opener(settings, signed), owners)
-        store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
-        keys, faults = last_good(store, opener, bundle, allow_older=settings.allow_older)
         with ExitStack() as undo:
-            epochs = EpochStore(settings.state_dir)
+            # First of all: it keeps other daemons off the state.
+            epochs = EpochStore(settings.state_dir, report=faults.append)
             undo.callback(epochs.close)
+            bundle = read_bundle(settings.bundle)
+            form = release_form(settings, bundle)
+            signed = open_calibration(settings, bundle)
+            owners = Owners.open(settings.owner_keys)
+            opener = Opener(bundle, source_opener(settings, signed), owners)
+            store = BundleStore(
+                settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
+            )
+            keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -98,7 +107,7 @@ def build_service(settings: Settings) -> Service:
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
-    faults = (*faults, *note_start(store, opener, keys))
+    note_start(store, opener, keys, faults.append)
     return Service(
         camera,
         Identity(
@@ -108,12 +117,13 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit, faults=faults),
+        BundleManager(store, opener, keys, limit=settings.bundle_limit),
         CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        faults=faults,
     )
 
 
@@ -131,13 +141,17 @@ def _begin(camera: MaskedCamera) -> None:
         log.warning("no capture yet", reason=str(error))
 
 
-class _Server(uvicorn.Server):
+class _Server(GateServer):
     """Says when it listens, ends when the device is lost, and event streams before connections."""
 
     def __init__(
-        self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        gate: Gate,
+        service: Service,
+        on_listening: Callable[[], None],
     ) -> None:
-        super().__init__(config)
+        super().__init__(config, gate)
         self._service, self._on_listening = service, on_listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -198,9 +212,16 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_admission(settings) as admission:
+        with open_admission(settings, service.report) as admission:
+            room = room_for(settings.connections)
+            gate = Gate(
+                Connections(room.connections),
+                Deadlines(settings.header_timeout, settings.body_timeout),
+                room.waiting,
+            )
             config = uvicorn.Config(
                 create_app(service, admission),
+                http="h11",
                 log_config=None,
                 access_log=False,
                 # An upgrade is asked like anything else, and refused by the application.
@@ -209,7 +230,7 @@ def _serve(
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
-            server = _Server(config, service, listening)
+            server = _Server(config, gate, service, listening)
             log.info(
                 "start",
                 urls=urls,

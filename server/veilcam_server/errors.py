@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from veilcam_client.wire.status import Remedy
+
 
 class ProblemError(Exception):
     """What a caller is told of as a problem. Every kind has a stable code of its own.
@@ -14,6 +16,7 @@ class ProblemError(Exception):
         title: what the code always means.
         detail: what is told where nothing more is known.
         retryable: whether the same request may succeed later.
+        remedy: what helps.
         retry_after: what to wait before that [s].
     """
 
@@ -22,6 +25,7 @@ class ProblemError(Exception):
     title: ClassVar[str]
     detail: ClassVar[str]
     retryable: ClassVar[bool]
+    remedy: Remedy = "wait"
     retry_after: int = 1
 
     def __init_subclass__(
@@ -32,13 +36,23 @@ class ProblemError(Exception):
         title: str = "",
         detail: str = "",
         retryable: bool = False,
+        remedy: Remedy | None = None,
     ) -> None:
         if code is not None:  # another cause of what its base is called
             cls.code, cls.status, cls.title, cls.retryable = code, status, title, retryable
             cls.detail = detail
+        if remedy is not None:
+            cls.remedy = remedy
 
-    def __init__(self, detail: str | None = None) -> None:
+    def __init__(self, detail: str | None = None, *, remedy: Remedy | None = None) -> None:
         super().__init__(self.detail if detail is None else detail)
+        if remedy is not None:  # another than that of its kind
+            self.remedy = remedy
+
+
+def remedy_for(error: BaseException) -> Remedy:
+    """Return what helps against an error; one that nobody foresaw is a defect."""
+    return error.remedy if isinstance(error, ProblemError) else "report_defect"
 
 
 class StartError(Exception):
@@ -49,12 +63,31 @@ class StoppedError(Exception):
     """The daemon cannot go on and ended; one line that says what to do."""
 
 
+class StateDamagedError(
+    ProblemError,
+    code="state_damaged",
+    status=500,
+    title="A file of the state was damaged, and its copy is used",
+):
+    """One of the two copies of a state file is damaged or gone; nothing is lost."""
+
+
+class StateLostError(
+    ProblemError,
+    code="state_lost",
+    status=500,
+    title="A file of the state and its copy are damaged",
+):
+    """Both copies of a state file are damaged or gone; the message says what follows."""
+
+
 class EpochError(
     ProblemError,
     code="epoch_not_recorded",
     status=503,
     title="The mask epoch is not durable",
     retryable=True,
+    remedy="check_disk",
 ):
     """A mask epoch could not be recorded, so no mask may be shown under it."""
 
@@ -79,16 +112,20 @@ class NotReadyError(
     """The camera is in no state to take a capture."""
 
 
-class SelfTestError(NotReadyError):
+class SelfTestError(NotReadyError, remedy="check_panel_wiring"):
     """The panel does not hide the scene, or does not show what it is told."""
 
 
-class UndecidedError(SelfTestError):
+class UndecidedError(SelfTestError, remedy="adjust_light"):
     """The self test cannot tell, for want of light or of steady light."""
 
 
 class RotationImpossibleError(
-    ProblemError, code="rotation_impossible", status=409, title="There is no other mask"
+    ProblemError,
+    code="rotation_impossible",
+    status=409,
+    title="There is no other mask",
+    remedy="install_bundle",
 ):
     """There is no other mask to change to."""
 
@@ -245,6 +282,7 @@ class TokenStoreError(
     status=503,
     title="The tokens are out of reach",
     retryable=True,
+    remedy="check_disk",
 ):
     """The tokens cannot be read or written."""
 
@@ -320,13 +358,21 @@ class UnknownBundleError(
 
 
 class BundleInvalidError(
-    ProblemError, code="bundle_invalid", status=422, title="This is no bundle that can be used"
+    ProblemError,
+    code="bundle_invalid",
+    status=422,
+    title="This is no bundle that can be used",
+    remedy="install_bundle",
 ):
     """A file that is no whole bundle."""
 
 
 class BundleUnfitError(
-    ProblemError, code="bundle_unfit", status=409, title="The bundle does not fit this camera"
+    ProblemError,
+    code="bundle_unfit",
+    status=409,
+    title="The bundle does not fit this camera",
+    remedy="install_bundle",
 ):
     """A bundle for another camera than the one that is there."""
 
@@ -382,6 +428,7 @@ class BundleStoreError(
     status=503,
     title="The bundle is not durable",
     retryable=True,
+    remedy="check_disk",
 ):
     """A bundle could not be made durable."""
 
@@ -391,6 +438,7 @@ class InferenceError(
     code="inference_failed",
     status=503,
     title="The classifier gave no probabilities",
+    remedy="install_bundle",
     detail="the classifier gave no probabilities for this measurement: train it again",
 ):
     """A classifier gave no numbers for a measurement."""

@@ -18,7 +18,6 @@ import hashlib
 import json
 import os
 import re
-import sqlite3
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -42,6 +41,7 @@ from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_optics.keys.masks import Secret
+from veilcam_server.camera.epochs import RESERVED
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import BUNDLE, FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -276,12 +276,11 @@ def ask_daemon(
         scene.unlink()
         fuzz.run()
         prepared = _prepared(url, callers)
-    store.close()
     planted = plant(bundle, tokens)
     if setting.secret is not None:
-        with sqlite3.connect(state / "epochs.sqlite3") as database:
-            last = int(database.execute("SELECT counter FROM epoch").fetchone()[0])
-        plant_fresh(planted, bundle, setting.secret, range(last - prepared, last + 1))
+        reserved = json.loads((state / "epochs.json").read_text().splitlines()[1])["counter"]
+        before = reserved - RESERVED * -(-prepared // RESERVED)
+        plant_fresh(planted, bundle, setting.secret, range(before + 1, before + prepared + 1))
     for path in (directory / "veilcamd.log", *state.glob(f"{DONE}*"), *state.glob(f"{REFUSED}*")):
         for number, line in enumerate(path.read_bytes().splitlines(), start=1):
             fuzz.findings.left.setdefault(_UNIQUE.sub(b"", line), f"{path.name}, line {number}")

@@ -30,7 +30,7 @@ from veilcam_client.wire.rotation import (
     RotationOff,
     RotationPolicy,
 )
-from veilcam_client.wire.status import Status
+from veilcam_client.wire.status import Remedy, Status
 from veilcam_client.wire.tokens import Token
 
 _ROWS = (
@@ -146,6 +146,8 @@ def status_in_words(status: Status) -> str:
     rows, columns = status.bundle.embedding_shape[-2:]
     masks = masks_in_words(status.bundle)
     lines = [f"state     {status.state}{f' ({status.detail})' if status.detail else ''}"]
+    if status.remedy:
+        lines.append(f"remedy    {status.remedy}")
     if status.experiment:
         lines.append(f"          experiment: {status.experiment}, labels mean nothing")
     lines += [
@@ -199,9 +201,11 @@ def diagnostics_in_words(found: Diagnostics) -> str:
     ]
     for past in found.states:
         why = f": {past.detail}" if past.detail else ""
-        lines.append(f"state     {past.at:%Y-%m-%d %H:%M:%S}  {past.state}{why}")
+        remedy = _remedy(past.remedy)
+        lines.append(f"state     {past.at:%Y-%m-%d %H:%M:%S}  {past.state}{why}{remedy}")
     lines += [
         f"fault     {fault.at:%Y-%m-%d %H:%M:%S}  {fault.code}: {fault.detail}"
+        f"{_remedy(fault.remedy)}"
         for fault in found.faults
     ]
     return "\n".join(lines)
@@ -220,7 +224,7 @@ def event_in_words(event: Event) -> str:
         case MaskChanged():
             return f"epoch {event.epoch}"
         case StateChanged():
-            return f"{event.state}  {event.detail or ''}".rstrip()
+            return f"{event.state}  {event.detail or ''}{_remedy(event.remedy)}".rstrip()
         case RotationChanged():
             return policy_in_words(event.policy)
         case BundleChanged():
@@ -239,8 +243,12 @@ def _rare_in_words(event: CalibrationChanged | Fault | Gap) -> str:
     if isinstance(event, CalibrationChanged):
         return run_in_words(event.run)
     if isinstance(event, Fault):
-        return f"{event.code}: {event.detail}"
+        return f"{event.code}: {event.detail}{_remedy(event.remedy)}"
     return "the daemon was restarted" if event.missed is None else f"{event.missed} events missed"
+
+
+def _remedy(remedy: Remedy | None) -> str:
+    return f"  remedy: {remedy}" if remedy else ""
 
 
 def bundle_in_words(installed: InstalledBundle) -> str:

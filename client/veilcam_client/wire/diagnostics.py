@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pydantic import JsonValue
 
 from veilcam_client.wire.base import EXAMPLE_TIME, Answer
-from veilcam_client.wire.status import State
+from veilcam_client.wire.status import Remedy, State
 
 
 class PastState(Answer):
@@ -18,6 +18,7 @@ class PastState(Answer):
     at: datetime
     state: State
     detail: str | None
+    remedy: Remedy | None = None
 
 
 class PastFault(Answer):
@@ -26,6 +27,7 @@ class PastFault(Answer):
     at: datetime
     code: str
     detail: str
+    remedy: Remedy = "wait"
 
 
 class Diagnostics(Answer):
@@ -52,7 +54,14 @@ EXAMPLES = (
         versions={"veilcam": version("veilcam"), "python": "3.11.9"},
         settings={"device": "pi", "queue_limit": 8, "bundle": "given"},
         states=(PastState(at=EXAMPLE_TIME, state="ready", detail=None),),
-        faults=(PastFault(at=EXAMPLE_TIME, code="sensor_timeout", detail="no frame in 5 s"),),
+        faults=(
+            PastFault(
+                at=EXAMPLE_TIME,
+                code="sensor_timeout",
+                detail="no frame in 5 s",
+                remedy="check_camera_cable",
+            ),
+        ),
         events={"capture": 1200, "mask": 120},
         fault_counts={"sensor_timeout": 1},
         audit_lost=0,

@@ -10,7 +10,7 @@ from pydantic import Field, TypeAdapter
 from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer
 from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_client.wire.rotation import RotationPolicy
-from veilcam_client.wire.status import State
+from veilcam_client.wire.status import Remedy, State
 
 
 class _Event(Answer):
@@ -25,6 +25,8 @@ class StateChanged(_Event):
     kind: Literal["state"] = "state"
     state: State
     detail: str | None = None
+    remedy: Remedy | None = None
+    """What helps, where the state is ``degraded`` or ``safe``."""
 
 
 class MaskChanged(_Event):
@@ -88,6 +90,8 @@ class Fault(_Event):
     kind: Literal["fault"] = "fault"
     code: str
     detail: str
+    remedy: Remedy = "wait"
+    """What helps."""
 
 
 class Gap(_Event):

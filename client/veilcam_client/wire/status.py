@@ -15,6 +15,19 @@ State = Literal[
 ]
 """``safe``: the panel is opaque (or its content unknown) and no capture is taken; ``replay``: there
 is no panel, and captures come from a recording."""
+Remedy = Literal[
+    "wait",
+    "adjust_light",
+    "check_panel_wiring",
+    "check_camera_cable",
+    "check_disk",
+    "run_doctor",
+    "install_bundle",
+    "restart",
+    "report_defect",
+]
+"""What ends ``degraded`` and ``safe``, or a fault: see docs/api.md. All are tried again without it.
+"""
 
 
 class Device(Answer):
@@ -40,6 +53,8 @@ class Status(Answer):
     state: State
     detail: str | None = None
     """Why the state is not ``ready``."""
+    remedy: Remedy | None = None
+    """What helps, where the state is ``degraded`` or ``safe``."""
     experiment: str | None = None
     """``wrong-classifier`` when labels are meaningless on purpose."""
     uptime_s: float

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import secrets
 import time
-import traceback
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from veilcam_server.api.problems import (
 )
 from veilcam_server.errors import ProblemError
 from veilcam_server.security.admission import Admission
+from veilcam_server.system.logs import log_defect
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 MAX_PATH = 128
@@ -116,16 +116,7 @@ class RequestContext:
                     return
                 await self._app(scope, _limited(receive, body.limit), send_with_id)
         except Exception as error:
-            # The text of an error that nobody foresaw may hold anything, so it is not logged.
-            log.error(
-                "defect",
-                request_id=request_id,
-                error=type(error).__name__,
-                where=[
-                    f"{frame.filename}:{frame.lineno} {frame.name}"
-                    for frame in traceback.extract_tb(error.__traceback__)
-                ],
-            )
+            log_defect(error, request_id=request_id)
             if status:
                 raise
             response = problem_response(
@@ -135,7 +126,9 @@ class RequestContext:
             )
             await response(scope, receive, send_with_id)
         finally:
-            log.info(
+            # The audit log has what was done. A line for every question would let anybody fill the
+            # disk under the log.
+            log.debug(
                 "request",
                 request_id=request_id,
                 method=scope["method"],

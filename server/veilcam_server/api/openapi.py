@@ -23,9 +23,8 @@ from veilcam_client.wire import (
     tokens,
 )
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
-from veilcam_server.api import metrics
+from veilcam_server.api import metrics, page
 from veilcam_server.api.problems import example_of
-from veilcam_server.api.routes import page
 
 _EVENT = events.EXAMPLE
 _TEXTS = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -31,7 +31,6 @@ class BundleManager:
         opener: makes them usable.
         keys: in use.
         limit: of an upload [bytes].
-        faults: why others are not in use that should be.
     """
 
     def __init__(
@@ -41,10 +40,9 @@ class BundleManager:
         keys: LoadedBundle,
         *,
         limit: int,
-        faults: Sequence[str] = (),
     ) -> None:
         self._store, self._opener, self._keys = store, opener, keys
-        self.limit, self.faults = limit, tuple(faults)
+        self.limit = limit
         self._infos: dict[str, BundleInfo | None] = {keys.info.digest: keys.info}
         self._changing = asyncio.Lock()
 
@@ -108,7 +106,7 @@ class BundleManager:
                         self._keys = before
                     raise
             finally:
-                staged.unlink(missing_ok=True)
+                staged.close()
             return await self._response(digest)
 
     async def reopen(self, open_source: OpenSource, change: Change) -> None:

@@ -47,6 +47,7 @@ from veilcam_server.errors import (
     ProblemError,
 )
 from veilcam_server.settings import Settings
+from veilcam_server.system.logs import log_defect
 from veilcam_training.bundle import Bundle
 
 log = structlog.get_logger()
@@ -262,7 +263,7 @@ class CalibrationService:
         except Exception as error:
             stage, detail = "failed", str(error)
             if not isinstance(error, ProblemError):
-                log.error("defect", error=type(error).__name__, during="calibration")
+                log_defect(error, during="calibration")
                 detail = "the daemon has a defect: nothing was changed"
         # Why no mask is shown, where none is, the state tells.
         with suppress(Exception):

@@ -17,7 +17,6 @@ from datetime import UTC, datetime
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
-from veilcam_client.wire.status import State
 from veilcam_server.camera.capture import (
     Captured,
     Fence,
@@ -26,7 +25,7 @@ from veilcam_server.camera.capture import (
     due_in,
     reusable,
 )
-from veilcam_server.camera.engine import Publish
+from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
@@ -91,8 +90,8 @@ class MaskedCamera:
         self._panel.publish = publish
 
     @property
-    def state(self) -> tuple[State, str | None]:
-        """What the camera is doing, and why it is not ready."""
+    def state(self) -> Condition:
+        """What the camera is doing."""
         return self._panel.state
 
     def healthy(self) -> bool:
@@ -154,7 +153,7 @@ class MaskedCamera:
 
     def test_due_in(self) -> float:
         """Seconds until the panel must be tested, or tested again after a test that failed."""
-        if self.state[0] in ("stopping", "calibrating"):
+        if self.state.state in ("stopping", "calibrating"):
             return math.inf
         return self._panel.proven_for()
 
@@ -267,7 +266,7 @@ class MaskedCamera:
             self._panel.test()
             active = self._panel.active
             if active is None:
-                raise NotReadyError(self.state[1] or "no mask is shown yet: try again")
+                raise NotReadyError(self.state.detail or "no mask is shown yet: try again")
             rotated = time.monotonic()
             not_before = active.completed_at + self._fence.settle
             taken_at = datetime.now(UTC)
@@ -313,7 +312,7 @@ class MaskedCamera:
 
     def _take_back(self) -> None:
         with self._lock:
-            if self.state[0] != "calibrating":
+            if self.state.state != "calibrating":
                 return
             self._self_test.void(self._device, self._fence)
             try:
@@ -337,12 +336,12 @@ class MaskedCamera:
 
     @property
     def _stopping(self) -> bool:
-        return self.state[0] == "stopping"
+        return self.state.state == "stopping"
 
     def _require_running(self) -> None:
         if self._stopping:
             raise NotReadyError("the daemon is stopping")
-        if self.state[0] == "calibrating":
+        if self.state.state == "calibrating":
             raise CalibratingError
 
     def _require_another(self) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.status import State
+from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.epochs import Prepared
 from veilcam_server.devices.base import Device
@@ -19,14 +19,24 @@ Publish = Callable[[Callable[..., Event]], None]
 """Takes what makes an event of an ``id`` and the time ``at``; neither blocks nor fails."""
 
 
+class Condition(NamedTuple):
+    """What a camera, or the daemon, is doing."""
+
+    state: State
+    detail: str | None = None
+    """Why it is not ready."""
+    remedy: Remedy | None = None
+    """What helps, where it is ``degraded`` or ``safe``."""
+
+
 class CameraEngine(Protocol):
     """Takes captures and changes masks, one thing at a time. Blocks: call it from a thread."""
 
     policy: RotationPolicy
 
     @property
-    def state(self) -> tuple[State, str | None]:
-        """What the camera is doing, and why it is not ready."""
+    def state(self) -> Condition:
+        """What the camera is doing."""
 
     def listen(self, publish: Publish) -> None:
         """Publish every new state and mask, from the thread that makes it so."""

@@ -11,14 +11,20 @@ from contextlib import suppress
 from functools import partial
 
 from veilcam_client.wire.events import MaskChanged, StateChanged
-from veilcam_client.wire.status import State
+from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import ActiveMask
-from veilcam_server.camera.engine import Publish
+from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices.base import Display
 from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
-from veilcam_server.errors import EpochError, FenceError, NotReadyError, UndecidedError
+from veilcam_server.errors import (
+    EpochError,
+    FenceError,
+    ProblemError,
+    UndecidedError,
+    remedy_for,
+)
 from veilcam_server.masks.source import MaskSource
 
 
@@ -37,15 +43,14 @@ class MaskedPanel:
         self._display, self._preparation, self._self_test = display, preparation, self_test
         self.active: ActiveMask | None = None
         """The mask that is shown; None: there is none."""
-        self._state: State = "starting"
-        self._detail: str | None = None
+        self._condition = Condition("starting")
         self.publish: Publish = lambda _: None
         """Takes every new epoch and state."""
 
     @property
-    def state(self) -> tuple[State, str | None]:
-        """What the camera is doing, and why it is not ready."""
-        return self._state, self._detail
+    def state(self) -> Condition:
+        """What the camera is doing."""
+        return self._condition
 
     def proven_for(self) -> float:
         """Seconds until the panel must be tested; 0: now, or again after a test that failed."""
@@ -71,17 +76,19 @@ class MaskedPanel:
         try:
             shown = self._display.show(prepared.mask.levels)
         except DeviceError as error:
-            self._put_back(previous)
-            raise DisplayError(f"the mask could not be changed: {error}") from error
-        except BaseException:
-            self._put_back(previous)
+            self._put_back(previous, remedy_for(error))
+            raise DisplayError(
+                f"the mask could not be changed: {error}", remedy=remedy_for(error)
+            ) from error
+        except BaseException as error:
+            self._put_back(previous, remedy_for(error))
             raise
         self.active = ActiveMask(
             prepared.mask, prepared.epoch, shown.completed_at, shown.completed_at
         )
         if source is not None:
             self._preparation.serve(source)
-        self._enter("ready", None)
+        self._enter("ready")
         self.publish(partial(MaskChanged, epoch=prepared.epoch))
         self._prepare_next()
 
@@ -103,9 +110,9 @@ class MaskedPanel:
 
     def strand(self) -> None:
         """Be opaque after a calibration, if no mask could be shown."""
-        if self._state == "calibrating":
+        if self._condition.state == "calibrating":
             self._make_opaque(
-                "degraded", "no mask is shown after the calibration: it is tried again"
+                "degraded", "no mask is shown after the calibration: it is tried again", "wait"
             )
 
     def end(self) -> None:
@@ -118,25 +125,25 @@ class MaskedPanel:
         if self._self_test.holds_for() > 0:
             return
         self.active = None
-        if self._state in ("starting", "ready", "calibrating"):
+        if self._condition.state in ("starting", "ready", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
             self._self_test.renew()
         except BaseException as error:
             # What the panel cannot be blamed for is not called its failure.
             blameless = isinstance(error, (UndecidedError, SensorError, FenceError))
-            known = isinstance(error, (NotReadyError, DeviceError, FenceError))
+            known = isinstance(error, ProblemError)
             reason = str(error) if known else "the self test broke off"
-            self._make_opaque("degraded" if blameless else "safe", reason)
+            self._make_opaque("degraded" if blameless else "safe", reason, remedy_for(error))
             raise
 
-    def _put_back(self, previous: ActiveMask | None) -> None:
+    def _put_back(self, previous: ActiveMask | None, remedy: Remedy = "wait") -> None:
         """After a failed write, or a test: the mask from before, or else opaque."""
         if previous is not None:
             try:
                 shown = self._display.show(previous.mask.levels)
-            except Exception:  # noqa: S110 - whatever it was, opaque comes next
-                pass
+            except Exception as error:
+                remedy = remedy_for(error)
             else:
                 previous.completed_at = shown.completed_at
                 self.active = previous
@@ -144,24 +151,26 @@ class MaskedPanel:
                 with suppress(EpochError):
                     self._preparation.record(previous.mask)
                 self._prepare_next()
-                self._enter("ready", None)
+                self._enter("ready")
                 return
-        self._make_opaque("safe", "the panel failed and was made opaque: it is tried again")
+        self._make_opaque("safe", "the panel failed and was made opaque: it is tried again", remedy)
 
-    def _make_opaque(self, state: State, reason: str) -> None:
+    def _make_opaque(self, state: State, reason: str, remedy: Remedy) -> None:
         """Captures stop."""
         try:
             self._display.blank()
-        except Exception:
-            state = "safe"
-            reason = "the panel failed and cannot be made opaque: check its power and wiring"
-        self._enter(state, reason)
+        except Exception as error:
+            state, remedy = "safe", remedy_for(error)
+            why = error if isinstance(error, ProblemError) else "its driver has a defect"
+            reason = f"the panel cannot be made opaque: {why}"
+        self._enter(state, reason, remedy)
 
     def _prepare_next(self) -> None:
         if self._preparation.renewable:
             self._preparation.begin()
 
-    def _enter(self, state: State, detail: str | None) -> None:
-        if (state, detail) != (self._state, self._detail):
-            self._state, self._detail = state, detail
-            self.publish(partial(StateChanged, state=state, detail=detail))
+    def _enter(self, state: State, detail: str | None = None, remedy: Remedy | None = None) -> None:
+        condition = Condition(state, detail, remedy)
+        if condition != self._condition:
+            self._condition = condition
+            self.publish(partial(StateChanged, **condition._asdict()))

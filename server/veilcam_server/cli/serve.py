@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from veilcam_server.cli.options import options_of
@@ -26,11 +27,17 @@ def serve(settings: Settings) -> None:
         simulated = settings.device == "simulated"  # as the environment may say too
         if simulated and not settings.scenes and not settings.scene_file.exists():
             set_scene(settings.scene_file, load_digits(), 0)
-        run(settings, lambda url: print(f"veilcamd listening on {url}", flush=True))  # noqa: T201
+        run(settings, _say)
     except (StartError, StoppedError) as error:
         fail(str(error))
     except KeyboardInterrupt:
         pass
+
+
+def _say(url: str) -> None:
+    # A full disk under standard output, or nobody who reads it, is no reason to end.
+    with suppress(OSError):
+        print(f"veilcamd listening on {url}", flush=True)  # noqa: T201
 
 
 def set_scene(scene: Path, digits: Digits, index: int) -> None:

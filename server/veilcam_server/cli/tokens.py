@@ -95,12 +95,12 @@ def revoke(
 def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, AuditLog]]:
     directory = state_dir or default_state_dir()
     try:
-        store, audit = TokenStore(directory), AuditLog(directory / DONE)
+        store = TokenStore(directory, report=lambda fault: typer.echo(str(fault), err=True))
+        audit = AuditLog(directory / DONE)
         try:
             yield store, audit
         finally:
             audit.close()
-            store.close()
     except (StartError, TokenStoreError, UnknownTokenError) as error:
         fail(str(error))
 

@@ -20,6 +20,7 @@ class DisplayError(
     status=503,
     title="The panel failed",
     retryable=True,
+    remedy="check_panel_wiring",
 ):
     """The panel did not take a mask; what it shows now is unknown."""
 
@@ -31,6 +32,7 @@ class SensorError(
     status=503,
     title="The sensor failed",
     retryable=True,
+    remedy="check_camera_cable",
 ):
     """The sensor gave no measurement."""
 
@@ -43,6 +45,10 @@ class SensorTimeoutError(
     retryable=True,
 ):
     """The sensor gave no measurement in time."""
+
+
+class LightError(SensorError, remedy="adjust_light"):
+    """There is too much light, or nothing that it could come from."""
 
 
 class SensorLostError(SensorError):

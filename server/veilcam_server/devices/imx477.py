@@ -23,6 +23,7 @@ from veilcam_server.devices.base import Exposure, Measurement
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
     DeviceError,
+    LightError,
     SensorError,
     SensorLostError,
     SensorTimeoutError,
@@ -186,7 +187,7 @@ class IMX477:
     def _shorten(self, camera: Picamera) -> str:
         shorter = self._exposures.bounded(self._asked / 4)
         if shorter >= self._asked:
-            raise SensorError(
+            raise LightError(
                 f"the sensor is saturated at {self._asked * 1000:g} ms: "
                 "use less light or a shorter exposure"
             )

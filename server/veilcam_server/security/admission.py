@@ -23,6 +23,7 @@ from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import Report, log_fault
 
 log = structlog.get_logger()
 
@@ -119,11 +120,19 @@ class Admission:
 
 
 @contextmanager
-def open_admission(settings: Settings) -> Iterator[Admission]:
-    """Yield what stands in front of a daemon of these settings; raises :class:`StartError`."""
+def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[Admission]:
+    """Yield what stands in front of a daemon.
+
+    Args:
+        settings: of the daemon.
+        report: takes what was damaged of its state.
+
+    Raises:
+        StartError: the state directory cannot be used.
+    """
     audit = AuditLog(settings.state_dir / DONE)
     refused = AuditLog(settings.state_dir / REFUSED)
-    tokens = TokenStore(settings.state_dir) if settings.auth == "tokens" else None
+    tokens = TokenStore(settings.state_dir, report=report) if settings.auth == "tokens" else None
     if tokens is not None and not tokens.tokens():
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
     audit.write("start", auth=settings.auth)
@@ -140,7 +149,5 @@ def open_admission(settings: Settings) -> Iterator[Admission]:
         )
     finally:
         audit.write("stop")
-        if tokens is not None:
-            tokens.close()
         refused.close()
         audit.close()

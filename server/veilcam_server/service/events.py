@@ -115,14 +115,18 @@ class History:
 
     def enter(self, event: StateChanged) -> None:
         """Take note of a state, also of the first, which no stream tells of."""
-        self.last_states.append(PastState(at=event.at, state=event.state, detail=event.detail))
+        self.last_states.append(
+            PastState(at=event.at, state=event.state, detail=event.detail, remedy=event.remedy)
+        )
 
     def add(self, event: Event) -> None:
         """Take note of one event."""
         self.events[event.kind] += 1
         if isinstance(event, Fault):
             self.faults[event.code] += 1
-            self.last_faults.append(PastFault(at=event.at, code=event.code, detail=event.detail))
+            self.last_faults.append(
+                PastFault(at=event.at, code=event.code, detail=event.detail, remedy=event.remedy)
+            )
         elif isinstance(event, StateChanged):
             self.enter(event)
 
@@ -139,6 +143,7 @@ class EventPublisher:
         self._subscribers: list[Callable[[Event], None]] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = 0
+        self._delivering = False
 
     def subscribe(self, take: Callable[[Event], None]) -> None:
         """Let ``take`` have every event, on the event loop; it must neither block nor fail."""
@@ -159,23 +164,30 @@ class EventPublisher:
         From whatever thread; dropped while this is not open.
         """
         loop = self._loop
-        if loop is not None and threading.get_ident() == self._thread:
+        if loop is None:
+            return
+        if threading.get_ident() == self._thread and not self._delivering:
             self._deliver(make)
-        elif loop is not None:
+        else:
+            # What a subscriber publishes comes after what it was told of, for all of them.
             loop.call_soon_threadsafe(self._deliver, make)
 
     def _deliver(self, make: Callable[..., Event]) -> None:
         event = self.log.publish(make)
-        for take in self._subscribers:
-            take(event)
+        self._delivering = True
+        try:
+            for take in self._subscribers:
+                take(event)
+        finally:
+            self._delivering = False
 
 
 def log_event(event: Event) -> None:
     """Write states and faults to the log; nothing else belongs there."""
     if isinstance(event, StateChanged):
-        log.info("state", state=event.state, detail=event.detail)
+        log.info("state", state=event.state, detail=event.detail, remedy=event.remedy)
     elif isinstance(event, Fault):
-        log.warning("fault", code=event.code, detail=event.detail)
+        log.warning("fault", code=event.code, detail=event.detail, remedy=event.remedy)
 
 
 def tell_systemd(event: Event) -> None:

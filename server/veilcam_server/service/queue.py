@@ -77,7 +77,9 @@ class DeviceQueue:
             if isinstance(error, SensorLostError):
                 self.lost = error
             if told and not isinstance(error, _REFUSALS):
-                self._publish(partial(Fault, code=error.code, detail=str(error)))
+                self._publish(
+                    partial(Fault, code=error.code, detail=str(error), remedy=error.remedy)
+                )
             raise
         if counted:
             self._recent += 0.2 * (took - self._recent)

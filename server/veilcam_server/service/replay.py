@@ -21,11 +21,10 @@ from veilcam_client.wire.captures import Form, Prediction, Replay
 from veilcam_client.wire.events import StateChanged
 from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device as DeviceInfo
-from veilcam_client.wire.status import State
 from veilcam_server.bundles.loader import Identity
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.capture import Captured
-from veilcam_server.camera.engine import Publish
+from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import EpochStore, Prepared
 from veilcam_server.devices import Device
 from veilcam_server.devices.base import Measurement
@@ -80,12 +79,12 @@ class ReplayedCamera:
         self._place, self._stopping = 0, False
 
     @property
-    def state(self) -> tuple[State, str | None]:
+    def state(self) -> Condition:
         """That this is a replay, and how far it is."""
         if self._stopping:
-            return "stopping", "the daemon is stopping"
+            return Condition("stopping", "the daemon is stopping")
         count, at = len(self._recording.captures), self._recording.header.recorded_at
-        return "replay", f"{self._place} of {count} captures recorded on {at:%Y-%m-%d}"
+        return Condition("replay", f"{self._place} of {count} captures recorded on {at:%Y-%m-%d}")
 
     @property
     def policy(self) -> RotationPolicy:
@@ -151,8 +150,7 @@ class ReplayedCamera:
         """Let another daemon use the state directory."""
         if not self._stopping:
             self._stopping = True
-            state, detail = self.state
-            self._publish(partial(StateChanged, state=state, detail=detail))
+            self._publish(partial(StateChanged, **self.state._asdict()))
             self._epochs.close()
 
     def capture(self) -> Captured:

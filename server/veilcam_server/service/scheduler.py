@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
 
 import structlog
 
-from veilcam_client.wire.events import Event
+from veilcam_client.wire.events import Event, StateChanged
 from veilcam_server.camera.engine import CameraEngine
-from veilcam_server.errors import ProblemError
+from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.system.systemd import notify, watchdog_period
 
@@ -20,13 +22,32 @@ log = structlog.get_logger()
 LONGEST_PAUSE = 60.0
 """Between two attempts, however often they failed [s]."""
 
+_DOWN = ("degraded", "safe")
+"""States of a camera that takes no captures until its panel was tested again."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What is done again and again."""
+
+    name: str
+    due_in: Callable[[], float]
+    """Seconds until it must be done."""
+    work: Callable[[], Awaitable[None]]
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+    """Set when it may be due earlier than was thought."""
+
 
 class Scheduler:
     """Keeps a camera ready. Lives on one event loop.
 
+    A task that fails, in whatever way, sounds an alarm and is tried again after a pause that grows
+    from one failure to the next.
+
     Args:
         camera: that is kept.
         queue: in front of its device.
+        alarms: of tasks that fail.
         watchdog: longest time between two signs of life [s]; None for none.
         tell: takes the signs of life.
         first_pause: after a first failure [s]; it doubles from one to the next.
@@ -36,28 +57,37 @@ class Scheduler:
         self,
         camera: CameraEngine,
         queue: DeviceQueue,
+        alarms: Alarms,
         *,
         watchdog: float | None = None,
         tell: Callable[[str], None] = notify,
         first_pause: float = 1.0,
     ) -> None:
-        self._camera, self._queue = camera, queue
-        self._watchdog = watchdog_period() if watchdog is None else watchdog
+        self._camera, self._queue, self._alarms = camera, queue, alarms
         self._tell, self._first_pause = tell, first_pause
-        self._rotation_changed, self._test_changed = asyncio.Event(), asyncio.Event()
+        self._down, self._down_since = False, -math.inf
+        self._rotation = _Task("change of masks", camera.due_in, self._rotate)
+        self._test = _Task("self test", self._test_due_in, self._test_panel)
+        self._tasks = [self._rotation, self._test]
+        watchdog = watchdog_period() if watchdog is None else watchdog
+        if watchdog is not None:
+            self._feed_every, self._fed, self._hung = watchdog / 2, -math.inf, False
+            self._tasks.append(_Task("watchdog", self._feed_due_in, self._feed))
 
-    def wake(self, _: Event | None = None) -> None:
+    def wake(self, event: Event | None = None) -> None:
         """Look again at what is due, whatever happened; for the event loop's thread."""
-        self._rotation_changed.set()
-        self._test_changed.set()
+        if isinstance(event, StateChanged):
+            down = event.state in _DOWN
+            if down and not self._down:
+                self._down_since = time.monotonic()
+            self._down = down
+        self._rotation.changed.set()
+        self._test.changed.set()
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Do what is due as long as the context lasts."""
-        works = [self._rotate(), self._test()]
-        if self._watchdog is not None:
-            works.append(self._live(self._watchdog / 2))
-        tasks = [asyncio.create_task(work) for work in works]
+        tasks = [asyncio.create_task(self._keep(task)) for task in self._tasks]
         try:
             yield
         finally:
@@ -65,64 +95,69 @@ class Scheduler:
                 task.cancel()
             await asyncio.wait(tasks)
 
+    async def _keep(self, task: _Task) -> None:
+        """Do a task whenever it is due, whatever comes of it."""
+        pause = self._first_pause
+        while True:
+            task.changed.clear()
+            try:
+                due = task.due_in()
+                if due <= 0:
+                    await task.work()
+            except Exception as error:
+                self._alarms.sound(task.name, error)
+                await self._rest(task, pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+                continue
+            self._alarms.clear(task.name)
+            pause = self._first_pause
+            if due > 0:
+                await _wait(task.changed, due)
+
+    async def _rest(self, task: _Task, seconds: float) -> None:
+        """Pause before another attempt, unless it is not due any more."""
+        ends = time.monotonic() + seconds
+        while (left := ends - time.monotonic()) > 0:
+            task.changed.clear()
+            await _wait(task.changed, left)
+            with suppress(Exception):
+                if task.due_in() > 0:
+                    return
+
     async def _rotate(self) -> None:
         """Change masks when the policy says so, also while nobody captures."""
-        pause = self._first_pause
-        while True:
-            self._rotation_changed.clear()
-            due = self._camera.due_in()
-            if due > 0:
-                await _wait(self._rotation_changed, due)
-                continue
-            # A mask that is due waits for the next one here, where it keeps no capture waiting.
-            await asyncio.to_thread(self._camera.await_next)
-            if await self._succeeds(self._camera.rotate_if_due, "rotation"):
-                pause = self._first_pause
-                continue
-            # A panel that failed was set up anew, and is no longer proven.
-            self._test_changed.set()
-            await asyncio.sleep(pause)
-            pause = min(2 * pause, LONGEST_PAUSE)
-
-    async def _test(self) -> None:
-        """Test the panel when that is due, and find the way back to ``ready``."""
-        pause = self._first_pause
-        while True:
-            self._test_changed.clear()
-            due = self._camera.test_due_in()
-            if due > 0:
-                pause = self._first_pause
-                await _wait(self._test_changed, due)
-                continue
-            if self._camera.state[0] != "ready":
-                await asyncio.sleep(pause)
-                pause = min(2 * pause, LONGEST_PAUSE)
-                if self._camera.test_due_in() > 0:
-                    continue
-            await self._succeeds(self._camera.test_if_due, "self test", told=False)
-
-    async def _succeeds(self, work: Callable[[], None], name: str, *, told: bool = True) -> bool:
-        """Whether ``work`` did not fail; the state tells of failures that are known."""
+        # A mask that is due waits for the next one here, where it keeps no capture waiting.
+        await asyncio.to_thread(self._camera.await_next)
         try:
-            await self._queue.run(work, told=told)
-        except ProblemError:
-            return False
-        except Exception as error:
-            log.error("defect", error=type(error).__name__, during=name)
-            return False
-        return True
+            await self._queue.run(self._camera.rotate_if_due)
+        except Exception:
+            # A panel that failed was set up anew, and is no longer proven.
+            self._test.changed.set()
+            raise
 
-    async def _live(self, every: float) -> None:
+    def _test_due_in(self) -> float:
+        due = self._camera.test_due_in()
+        if self._camera.state.state not in _DOWN:
+            return due
+        # What failed a moment ago, for whoever asked, is not tried again at once.
+        return max(due, self._down_since + self._first_pause - time.monotonic())
+
+    async def _test_panel(self) -> None:
+        """Test the panel, and find the way back to ``ready``; the state tells what is wrong."""
+        await self._queue.run(self._camera.test_if_due, told=False)
+
+    def _feed_due_in(self) -> float:
+        return self._fed + self._feed_every - time.monotonic()
+
+    async def _feed(self) -> None:
         """Say that the event loop runs and that the device answers."""
-        hung = False
-        while True:
-            if self._camera.healthy():
-                hung = False
-                self._tell("WATCHDOG=1")
-            elif not hung:
-                hung = True
-                log.error("panel, camera or processor too slow: the watchdog is not fed any more")
-            await asyncio.sleep(every)
+        self._fed = time.monotonic()
+        if self._camera.healthy():
+            self._hung = False
+            self._tell("WATCHDOG=1")
+        elif not self._hung:
+            self._hung = True
+            log.error("panel, camera or processor too slow: the watchdog is not fed any more")
 
 
 async def _wait(event: asyncio.Event, seconds: float) -> None:

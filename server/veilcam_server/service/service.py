@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
@@ -48,12 +48,13 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
-    BundleInvalidError,
+    ProblemError,
     ReplayingError,
     SceneApiOffError,
     SceneInvalidError,
     WithheldError,
 )
+from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.responses import (
@@ -78,6 +79,7 @@ class Service:
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
+        faults: what was found before; told of once this is open.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class Service:
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
+        faults: Sequence[ProblemError] = (),
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self.release = form
@@ -98,27 +101,34 @@ class Service:
         self._bundles, self._scenes = bundles, scenes
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
+        self._alarms = Alarms(camera, publish)
         self._queue = DeviceQueue(queue_limit, publish)
-        self._scheduler = Scheduler(camera, self._queue)
+        self._scheduler = Scheduler(camera, self._queue, self._alarms)
         self.calibration = calibration
         if bundles is not None:
             calibration.serve(Served(camera, bundles, self._queue.run, publish))
-        for take in (self.history.add, log_event, tell_systemd, self._scheduler.wake):
-            self._events.subscribe(take)
+        for task, take in (
+            ("count of events", self.history.add),
+            ("log of events", log_event),
+            ("notice to systemd", tell_systemd),
+            ("schedule", self._scheduler.wake),
+        ):
+            self._events.subscribe(self._alarms.guarded(task, take))
         self._since = time.monotonic()
+        self._found: list[ProblemError] | None = list(faults)
         self._inference_thread = ThreadPoolExecutor(1, "inference")
-        camera.listen(publish)
+        camera.listen(self._alarms.pass_on)
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
         """Keep the camera ready within; then show opaque and let go of the device."""
-        state, detail = self._camera.state
-        begun = StateChanged(id="", at=datetime.now(UTC), state=state, detail=detail)
+        begun = StateChanged(id="", at=datetime.now(UTC), **self._alarms.state._asdict())
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
         with self._events.open():
-            for fault in () if self._bundles is None else self._bundles.faults:
-                self._events.publish(partial(Fault, code=BundleInvalidError.code, detail=fault))
+            found, self._found = self._found or (), None
+            for fault in found:
+                self.report(fault)
             try:
                 async with self._scheduler.running():
                     yield
@@ -133,6 +143,15 @@ class Service:
         finally:
             self._queue.close()
             self._inference_thread.shutdown()
+
+    def report(self, fault: ProblemError) -> None:
+        """Tell of a fault that ended nothing; from whatever thread, and before this is open too."""
+        if self._found is not None:
+            self._found.append(fault)
+        else:
+            self._events.publish(
+                partial(Fault, code=fault.code, detail=str(fault), remedy=fault.remedy)
+            )
 
     @property
     def lost(self) -> SensorLostError | None:
@@ -161,12 +180,11 @@ class Service:
 
     def status(self) -> Status:
         """State, device, bundle, rotation and queue."""
-        state, detail = self._camera.state
+        condition = self._alarms.state
         return Status(
             version=__version__,
             api_version=API_VERSION,
-            state=state,
-            detail=detail,
+            **condition._asdict(),
             experiment=self._identity.experiment,
             uptime_s=time.monotonic() - self._since,
             captures=self.history.events["capture"],

@@ -178,10 +178,7 @@ def make_tokens(
 ) -> list[str]:
     """Make tokens in a state directory; return their secrets."""
     store = TokenStore(settings.state_dir)
-    try:
-        return [store.create(label, scopes, None).secret for label in labels]
-    finally:
-        store.close()
+    return [store.create(label, scopes, None).secret for label in labels]
 
 
 async def standing_still(address: Address) -> list[str]:

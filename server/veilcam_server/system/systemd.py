@@ -30,7 +30,7 @@ def notify(state: str) -> None:
         address = "\0" + address[1:]
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
-            sender.sendto(state.encode(), address)
+            sender.sendto(state.encode(errors="replace"), address)
     except OSError as error:
         log.warning("systemd not told", told=state, error=error.strerror)
 

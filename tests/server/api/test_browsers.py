@@ -21,7 +21,7 @@ from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterator
+    from collections.abc import AsyncIterator
     from pathlib import Path
 
     from tests.server.conftest import Bench, Running
@@ -48,10 +48,8 @@ PAGE_CAN_SEND = (
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[TokenStore]:
-    store = TokenStore(tmp_path / "tokens")
-    yield store
-    store.close()
+def store(tmp_path: Path) -> TokenStore:
+    return TokenStore(tmp_path / "tokens")
 
 
 def check(answer: httpx.Response) -> int:

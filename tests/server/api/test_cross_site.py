@@ -75,7 +75,6 @@ def admission(tmp_path: Path) -> Iterator[Admission]:
     yield Admission(
         store, audit=done, refused=refused, streams=ConcurrencyLimit(0, TooManyStreamsError)
     )
-    store.close()
     refused.close()
     done.close()
 

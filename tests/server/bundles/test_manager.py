@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import torch
+from tests.server.damage import DAMAGES
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
@@ -24,12 +26,18 @@ from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
-from veilcam_server.errors import BundleInvalidError, BundleStoreError, StartError
+from veilcam_server.errors import (
+    BundleInvalidError,
+    BundleStoreError,
+    ProblemError,
+    StartError,
+    StateLostError,
+)
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncIterator, Callable
 
     import httpx
     from tests.server.conftest import Bench, Running
@@ -183,7 +191,7 @@ async def test_a_panel_that_fails_keeps_the_bundle_or_is_opaque(
             await client.post("/v1/rotation/advance")
             assert (await label(client)).label == expected(bundle, bench)
     assert not list((bench.state_dir / "bundles").glob(".new-*"))
-    assert not (bench.state_dir / "bundles" / "active.json").exists()
+    assert not (bench.state_dir / "bundles" / "in-use.json").exists()
 
 
 async def test_an_epoch_that_cannot_be_recorded_keeps_the_bundle(
@@ -325,6 +333,8 @@ class Restarts:
 
     def __init__(self, bundle: Bundle, directory: Path) -> None:
         self.directory = directory
+        self.faults: list[ProblemError] = []
+        """Of the start that was tried last."""
         self.files = []
         for number in range(3):
             path = directory / f"{number}.veilcam"
@@ -334,7 +344,7 @@ class Restarts:
 
     def store(self, configured: int = 0) -> BundleStore:
         path, digest = self.files[configured], self.digests[configured]
-        return BundleStore(self.directory / "bundles", path, digest)
+        return BundleStore(self.directory / "bundles", path, digest, self.faults.append)
 
     def use(self, number: int, before: int) -> None:
         """Install and activate."""
@@ -342,14 +352,16 @@ class Restarts:
         with store.incoming() as (path, stream):
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
-        store.commit(store.stage(self.digests[number], self.digests[before], Used()))
+        with closing(store.stage(self.digests[number], self.digests[before], Used())) as staged:
+            store.commit(staged)
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""
         bundle = read_bundle(self.files[configured])
-        store = self.store(configured)
-        keys, faults = last_good(store, Opener(bundle, load_pairs), bundle)
-        return keys.info.task, list(faults)
+        self.faults.clear()
+        opener = Opener(bundle, load_pairs)
+        keys = last_good(self.store(configured), opener, bundle, self.faults.append)
+        return keys.info.task, [str(each) for each in self.faults]
 
 
 @pytest.fixture
@@ -393,11 +405,44 @@ def test_a_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> 
     assert len(faults) == 2
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b'{"active": "../x"}', bytes(100)])
-def test_a_damaged_record_is_none(restarts: Restarts, content: bytes) -> None:
+@pytest.mark.parametrize("name", ["in-use.json", "in-use.json.copy"])
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_record_is_put_right_from_its_copy(
+    restarts: Restarts, damage: Callable[[Path], None], name: str
+) -> None:
     restarts.use(1, before=0)
-    (restarts.directory / "bundles" / "active.json").write_bytes(content)
-    assert restarts.start() == ("task 0", [])
+    restarts.use(2, before=1)
+    damage(restarts.directory / "bundles" / name)
+    task, (fault,) = restarts.start()
+    assert (task, restarts.faults[0].code) == ("task 2", "state_damaged")
+    assert name in fault
+    assert restarts.start() == ("task 2", [])
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_lost_record_rolls_nothing_back_in_silence(
+    restarts: Restarts, damage: Callable[[Path], None]
+) -> None:
+    restarts.use(1, before=0)
+    for name in ("in-use.json", "in-use.json.copy"):
+        damage(restarts.directory / "bundles" / name)
+    for _ in range(2):
+        task, (fault,) = restarts.start()
+        assert (task, restarts.faults[0].code) == ("task 0", "state_lost")
+        assert "the bundle that the daemon was started with is in use; activate" in fault
+    restarts.use(1, before=0)
+    assert restarts.start() == ("task 1", [])
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_bundle_that_is_damaged_is_never_used_and_that_is_told(
+    restarts: Restarts, damage: Callable[[Path], None]
+) -> None:
+    restarts.use(1, before=0)
+    damage(restarts.directory / "bundles" / f"{restarts.digests[1]}.veilcam")
+    task, (fault,) = restarts.start()
+    assert (task, restarts.faults[0].code) == ("task 0", "bundle_invalid")
+    assert f"bundle {restarts.digests[1][:12]} is not in use any more" in fault
 
 
 def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
@@ -410,12 +455,15 @@ def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
 
 async def test_faults_of_the_start_are_events(bench: Bench) -> None:
     service = bench.service(bench.camera())
-    service.bundles.faults = ("bundle 0123 is not in use any more",)
+    service.report(BundleInvalidError("bundle 0123 is not in use any more"))
     async with service.open():
+        service.report(StateLostError("of later"))
         heard = [event async for event in _until_quiet(service.events("x-0"))]
-    (fault,) = [event for event in heard if isinstance(event, Fault)]
-    assert fault.code == "bundle_invalid"
-    assert fault.detail == service.bundles.faults[0]
+    faults = [event for event in heard if isinstance(event, Fault)]
+    assert [(fault.code, fault.detail) for fault in faults] == [
+        ("bundle_invalid", "bundle 0123 is not in use any more"),
+        ("state_lost", "of later"),
+    ]
 
 
 async def _until_quiet(events: AsyncIterator[Event | None]) -> AsyncIterator[Event]:
@@ -443,3 +491,8 @@ def test_state_of_an_earlier_version_is_refused(restarts: Restarts) -> None:
         restarts.store()
     (restarts.directory / "keyrings").rename(restarts.directory / "bundles")
     assert restarts.start()[0] == "task 1"
+    (restarts.directory / "bundles" / "active.json").touch()
+    with pytest.raises(
+        StartError, match=r"active\.json is of an earlier version: remove it, start again, and"
+    ):
+        restarts.store()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
+import errno
 import threading
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -181,7 +181,7 @@ def test_a_failed_write_puts_the_mask_before_back(
     with pytest.raises(DisplayError, match="could not be changed"):
         camera.rotate()
     assert bench.pair_shown() == index
-    assert camera.state == ("ready", None)
+    assert camera.state == ("ready", None, None)
     assert camera.present == (epoch, 1)
     assert camera.capture().epoch == epoch
 
@@ -209,7 +209,7 @@ def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
         camera.capture()
     assert bench.sensor.captures == 0
     camera.rotate()
-    assert camera.state == ("ready", None)
+    assert camera.state == ("ready", None, None)
     assert camera.capture().epoch == bench.epochs[-1]
 
 
@@ -220,7 +220,7 @@ def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
     bench.display.faults = [display_fault] * 3
     with pytest.raises(DisplayError):
         camera.rotate()
-    state, detail = camera.state
+    state, detail, _ = camera.state
     assert state == "safe"
     assert detail is not None
     assert "cannot be made opaque" in detail
@@ -242,12 +242,12 @@ def test_defects_of_a_driver_end_opaque_or_are_told(bench: Bench, defects: int) 
     bench.display.faults = [ZeroDivisionError()] * defects
     with pytest.raises(ZeroDivisionError):
         camera.rotate()
-    state, detail = camera.state
+    state, detail, _ = camera.state
     assert state == "safe"
     assert ("cannot be made opaque" in str(detail)) == (defects == 3)
     assert camera.present == (None, 0)
     camera.rotate()
-    assert camera.state == ("ready", None)
+    assert camera.state == ("ready", None, None)
 
 
 def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
@@ -269,17 +269,15 @@ def test_no_mask_is_shown_before_its_epoch_is_durable(
     camera.preparation.take()  # the one that was prepared while the disk had room
     present, shown = camera.present, len(bench.display.shown)
 
-    class FullDisk:
-        def execute(self, *_: object) -> None:
-            raise sqlite3.OperationalError("database or disk is full")
+    def full(update: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    database = camera.preparation._epochs._database
-    monkeypatch.setattr(camera.preparation._epochs, "_database", FullDisk())
-    with pytest.raises(EpochError, match="disk is full"):
-        camera.rotate()
+    with monkeypatch.context() as patched:
+        patched.setattr(camera.preparation._epochs._file, "change", full)
+        with pytest.raises(EpochError, match="No space left"):
+            camera.rotate()
     assert len(bench.display.shown) == shown
     assert camera.present == present
-    monkeypatch.setattr(camera.preparation._epochs, "_database", database)
     camera.rotate()
     assert camera.present[0] == bench.epochs[-1] != present[0]
 

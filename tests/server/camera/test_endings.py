@@ -129,6 +129,7 @@ def test_a_daemon_that_is_ended(
     watched.check()
 
 
+@pytest.mark.slow
 def test_a_lost_camera_ends_the_daemon_with_an_error(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +230,7 @@ def test_a_start_without_proof_serves_and_says_why(
     watched.check()
 
 
+@pytest.mark.slow
 def test_a_panel_that_cannot_be_made_opaque_does_not_keep_the_sensor_running(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:

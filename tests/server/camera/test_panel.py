@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
+import errno
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -14,10 +14,12 @@ from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_server.camera.capture import Fence
+from veilcam_server.camera.engine import Condition
 from veilcam_server.camera.epochs import EpochStore, Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
+from veilcam_server.devices.errors import LightError
 from veilcam_server.errors import EpochError, FenceError, SelfTestError, UndecidedError
 from veilcam_server.masks.pairs import load_pairs
 
@@ -25,9 +27,9 @@ if TYPE_CHECKING:
     from tests.server.conftest import Bench
 
 EVERY = 60.0
-TESTED = ("self-test", "the panel is being tested")
-READY = ("ready", None)
-OPAQUE = ("safe", "the panel failed and was made opaque: it is tried again")
+TESTED = Condition("self-test", "the panel is being tested")
+READY = Condition("ready")
+FAILED = "the panel failed and was made opaque: it is tried again"
 
 
 class Rig:
@@ -40,14 +42,14 @@ class Rig:
         device = Device(bench.display, bench.sensor, simulated=True)
         self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
         self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
-        self.states: list[tuple[str, str | None]] = []
+        self.states: list[Condition] = []
         self.masks: list[str] = []
         self.panel.publish = self._note
 
     def _note(self, make: Callable[..., Event]) -> None:
         event = make(id="0-0", at=datetime.now(UTC))
         if isinstance(event, StateChanged):
-            self.states.append((event.state, event.detail))
+            self.states.append(Condition(event.state, event.detail, event.remedy))
         else:
             assert isinstance(event, MaskChanged)
             self.masks.append(event.epoch)
@@ -82,7 +84,7 @@ def rig(bench: Bench) -> Iterator[Rig]:
 
 
 def test_before_the_first_mask_nothing_is_shown_and_a_test_is_due(rig: Rig) -> None:
-    assert rig.panel.state == ("starting", None)
+    assert rig.panel.state == Condition("starting")
     assert rig.panel.active is None
     assert rig.panel.proven_for() == 0
     rig.panel.test()  # there is no mask to put back
@@ -170,17 +172,21 @@ def test_while_the_panel_is_tested_no_mask_counts_as_shown(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("fault", "state"),
     [
-        (SelfTestError("it lets light through"), ("safe", "it lets light through")),
-        (DisplayError("no answer"), ("safe", "no answer")),
-        (UndecidedError("it is too dark"), ("degraded", "it is too dark")),
-        (SensorError("no frame"), ("degraded", "no frame")),
-        (FenceError("too early"), ("degraded", "too early")),
+        (
+            SelfTestError("it lets light through"),
+            ("safe", "it lets light through", "check_panel_wiring"),
+        ),
+        (DisplayError("no answer"), ("safe", "no answer", "check_panel_wiring")),
+        (UndecidedError("it is too dark"), ("degraded", "it is too dark", "adjust_light")),
+        (SensorError("no frame"), ("degraded", "no frame", "check_camera_cable")),
+        (LightError("saturated"), ("degraded", "saturated", "adjust_light")),
+        (FenceError("too early"), ("degraded", "too early", "wait")),
         # What nobody foresaw may quote anything, so it is not told.
-        (ZeroDivisionError("level 37"), ("safe", "the self test broke off")),
+        (ZeroDivisionError("level 37"), ("safe", "the self test broke off", "report_defect")),
     ],
 )
 def test_a_test_that_fails_ends_opaque_and_says_who_is_to_blame(
-    rig: Rig, fault: Exception, state: tuple[str, str]
+    rig: Rig, fault: Exception, state: tuple[str, str, str]
 ) -> None:
     rig.show()
     rig.clock.sleep(EVERY)
@@ -222,16 +228,15 @@ def test_a_mask_is_put_back_though_that_cannot_be_recorded(
     first = rig.show()
     second = rig.preparation.take()
 
-    class FullDisk:
-        def execute(self, *_: object) -> None:
-            raise sqlite3.OperationalError("database or disk is full")
+    def full(update: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
         record = rig.preparation.record
 
         def full_from_now_on(mask: object) -> None:
             record(second.mask)
-            patched.setattr(rig.epochs, "_database", FullDisk())
+            patched.setattr(rig.epochs._file, "change", full)
 
         patched.setattr(rig.preparation, "record", full_from_now_on)
         rig.display.faults = [DisplayError("no answer")]
@@ -259,13 +264,22 @@ def test_an_epoch_that_cannot_be_recorded_changes_nothing(
     assert rig.test.runs == 1
 
 
-@pytest.mark.parametrize("fault", [DisplayError("no answer"), KeyboardInterrupt()])
-def test_a_first_mask_that_fails_leaves_the_panel_opaque(rig: Rig, fault: Exception) -> None:
+@pytest.mark.parametrize(
+    ("fault", "remedy"),
+    [
+        (DisplayError("no answer"), "check_panel_wiring"),
+        (DisplayError("no bus", remedy="run_doctor"), "run_doctor"),
+        (KeyboardInterrupt(), "report_defect"),
+    ],
+)
+def test_a_first_mask_that_fails_leaves_the_panel_opaque(
+    rig: Rig, fault: Exception, remedy: str
+) -> None:
     rig.display.faults = [fault]
     with pytest.raises(type(fault)):
         rig.show()
     assert rig.opaque
-    assert rig.panel.state == rig.states[-1] == OPAQUE
+    assert rig.panel.state == rig.states[-1] == ("safe", FAILED, remedy)
     assert not rig.masks
 
 
@@ -274,20 +288,33 @@ def test_a_panel_that_cannot_be_made_opaque_is_not_called_degraded(rig: Rig) -> 
     rig.display.faults = [DisplayError("no answer")]
     with pytest.raises(UndecidedError):
         rig.show()
-    reason = "the panel failed and cannot be made opaque: check its power and wiring"
-    assert rig.panel.state == rig.states[-1] == ("safe", reason)
+    reason = "the panel cannot be made opaque: no answer"
+    assert rig.panel.state == rig.states[-1] == ("safe", reason, "check_panel_wiring")
+
+
+def test_what_helps_is_that_against_the_last_error(rig: Rig) -> None:
+    rig.show()
+    rig.display.faults = [DisplayError("no answer"), DisplayError("no bus", remedy="run_doctor")]
+    with pytest.raises(DisplayError):
+        rig.show()
+    assert rig.panel.state == rig.states[-1] == ("safe", FAILED, "run_doctor")
+    rig.display.faults = [ZeroDivisionError()] * 3
+    with pytest.raises(ZeroDivisionError):
+        rig.show()
+    reason = "the panel cannot be made opaque: its driver has a defect"
+    assert rig.panel.state == rig.states[-1] == ("safe", reason, "report_defect")
 
 
 def test_a_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> None:
     rig.show()
     rig.panel.suspend()
     assert rig.panel.active is None
-    assert rig.panel.state == ("calibrating", "the camera is being calibrated")
+    lent = Condition("calibrating", "the camera is being calibrated")
+    assert rig.panel.state == lent
     rig.proof.void(Device(rig.display, rig.test, simulated=True), Fence())  # type: ignore[arg-type]
     shown = rig.show()
     rig.panel.strand()  # a mask is shown: there is nothing to do
     assert rig.shows(shown)
-    lent = ("calibrating", "the camera is being calibrated")
     assert rig.states == [TESTED, READY, lent, TESTED, READY]
 
 
@@ -298,14 +325,14 @@ def test_a_panel_that_is_stranded_is_opaque_and_says_so(rig: Rig) -> None:
     rig.panel.strand()
     assert rig.opaque
     reason = "no mask is shown after the calibration: it is tried again"
-    assert rig.panel.state == rig.states[-1] == ("degraded", reason)
+    assert rig.panel.state == rig.states[-1] == ("degraded", reason, "wait")
 
 
 def test_after_the_end_no_mask_counts_as_shown(rig: Rig) -> None:
     rig.show()
     rig.panel.end()
     assert rig.panel.active is None
-    assert rig.panel.state == rig.states[-1] == ("stopping", "the daemon is stopping")
+    assert rig.panel.state == rig.states[-1] == ("stopping", "the daemon is stopping", None)
     told = len(rig.states)
     rig.panel.end()
     assert len(rig.states) == told  # a state is told once

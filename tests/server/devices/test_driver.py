@@ -103,6 +103,7 @@ def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(registry, driver.name, driver)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("others")
 def test_a_panel_and_a_sensor_that_were_added_serve(
     bundle_file: Path, scene_file: Path, tmp_path: Path

@@ -33,10 +33,8 @@ OPEN_PATHS = ("/",)
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[TokenStore]:
-    store = TokenStore(tmp_path / "state")
-    yield store
-    store.close()
+def store(tmp_path: Path) -> TokenStore:
+    return TokenStore(tmp_path / "state")
 
 
 def bearer(store: TokenStore, *scopes: Scope) -> dict[str, str]:

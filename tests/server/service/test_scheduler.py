@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from structlog.testing import capture_logs
 from tests.server.devices.clock import Clock
+from tests.server.service.waiting import until
 
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices import Device, SensorLostError
 from veilcam_server.errors import NotReadyError, UndecidedError
+from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.scheduler import Scheduler
 
@@ -23,15 +25,10 @@ if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    """Wait for what must happen; the test's own time-out ends a wait that is in vain."""
-    while not condition():
-        await asyncio.sleep(0.002)
-
-
 def scheduler(bench: Bench, camera: Any, **more: Any) -> Scheduler:
     queue = DeviceQueue(8, lambda _: None)
-    return Scheduler(camera, queue, **{"first_pause": 0.002, **more})
+    alarms = Alarms(camera, lambda _: None)
+    return Scheduler(camera, queue, alarms, **{"first_pause": 0.002, **more})
 
 
 @pytest.mark.anyio
@@ -64,18 +61,15 @@ async def test_pauses_grow_from_one_failure_to_the_next(
     bench.test.faults = [UndecidedError("it is too dark")] * 9
     bench.display.resets += 1
     pauses: list[float] = []
-    sleep = asyncio.sleep
 
-    async def note(seconds: float) -> None:
+    async def note(_: Scheduler, task: object, seconds: float) -> None:
         pauses.append(seconds)
-        await sleep(0)
+        await asyncio.sleep(0)
 
-    with monkeypatch.context() as patch:
-        patch.setattr("veilcam_server.service.scheduler.asyncio.sleep", note)
-        async with scheduler(bench, camera, first_pause=1.0).running():
-            while camera.state[0] != "ready" or bench.test.runs < 10:
-                await sleep(0.002)
-    assert [pause for pause in pauses if pause > 0.5] == [1, 2, 4, 8, 16, 32, 60, 60, 60]
+    monkeypatch.setattr(Scheduler, "_rest", note)
+    async with scheduler(bench, camera, first_pause=1.0).running():
+        await until(lambda: bench.test.runs == 11 and camera.state[0] == "ready")
+    assert pauses == [1, 2, 4, 8, 16, 32, 60, 60, 60]
     camera.stop()
 
 

@@ -1,4 +1,4 @@
-"""Page of the daemon: what somebody sees who opens its address in a browser."""
+"""The address itself, as a person opens it in a browser."""
 
 from __future__ import annotations
 
@@ -6,17 +6,9 @@ from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
 
 from veilcam_server.api.dependencies import open_problems
+from veilcam_server.api.page import TEXT
 
 PATH = "/"
-TEXT = """<!DOCTYPE html>
-<html lang="en">
-<meta charset="utf-8">
-<title>Veilcam</title>
-<h1>Veilcam</h1>
-<p>This is a camera without a lens. Programs ask it: the command <code>veilcam</code>, or the Python
-package <code>veilcam_client</code>.</p>
-</html>
-"""
 
 router = APIRouter(redirect_slashes=False)
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import torch
 
 from veilcam_optics.files import replacing
-from veilcam_server.devices.errors import SensorError
+from veilcam_server.devices.errors import LightError
 from veilcam_server.devices.simulated.images import Picture, PictureError, as_scene
 
 MAX_BYTES = 64 * 2**20
@@ -32,7 +32,7 @@ class SceneSource(Protocol):
         """Return reflectance in [0, 1], shape (rows, columns).
 
         Raises:
-            SensorError: there is nothing that light could come from.
+            LightError: there is nothing that light could come from.
         """
 
 
@@ -48,20 +48,18 @@ class FileScene:
             with self._path.open("rb") as stream:
                 content = stream.read(MAX_BYTES + 1)
             if len(content) > MAX_BYTES:
-                raise SensorError(
+                raise LightError(
                     f"scene file {self._path} is too large: use at most {MAX_BYTES >> 20} MiB"
                 )
             return as_scene(content, self._shape)
         except FileNotFoundError:
-            raise SensorError(
+            raise LightError(
                 f"there is no scene file {self._path}: check --scenes, or 'veilcamd show' a digit"
             ) from None
         except OSError as error:
-            raise SensorError(
-                f"scene file {self._path} cannot be read ({error.strerror})"
-            ) from None
+            raise LightError(f"scene file {self._path} cannot be read ({error.strerror})") from None
         except PictureError as error:
-            raise SensorError(f"scene file {self._path} {error}") from None
+            raise LightError(f"scene file {self._path} {error}") from None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,7 +102,7 @@ class Scenes:
         clock: monotonic time [s], that of the exposures.
 
     Raises:
-        SensorError: the first scene cannot be seen.
+        LightError: the first scene cannot be seen.
     """
 
     def __init__(
@@ -160,12 +158,12 @@ class Scenes:
         """Return what an exposure sees that begins at this monotonic time [s].
 
         Raises:
-            SensorError: there is nothing to see, or too much was shown since to tell what it was.
+            LightError: there is nothing to see, or too much was shown since to tell what it was.
         """
         with self._lock:
             shown = next((each for each in reversed(self._shown) if each.since <= begin), None)
             if shown is None:
-                raise SensorError(
+                raise LightError(
                     f"the scene changed more than {REMEMBERED - 1} times during one exposure: "
                     "change it less often"
                 )
