@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -89,8 +90,8 @@ class Handler(BaseHTTPRequestHandler):
     def do_DELETE(self) -> None:
         self._answer(200, {})
 
-    def log_message(self, format: str, *args: Any) -> None:
-        print(self.path, flush=True)
+    def log_message(self, *_: Any) -> None:
+        sys.stderr.write(f"{self.path}\n")
 
     def _stream(self) -> None:
         if self.server.streams >= STREAMS:
@@ -100,10 +101,13 @@ class Handler(BaseHTTPRequestHandler):
         self.send_response(200)
         self.end_headers()
         try:
+            told = self.server.epoch
             while True:
-                data = json.dumps({"kind": "mask", "epoch": str(self.server.epoch)})
-                line = data.replace(": ", ":")
-                self.wfile.write(f"event: mask\ndata: {line}\n\nevent: capture\n\n".encode())
+                self.wfile.write(b"event: capture\n\n")
+                for epoch in range(told + 1, self.server.epoch + 1):
+                    data = f'{{"kind":"mask","epoch":"{epoch}"}}'
+                    self.wfile.write(f"event: mask\ndata: {data}\n\n".encode())
+                told = self.server.epoch
                 time.sleep(0.1)
         except OSError:
             self.server.streams -= 1

@@ -19,7 +19,7 @@ MISSED = {
     "keys": ["the same capture", "done_before_restart"],
     "state": ["starts refused", "silent roll-backs", "epochs shown again"],
     "disk-start": ["status is answered while the disk is full", "every task goes on"],
-    "disk-later": ["status is answered while the disk is full", "every task goes on"],
+    "disk-later": ["while the disk is full: ready", "every task goes on"],
     "log": ["every task goes on"],
     "clock": ["again of"],
     "kill": ["acknowledged and lost", "again of"],
