@@ -52,6 +52,7 @@ from veilcam_server.gate.server import Gate, GateServer
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
+from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
@@ -77,13 +78,14 @@ def build_service(settings: Settings) -> Service:
             undo.callback(epochs.close)
             bundle = read_bundle(settings.bundle)
             form = release_form(settings, bundle)
-            signed = open_calibration(settings, bundle)
+            signed = open_calibration(settings, bundle, faults.append)
             owners = Owners.open(settings.owner_keys)
             opener = Opener(bundle, source_opener(settings, signed), owners)
             store = BundleStore(
                 settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
             )
             keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
+            policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -94,7 +96,11 @@ def build_service(settings: Settings) -> Service:
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
-                policy=rotation_policy(settings, bundle),
+                policy=policies.at_start(
+                    rotation_policy(settings, bundle),
+                    renewable=keys.source.renewable,
+                    configured=keys.info.digest == bundle.digest,
+                ),
                 test_every=settings.self_test_every,
                 calibration=signed,
             )
@@ -125,6 +131,7 @@ def build_service(settings: Settings) -> Service:
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         faults=faults,
+        policies=policies,
     )
 
 

@@ -81,6 +81,16 @@ class StateLostError(
     """Both copies of a state file are damaged or gone; the message says what follows."""
 
 
+class AuditError(
+    ProblemError,
+    code="audit_not_written",
+    status=503,
+    title="The audit log cannot be written",
+    retryable=True,
+):
+    """What was done cannot be written down durably, so no change is made, or acknowledged."""
+
+
 class EpochError(
     ProblemError,
     code="epoch_not_recorded",
@@ -128,6 +138,16 @@ class RotationImpossibleError(
     remedy="install_bundle",
 ):
     """There is no other mask to change to."""
+
+
+class PolicyStoreError(
+    ProblemError,
+    code="rotation_not_stored",
+    status=503,
+    title="The rotation policy is not durable",
+    retryable=True,
+):
+    """A rotation policy could not be made durable."""
 
 
 class WithheldError(

@@ -31,6 +31,12 @@ from veilcam_server.service.service import Service
 
 MAX_BODY = 16 * 1024
 """No request needs more than a few hundred bytes, but for uploads [bytes]."""
+_PASSING = (
+    *("/v1/captures", "/v1/classifications", "/v1/rotation/advance", "/v1/lease"),
+    simulation.PATH,
+)
+"""Of what is done there a restart leaves nothing: a full disk under the audit log stops none of
+it, and its line may be lost where the power is."""
 _ROUTES = (
     *(captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation),
     page,
@@ -82,6 +88,7 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
         admission=admission,
         metrics=metrics,
         open_paths=(page.PATH,),
+        passing=_PASSING,
         body=Body(MAX_BODY),
         uploads={
             ("POST", bundles.PREFIX): Body(

@@ -38,6 +38,8 @@ ALWAYS = (
 """What every route that wants a token can answer with."""
 BODY = ("body_too_large", "invalid_request", "idempotency_key_reused")
 """What a route with a body can answer with besides."""
+CHANGE = ("audit_not_written",)
+"""What a route can answer with besides that makes a change which outlives the daemon."""
 DEVICE = (
     "queue_full",
     "calibrating",

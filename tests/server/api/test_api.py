@@ -132,7 +132,7 @@ async def test_a_change_at_the_moment_of_closing_does_not_keep_the_service_open(
     async with asyncio.timeout(20):
         async with service.open():
             await asyncio.sleep(0.05)
-            service.set_policy(EveryCaptures(captures=2))
+            await service.set_policy(EveryCaptures(captures=2))
     assert camera.state[0] == "stopping"
 
 

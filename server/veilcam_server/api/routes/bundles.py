@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
-from veilcam_server.api.dependencies import DEVICE, OnceDep, ServiceDep, problems, unleased
+from veilcam_server.api.dependencies import CHANGE, DEVICE, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.scopes import requires
 
 PREFIX = "/v1/bundles"
@@ -26,7 +26,7 @@ _UPLOAD: dict[str, Any] = {
         "content": {BUNDLE_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-_CHANGE = ("bundles_busy", "bundle_not_stored", "replaying")
+_CHANGE = (*CHANGE, "bundles_busy", "bundle_not_stored", "replaying")
 _USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older", "bundle_reveals")
 
 router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:bundles")], redirect_slashes=False)
