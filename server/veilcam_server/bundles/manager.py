@@ -63,16 +63,17 @@ class BundleManager:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
             BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
             BundleRevealsError: its masks hide nothing.
-            BundlesFullError, BundleStoreError, BundlesBusyError: it cannot be stored now.
+            BundlesFullError, BundleStoreError: it cannot be stored now.
         """
-        async with self._alone():
-            with self._store.incoming() as (path, stream):
-                async for chunk in chunks:
-                    await asyncio.to_thread(append, stream, chunk)
+        with self._store.incoming() as (path, stream):
+            async for chunk in chunks:
+                await asyncio.to_thread(append, stream, chunk)
+            # Whoever sends slowly is waited for before this, and holds up no change.
+            async with self._changing:
                 info = await asyncio.to_thread(self._take, path)
                 await asyncio.to_thread(self._store.install, path, info.digest)
-            self._infos[info.digest] = info
-            return await self._response(info.digest)
+                self._infos[info.digest] = info
+                return await self._response(info.digest)
 
     async def activate(
         self, digest: str, change: Change, *, allow_older: bool = False
