@@ -11,6 +11,7 @@ from veilcam_client import __version__
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api import problems
+from veilcam_server.api.head import HeadRequests
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.middleware import Body, RequestContext
 from veilcam_server.api.routes import (
@@ -20,7 +21,7 @@ from veilcam_server.api.routes import (
     diagnostics,
     events,
     lease,
-    page,
+    public,
     rotation,
     simulation,
     tokens,
@@ -33,7 +34,7 @@ MAX_BODY = 16 * 1024
 """No request needs more than a few hundred bytes, but for uploads [bytes]."""
 _ROUTES = (
     *(captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation),
-    page,
+    public,
 )
 
 
@@ -77,11 +78,12 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
     app.state.idempotency = IdempotencyKeys()
     for routes in _ROUTES:
         app.include_router(routes.router)
+    app.add_middleware(HeadRequests)
     app.add_middleware(
         RequestContext,
         admission=admission,
         metrics=metrics,
-        open_paths=(page.PATH,),
+        open_paths=public.PATHS,
         body=Body(MAX_BODY),
         uploads={
             ("POST", bundles.PREFIX): Body(

@@ -97,6 +97,9 @@ class RequestContext:
                 answer = MutableHeaders(scope=message)
                 answer["X-Request-Id"] = request_id
                 answer.update(self._headers)
+                # What has a tag may be kept, and says so itself.
+                if "ETag" not in answer:
+                    answer["Cache-Control"] = "no-store"
                 self._audit(scope, status, peer)
                 self._metrics.observe(*_names(scope), status, time.monotonic() - begun)
             await send(message)
@@ -144,7 +147,8 @@ class RequestContext:
         """Note everything but what was only read; who watches the events learns what is seen."""
         path, state = scope["path"], scope["state"]
         only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
-        if only_read and status < 400:
+        # A monitor that is told 'no' is not refused.
+        if only_read and state["problem"] is None:
             return
         self._admission.note(
             state["caller"],
@@ -165,7 +169,6 @@ def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
     """
     framing = " ".join(frame_ancestors) or "'none'"
     return {
-        "Cache-Control": "no-store",
         "Content-Security-Policy": (
             f"default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors {framing}"
         ),
@@ -195,4 +198,6 @@ def _names(scope: Scope) -> tuple[str, str]:
     route = scope.get("route")
     if not isinstance(route, Route):
         return "other", "none"
-    return scope["method"] if scope["method"] in (route.methods or ()) else "other", route.path
+    # HEAD is answered wherever GET is.
+    method, known = scope["method"], route.methods or set()
+    return method if {method, {"HEAD": "GET"}.get(method)} & known else "other", route.path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -21,7 +20,6 @@ from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
-from veilcam_training.bundle import Bundle, write_bundle
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
@@ -83,14 +81,6 @@ def admission(tmp_path: Path) -> Iterator[Admission]:
 def token(admission: Admission) -> dict[str, str]:
     assert admission.tokens is not None
     return {"Authorization": f"Bearer {admission.tokens.create('all', SCOPES, None).secret}"}
-
-
-@pytest.fixture
-def upload(bundle: Bundle, tmp_path: Path) -> bytes:
-    """A bundle that the camera can use, and has not got yet."""
-    path = tmp_path / "other.veilcam"
-    write_bundle(path, dataclasses.replace(bundle, task="other"))
-    return path.read_bytes()
 
 
 async def requests(
