@@ -30,18 +30,15 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.camera.self_test import OpticalSelfTest
-from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
+from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
     BundleOlderError,
     BundleUnfitError,
     BundleUntrustedError,
-    EpochError,
-    FenceError,
+    ProblemError,
     RotationImpossibleError,
-    SelfTestError,
     StartError,
-    StoppedError,
 )
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
@@ -49,6 +46,7 @@ from veilcam_server.service.replay import replay_service
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
+from veilcam_server.system.logs import log_defect
 from veilcam_server.system.systemd import notify
 from veilcam_training.bundle import BundleError, read_bundle
 
@@ -94,8 +92,7 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(DeviceError, EpochError),
-        RotationImpossibleError,
+        *(DeviceError, RotationImpossibleError),
     ) as error:
         raise StartError(str(error)) from error
     faults = (*faults, *note_start(store, opener, keys))
@@ -120,19 +117,20 @@ def build_service(settings: Settings) -> Service:
 def _begin(camera: MaskedCamera) -> None:
     """Test the panel and show the first mask.
 
-    A test that is not passed is no reason to end: in a dark room nothing can be told before there
-    is light. The state says why no capture is taken, and the test is tried again.
+    What stands in the way of that is no reason to end: in a dark room nothing can be told before
+    there is light, and a cable can be put back. The state says why no capture is taken, and it is
+    tried again.
     """
     try:
         camera.rotate()
-    except SensorLostError:
-        raise
-    except (SelfTestError, SensorError, FenceError) as error:
-        log.warning("no capture yet", reason=str(error))
+    except ProblemError as error:
+        log.warning("no capture yet", reason=str(error), remedy=error.remedy)
+    except Exception as error:
+        log_defect(error, during="first self test")
 
 
 class _Server(uvicorn.Server):
-    """Says when it listens, ends when the device is lost, and event streams before connections."""
+    """Says when it listens, and ends event streams before connections."""
 
     def __init__(
         self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
@@ -144,9 +142,6 @@ class _Server(uvicorn.Server):
         await super().startup(sockets)
         if self.started:
             self._on_listening()
-
-    async def on_tick(self, counter: int) -> bool:
-        return await super().on_tick(counter) or self._service.lost is not None
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         notify("STOPPING=1")
@@ -219,8 +214,6 @@ def _serve(
             if settings.auth == "none":
                 log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
             server.run([listener.socket for listener in listeners])
-            if service.lost is not None:
-                raise StoppedError(str(service.lost))
     finally:
         service.stop()
 

@@ -59,10 +59,6 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
-class StoppedError(Exception):
-    """The daemon cannot go on and ended; one line that says what to do."""
-
-
 class EpochError(
     ProblemError,
     code="epoch_not_recorded",
