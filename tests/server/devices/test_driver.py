@@ -188,9 +188,11 @@ def test_a_driver_without_an_emulator_is_not_simulated(
         ("sensor", "--sensor NONE has no driver: use IMX477"),
     ],
 )
-def test_a_name_without_a_driver_is_refused(bundle_file: Path, name: str, message: str) -> None:
+def test_a_name_without_a_driver_is_refused(
+    bundle_file: Path, tmp_path: Path, name: str, message: str
+) -> None:
     given: dict[str, Any] = {name: "NONE"}
     with pytest.raises(DeviceMissingError, match=message):
         drivers(Wiring(**given))
     with pytest.raises(StartError, match=message):
-        build_service(Settings(bundle=bundle_file, device="simulated", **given))
+        build_service(Settings(bundle=bundle_file, device="simulated", state_dir=tmp_path, **given))
