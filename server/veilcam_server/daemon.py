@@ -34,6 +34,7 @@ from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostEr
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
     BundleOlderError,
+    BundleRevealsError,
     BundleUnfitError,
     BundleUntrustedError,
     EpochError,
@@ -44,13 +45,11 @@ from veilcam_server.errors import (
     StartError,
     StoppedError,
 )
-from veilcam_server.gate.connections import Connections
-from veilcam_server.gate.descriptors import room_for
-from veilcam_server.gate.protocol import Deadlines
-from veilcam_server.gate.server import Gate, GateServer
+from veilcam_server.gate.server import Gate, GateServer, open_gate
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
+from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
@@ -76,13 +75,14 @@ def build_service(settings: Settings) -> Service:
             undo.callback(epochs.close)
             bundle = read_bundle(settings.bundle)
             form = release_form(settings, bundle)
-            signed = open_calibration(settings, bundle)
+            signed = open_calibration(settings, bundle, faults.append)
             owners = Owners.open(settings.owner_keys)
             opener = Opener(bundle, source_opener(settings, signed), owners)
             store = BundleStore(
                 settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
             )
             keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
+            policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -93,7 +93,11 @@ def build_service(settings: Settings) -> Service:
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
-                policy=rotation_policy(settings, bundle),
+                policy=policies.at_start(
+                    rotation_policy(settings, bundle),
+                    renewable=keys.source.renewable,
+                    configured=keys.info.digest == bundle.digest,
+                ),
                 test_every=settings.self_test_every,
                 calibration=signed,
             )
@@ -103,7 +107,7 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(DeviceError, EpochError),
+        *(BundleRevealsError, DeviceError, EpochError),
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
@@ -124,6 +128,7 @@ def build_service(settings: Settings) -> Service:
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         faults=faults,
+        policies=policies,
     )
 
 
@@ -213,14 +218,9 @@ def _serve(
     service = build_service(settings)
     try:
         with open_admission(settings, service.report) as admission:
-            room = room_for(settings.connections)
-            gate = Gate(
-                Connections(room.connections),
-                Deadlines(settings.header_timeout, settings.body_timeout),
-                room.waiting,
-            )
+            gate = open_gate(settings)
             config = uvicorn.Config(
-                create_app(service, admission),
+                create_app(service, admission, gate.connections),
                 http="h11",
                 log_config=None,
                 access_log=False,

@@ -48,6 +48,7 @@ from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
+    PolicyStoreError,
     ProblemError,
     ReplayingError,
     SceneApiOffError,
@@ -62,6 +63,7 @@ from veilcam_server.service.responses import (
     classification_response,
     timing,
 )
+from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 
 ResultT = TypeVar("ResultT")
@@ -80,6 +82,7 @@ class Service:
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
         faults: what was found before; told of once this is open.
+        policies: where the rotation policy is kept; None: it lasts no longer than this.
     """
 
     def __init__(
@@ -94,11 +97,13 @@ class Service:
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
         faults: Sequence[ProblemError] = (),
+        policies: PolicyStore | None = None,
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self.release = form
         """In which form embeddings leave."""
-        self._bundles, self._scenes = bundles, scenes
+        self._bundles, self._scenes, self._policies = bundles, scenes, policies
+        self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
         self._alarms = Alarms(camera, publish)
@@ -199,9 +204,21 @@ class Service:
         """The policy, the present epoch, and whether the next one is ready."""
         return self._camera.rotation()
 
-    def set_policy(self, policy: RotationPolicy) -> Rotation:
-        """Change when masks change; raises :class:`RotationImpossibleError`."""
-        self._camera.policy = policy
+    async def set_policy(self, policy: RotationPolicy) -> Rotation:
+        """Change when masks change, also after a restart.
+
+        Raises:
+            RotationImpossibleError: the policy needs another mask, and there is none.
+            PolicyStoreError: it cannot be made durable; the one before goes on.
+        """
+        async with self._setting_policy:
+            before, self._camera.policy = self._camera.policy, policy
+            if self._policies is not None:
+                try:
+                    await asyncio.to_thread(self._policies.set, policy)
+                except PolicyStoreError:
+                    self._camera.policy = before
+                    raise
         self._events.publish(partial(RotationChanged, policy=policy))
         return self.rotation()
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Path
 from fastapi.concurrency import run_in_threadpool
 
 from veilcam_client.wire.tokens import NewToken, Token, TokenRequest, Tokens
-from veilcam_server.api.dependencies import BODY, AdmissionDep, OnceDep, problems
+from veilcam_server.api.dependencies import BODY, CHANGE, AdmissionDep, OnceDep, problems
 from veilcam_server.api.scopes import CallerDep, requires
 from veilcam_server.errors import ForbiddenError, TokensOffError
 from veilcam_server.security.caller import Caller
@@ -35,7 +35,7 @@ def tokens(store: StoreDep) -> Tokens:
     return Tokens(tokens=store.tokens())
 
 
-@router.post("", status_code=201, responses=problems(*BODY, "tokens_off"))
+@router.post("", status_code=201, responses=problems(*BODY, *CHANGE, "tokens_off"))
 async def create(
     store: StoreDep,
     caller: CallerDep,
@@ -53,7 +53,9 @@ async def create(
     return await once(work)
 
 
-@router.delete("/{token_id}", responses=problems("invalid_request", "unknown_token", "tokens_off"))
+@router.delete(
+    "/{token_id}", responses=problems(*CHANGE, "invalid_request", "unknown_token", "tokens_off")
+)
 def revoke(store: StoreDep, token_id: TokenId) -> Token:
     """Let a token do nothing any more, from the next request on."""
     return store.revoke(token_id)
