@@ -158,6 +158,10 @@ class Service:
                 partial(Fault, code=fault.code, detail=str(fault), remedy=fault.remedy)
             )
 
+    def healthy(self) -> bool:
+        """Whether panel and camera still answer."""
+        return self._camera.healthy()
+
     @property
     def lost(self) -> SensorLostError | None:
         """Why the daemon has to be started again; None if it need not."""
