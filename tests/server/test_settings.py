@@ -57,9 +57,16 @@ def test_certificate_and_key_go_together() -> None:
 def test_tls_costs_memory_for_each_connection() -> None:
     settings = Settings(bundle=Path("a.veilcam"))
     tls = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
-    assert settings.connections == 256
-    assert settings.model_copy(update=tls).connections == 128
-    assert settings.model_copy(update={**tls, "connection_limit": 500}).connections == 500
+    assert (settings.connections, settings.streams) == (512, 256)
+    settings = settings.model_copy(update=tls)
+    assert (settings.connections, settings.streams) == (128, 64)
+    assert settings.model_copy(update={"connection_limit": 500}).connections == 500
+
+
+def test_streams_leave_connections_for_what_else_is_asked() -> None:
+    assert "--stream-limit 512 leaves nothing of 512" in refused(stream_limit=512)
+    settings = Settings(bundle=Path("a.veilcam"), stream_limit=511)
+    assert settings.streams == 511
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])
