@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from veilcam_server.cli.terminal import fail
+from veilcam_server.system import logs
 
 if TYPE_CHECKING:
     from veilcam_server.siege.run import Verdict
@@ -42,6 +43,7 @@ def siege(
     from veilcam_server.siege.ground import SHORT, Extent  # noqa: PLC0415
     from veilcam_server.siege.run import ROWS, besiege, figures_of  # noqa: PLC0415
 
+    logs.configure("error")  # of this process; daemons have logs of their own
     unknown = set(only or ()) - set(ROWS)
     if unknown:
         fail(f"--only {min(unknown)}: rows are {', '.join(ROWS)}")

@@ -44,9 +44,11 @@ class Extent:
     flips: int = 20
     """Bytes flipped in each state file, one at a time."""
     kills: int = 200
+    gone: float = 60.0
+    """How long camera and panel are unplugged [s]."""
 
 
-SHORT = Extent(sockets=300, seconds=6.0, streams=80, clients=20, flips=1, kills=4)
+SHORT = Extent(sockets=300, seconds=6.0, streams=80, clients=20, flips=1, kills=4, gone=3.0)
 """Shows that an attack is met; the bars are those of the long one."""
 
 

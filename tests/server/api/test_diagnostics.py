@@ -6,15 +6,20 @@ import platform
 import re
 import shutil
 import subprocess
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_server.api.app import create_app
 from veilcam_server.devices import DisplayError, SensorError
+from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.settings import Settings
@@ -71,6 +76,29 @@ async def test_metrics_count_what_happened(
     assert "BREW" not in answer.text
 
 
+@asynccontextmanager
+async def behind_a_gate(bench: Bench, connections: Connections) -> AsyncIterator[httpx.AsyncClient]:
+    service = bench.service(bench.camera())
+    transport = httpx.ASGITransport(create_app(service, connections=connections))
+    async with (
+        service.open(),
+        httpx.AsyncClient(transport=transport, base_url="http://localhost") as client,
+    ):
+        yield client
+
+
+async def test_metrics_count_connections(bench: Bench) -> None:
+    connections = Connections(1)
+    for _ in range(3):
+        connections.enter("a")
+    async with behind_a_gate(bench, connections) as client:
+        counted = samples((await client.get("/v1/metrics")).text)
+    assert counted["veilcam_open_connections", ""] == 1
+    assert counted["veilcam_connections_dropped_total", "reason=evicted"] == 2
+    assert counted["veilcam_connections_dropped_total", "reason=body"] == 0
+    assert counted["veilcam_connections_failed_total", ""] == 0
+
+
 async def test_metrics_tell_what_runs_and_how_old_the_mask_is(
     running: Running, display_fault: DisplayError, bench: Bench
 ) -> None:
@@ -113,8 +141,8 @@ async def test_metrics_are_named_as_prometheus_wants_it(running: Running) -> Non
         assert (found.returncode, found.stdout, found.stderr) == (0, "", "")
 
 
-async def test_every_metric_is_documented_and_no_other(running: Running) -> None:
-    async with running() as client:
+async def test_every_metric_is_documented_and_no_other(bench: Bench) -> None:
+    async with behind_a_gate(bench, Connections(1)) as client:
         text = (await client.get("/v1/metrics")).text
     told = set(re.findall(r"^# TYPE (veilcam_\w+)", text, re.MULTILINE))
     rows = re.findall(r"^\| (`veilcam_.*) \| (?:gauge|counter|histogram) \|", API, re.MULTILINE)

@@ -16,7 +16,7 @@ from veilcam_client.wire.tokens import (
     TokenRequest,
     Tokens,
 )
-from veilcam_server.api.dependencies import BODY, AdmissionDep, OnceDep, problems
+from veilcam_server.api.dependencies import BODY, CHANGE, AdmissionDep, OnceDep, problems
 from veilcam_server.api.scopes import CallerDep, requires
 from veilcam_server.errors import ForbiddenError, TokensOffError, UnknownTokenError
 from veilcam_server.security.caller import Caller
@@ -55,7 +55,7 @@ def tokens(
     return Tokens(tokens=page, next=page[-1].id if more else None)
 
 
-@router.post("", status_code=201, responses=problems(*BODY, "tokens_off"))
+@router.post("", status_code=201, responses=problems(*BODY, *CHANGE, "tokens_off"))
 async def create(
     store: StoreDep,
     caller: CallerDep,
@@ -73,7 +73,9 @@ async def create(
     return await once(work)
 
 
-@router.delete("/{token_id}", responses=problems("invalid_request", "unknown_token", "tokens_off"))
+@router.delete(
+    "/{token_id}", responses=problems(*CHANGE, "invalid_request", "unknown_token", "tokens_off")
+)
 def revoke(store: StoreDep, token_id: TokenId) -> Token:
     """Let a token do nothing any more, from the next request on."""
     return store.revoke(token_id)
