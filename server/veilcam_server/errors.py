@@ -68,6 +68,7 @@ class StateDamagedError(
     code="state_damaged",
     status=500,
     title="A file of the state was damaged, and its copy is used",
+    remedy="check_disk",
 ):
     """One of the two copies of a state file is damaged or gone; nothing is lost."""
 
@@ -77,6 +78,7 @@ class StateLostError(
     code="state_lost",
     status=500,
     title="A file of the state and its copy are damaged",
+    remedy="check_disk",
 ):
     """Both copies of a state file are damaged or gone; the message says what follows."""
 
@@ -87,6 +89,7 @@ class AuditError(
     status=503,
     title="The audit log cannot be written",
     retryable=True,
+    remedy="check_disk",
 ):
     """What was done cannot be written down durably, so no change is made, or acknowledged."""
 
@@ -146,6 +149,7 @@ class PolicyStoreError(
     status=503,
     title="The rotation policy is not durable",
     retryable=True,
+    remedy="check_disk",
 ):
     """A rotation policy could not be made durable."""
 
