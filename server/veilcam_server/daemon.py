@@ -34,6 +34,7 @@ from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostEr
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
     BundleOlderError,
+    BundleRevealsError,
     BundleUnfitError,
     BundleUntrustedError,
     EpochError,
@@ -44,10 +45,7 @@ from veilcam_server.errors import (
     StartError,
     StoppedError,
 )
-from veilcam_server.gate.connections import Connections
-from veilcam_server.gate.descriptors import room_for
-from veilcam_server.gate.protocol import Deadlines
-from veilcam_server.gate.server import Gate, GateServer
+from veilcam_server.gate.server import Gate, GateServer, open_gate
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
@@ -109,7 +107,7 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(DeviceError, EpochError),
+        *(BundleRevealsError, DeviceError, EpochError),
         RotationImpossibleError,
     ) as error:
         raise StartError(str(error)) from error
@@ -220,14 +218,9 @@ def _serve(
     service = build_service(settings)
     try:
         with open_admission(settings, service.report) as admission:
-            room = room_for(settings.connections)
-            gate = Gate(
-                Connections(room.connections),
-                Deadlines(settings.header_timeout, settings.body_timeout),
-                room.waiting,
-            )
+            gate = open_gate(settings)
             config = uvicorn.Config(
-                create_app(service, admission),
+                create_app(service, admission, gate.connections),
                 http="h11",
                 log_config=None,
                 access_log=False,

@@ -25,8 +25,8 @@ from veilcam_server.api.routes import (
     simulation,
     tokens,
 )
+from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.service.service import Service
 
 MAX_BODY = 16 * 1024
@@ -43,12 +43,17 @@ _ROUTES = (
 )
 
 
-def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
+def create_app(
+    service: Service,
+    admission: Admission | None = None,
+    connections: Connections | None = None,
+) -> FastAPI:
     """Return the API of ``service``; its lifespan opens and closes the service.
 
     Args:
         service: what the API does.
         admission: who may ask; without one everybody on this machine may, as tests want it.
+        connections: at the gate, for the metrics; None where there is no gate.
     """
     admission = admission or Admission()
 
@@ -79,8 +84,7 @@ def create_app(service: Service, admission: Admission | None = None) -> FastAPI:
     )
     app.state.service = service
     app.state.admission = admission
-    app.state.metrics = metrics = Metrics(service, admission.audit)
-    app.state.idempotency = IdempotencyKeys()
+    app.state.metrics = metrics = Metrics(service, admission.audit, connections)
     for routes in _ROUTES:
         app.include_router(routes.router)
     app.add_middleware(

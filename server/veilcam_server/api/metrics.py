@@ -11,6 +11,7 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from veilcam_client.wire.status import State
+from veilcam_server.gate.connections import Connections, Reason
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.service.service import Service
 
@@ -31,9 +32,12 @@ class Metrics:
     Args:
         service: whose events are counted.
         audit: whose losses are counted; None where there is none.
+        connections: at the gate; None where there is none.
     """
 
-    def __init__(self, service: Service, audit: AuditLog | None) -> None:
+    def __init__(
+        self, service: Service, audit: AuditLog | None, connections: Connections | None = None
+    ) -> None:
         self._registry = CollectorRegistry()
         self._seconds = Histogram(
             "veilcam_request_seconds",
@@ -43,6 +47,8 @@ class Metrics:
             buckets=BUCKETS,
         )
         self._registry.register(_Daemon(service, audit))
+        if connections is not None:
+            self._registry.register(_Gate(connections))
         ProcessCollector(registry=self._registry)
 
     def observe(self, method: str, route: str, status: int, seconds: float) -> None:
@@ -82,3 +88,24 @@ class _Daemon(Collector):
         )
         lost = 0 if self._audit is None else self._audit.lost
         yield CounterMetricFamily("veilcam_audit_lost", "Audit lines not written.", value=lost)
+
+
+class _Gate(Collector):
+    def __init__(self, connections: Connections) -> None:
+        self._connections = connections
+
+    def collect(self) -> Iterator[Metric]:
+        yield GaugeMetricFamily(
+            "veilcam_connections", "Connections that are open.", value=len(self._connections)
+        )
+        dropped = CounterMetricFamily(
+            "veilcam_connections_dropped", "Connections that the gate ended.", labels=("reason",)
+        )
+        for reason in get_args(Reason):
+            dropped.add_metric((reason,), self._connections.dropped[reason])
+        yield dropped
+        yield CounterMetricFamily(
+            "veilcam_connections_failed",
+            "Connections that could not be accepted.",
+            value=self._connections.failures,
+        )

@@ -14,6 +14,7 @@ from functools import partial
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -121,6 +122,9 @@ class RequestContext:
                     await response(scope, receive, send_with_id)
                     return
                 await self._app(scope, _limited(receive, body.limit), send_with_id)
+        except ClientDisconnect:
+            # There is nobody to answer, and whoever wants to may break off without end.
+            log.debug("broken off", request_id=request_id)
         except Exception as error:
             log_defect(error, request_id=request_id)
             if answer.status:

@@ -62,16 +62,18 @@ class BundleManager:
         Raises:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
             BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
-            BundlesFullError, BundleStoreError, BundlesBusyError: it cannot be stored now.
+            BundleRevealsError: its masks hide nothing.
+            BundlesFullError, BundleStoreError: it cannot be stored now.
         """
-        async with self._alone():
-            with self._store.incoming() as (path, stream):
-                async for chunk in chunks:
-                    await asyncio.to_thread(append, stream, chunk)
+        with self._store.incoming() as (path, stream):
+            async for chunk in chunks:
+                await asyncio.to_thread(append, stream, chunk)
+            # Whoever sends slowly is waited for before this, and holds up no change.
+            async with self._changing:
                 info = await asyncio.to_thread(self._take, path)
                 await asyncio.to_thread(self._store.install, path, info.digest)
-            self._infos[info.digest] = info
-            return await self._response(info.digest)
+                self._infos[info.digest] = info
+                return await self._response(info.digest)
 
     async def activate(
         self, digest: str, change: Change, *, allow_older: bool = False
@@ -87,6 +89,7 @@ class BundleManager:
             UnknownBundleError: there is none of this digest.
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
             BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
+            BundleRevealsError: its masks hide nothing.
             BundleStoreError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():

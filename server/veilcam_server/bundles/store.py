@@ -133,8 +133,7 @@ class BundleStore:
             BundlesFullError: there are too many already.
             BundleStoreError: the disk refuses.
         """
-        if len(self.digests()) > CAPACITY:
-            raise BundlesFullError(CAPACITY)
+        self._require_room()
         with _durable():
             descriptor, name = self._temporary()
         try:
@@ -144,9 +143,16 @@ class BundleStore:
             Path(name).unlink(missing_ok=True)
 
     def install(self, temporary: Path, digest: str) -> None:
-        """Move a whole and checked file into its place; raises :class:`BundleStoreError`."""
+        """Move a whole and checked file into its place.
+
+        Raises:
+            BundlesFullError: others came meanwhile, and there are too many now.
+            BundleStoreError: the disk refuses.
+        """
         if digest == self.configured:
             return
+        if not self._path(digest).exists():
+            self._require_room()
         with _durable():
             with temporary.open("rb") as stream:
                 os.fsync(stream.fileno())
@@ -209,6 +215,10 @@ class BundleStore:
         before = chosen.before if chosen is not None and same else digest
         with closing(self.stage(digest, before, used)) as staged:
             self.commit(staged)
+
+    def _require_room(self) -> None:
+        if len(self.digests()) > CAPACITY:
+            raise BundlesFullError(CAPACITY)
 
     def _temporary(self) -> tuple[int, str]:
         self._make_directory()

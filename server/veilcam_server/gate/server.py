@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import uvicorn
 
 from veilcam_server.gate.connections import Connection, Connections
+from veilcam_server.gate.descriptors import room_for
 from veilcam_server.gate.entrance import Entrance
 from veilcam_server.gate.protocol import Deadlines, GateProtocol
+from veilcam_server.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,16 @@ class Gate:
     connections: Connections
     deadlines: Deadlines
     waiting: int
+
+
+def open_gate(settings: Settings) -> Gate:
+    """Return the gate of a daemon; it may raise how many files this process may open."""
+    room = room_for(settings.connections)
+    return Gate(
+        Connections(room.connections),
+        Deadlines(settings.header_timeout, settings.body_timeout),
+        room.waiting,
+    )
 
 
 class GateServer(uvicorn.Server):

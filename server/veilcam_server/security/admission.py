@@ -10,14 +10,20 @@ import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
+from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.errors import (
     RateLimitError,
     TokenStoreError,
     TooManyStreamsError,
+    TooManyStreamsOfOneError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
     UnauthorizedError,
 )
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
-from veilcam_server.security.caller import ANYONE, Caller
+from veilcam_server.security.caller import Caller
+from veilcam_server.security.idempotency import IdempotencyKeys
+from veilcam_server.security.key_record import KeyRecord
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.site import Site
@@ -40,6 +46,10 @@ class Admission:
         rate: how often one caller may ask.
         concurrency: how many requests of one caller may be under way.
         streams: how many event streams may be open, all callers together.
+        streams_of_one: how many of them one caller may open.
+        uploads: how many uploads may be under way, all callers together.
+        uploads_of_one: how many of them one caller may have under way.
+        keys: idempotency keys that came lately.
         lease: who holds the camera for a while.
         settings: of the daemon, for its diagnostics: without paths, addresses and labels.
     """
@@ -53,6 +63,16 @@ class Admission:
     streams: ConcurrencyLimit = field(
         default_factory=lambda: ConcurrencyLimit(64, TooManyStreamsError)
     )
+    streams_of_one: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(16, TooManyStreamsOfOneError)
+    )
+    uploads: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(4, TooManyUploadsError)
+    )
+    uploads_of_one: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(2, TooManyUploadsOfOneError)
+    )
+    keys: IdempotencyKeys = field(default_factory=IdempotencyKeys)
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
 
@@ -106,9 +126,8 @@ class Admission:
             TokenStoreError: the tokens cannot be read.
         """
         caller = self._caller(headers, peer)
-        name = caller.id if self.tokens is not None else peer
-        self.rate.take(name)
-        with self.concurrency.held(name):
+        self.rate.take(caller.id)
+        with self.concurrency.held(caller.id):
             yield caller
 
     def still_admits(self, headers: Headers) -> bool:
@@ -123,7 +142,7 @@ class Admission:
 
     def _caller(self, headers: Headers, peer: str) -> Caller:
         if self.tokens is None:
-            return ANYONE
+            return Caller(peer, "no token wanted", frozenset(SCOPES))
         # Two of them would mean two callers.
         given = headers.getlist("authorization")
         try:
@@ -160,6 +179,10 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
             RateLimit(settings.rate_limit, settings.rate_burst),
             ConcurrencyLimit(settings.concurrency_limit),
             ConcurrencyLimit(settings.stream_limit, TooManyStreamsError),
+            ConcurrencyLimit(settings.caller_stream_limit, TooManyStreamsOfOneError),
+            ConcurrencyLimit(settings.upload_limit, TooManyUploadsError),
+            ConcurrencyLimit(settings.caller_upload_limit, TooManyUploadsOfOneError),
+            keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
             settings=settings.redacted(),
         )
     finally:

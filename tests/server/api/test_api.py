@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from starlette.types import Message
 
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture, Classification
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, Rotation
 from veilcam_client.wire.status import Status
+from veilcam_server.api.app import create_app
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.errors import ProblemError
@@ -228,6 +231,46 @@ async def test_a_body_too_large_is_refused_whatever_it_claims(
                 path, content=content, headers={"Content-Type": "application/json"}
             )
             problem(answer, "body_too_large")
+    assert bench.sensor.captures == 0
+
+
+@pytest.mark.parametrize("path", ["/v1/captures", "/v1/bundles", "/v1/simulation/scene"])
+async def test_a_body_that_breaks_off_is_no_defect(
+    bench: Bench, path: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service = bench.service(bench.camera())
+    app = create_app(service)
+    messages: list[Message] = [
+        {"type": "http.request", "body": b"PK", "more_body": True},
+        {"type": "http.disconnect"},
+    ]
+    sent: list[Message] = []
+    media_types = {"/v1/bundles": BUNDLE_MEDIA_TYPE, "/v1/simulation/scene": "image/png"}
+
+    async def receive() -> Message:
+        return messages.pop(0)
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "http_version": "1.1",
+        "method": "PUT" if path.endswith("scene") else "POST",
+        "path": path,
+        "raw_path": path.encode(),
+        "query_string": b"",
+        "headers": [
+            (b"host", b"localhost"),
+            (b"content-type", media_types.get(path, "application/json").encode()),
+            (b"content-length", b"1000"),
+        ],
+    }
+    async with service.open():
+        await app(scope, receive, send)
+    assert not sent or sent[0]["status"] < 500
+    log = capsys.readouterr()
+    assert "defect" not in log.out + log.err
     assert bench.sensor.captures == 0
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_server.api.app import create_app
 from veilcam_server.devices import DisplayError, SensorError
+from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.settings import Settings
@@ -63,6 +66,23 @@ async def test_metrics_count_what_happened(
     assert found[name, "method=other,route=none,status=404"] == 1
     assert "stranger" not in answer.text
     assert "BREW" not in answer.text
+
+
+async def test_metrics_count_connections(bench: Bench) -> None:
+    connections = Connections(1)
+    for _ in range(3):
+        connections.enter("a")
+    service = bench.service(bench.camera())
+    transport = httpx.ASGITransport(create_app(service, connections=connections))
+    async with (
+        service.open(),
+        httpx.AsyncClient(transport=transport, base_url="http://localhost") as client,
+    ):
+        counted = samples((await client.get("/v1/metrics")).text)
+    assert counted["veilcam_connections", ""] == 1
+    assert counted["veilcam_connections_dropped_total", "reason=evicted"] == 2
+    assert counted["veilcam_connections_dropped_total", "reason=body"] == 0
+    assert counted["veilcam_connections_failed_total", ""] == 0
 
 
 async def test_metrics_tell_nothing_of_what_was_seen(running: Running, bench: Bench) -> None:

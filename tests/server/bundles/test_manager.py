@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import os
 from contextlib import closing
@@ -21,19 +22,25 @@ from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.bundles import store as bundle_store
-from veilcam_server.bundles.loader import Opener, last_good
+from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
 from veilcam_server.errors import (
     BundleInvalidError,
+    BundlesBusyError,
+    BundlesFullError,
     BundleStoreError,
     ProblemError,
     StartError,
     StateLostError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
 )
 from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.security.admission import Admission
+from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
 if TYPE_CHECKING:
@@ -73,6 +80,18 @@ def data(bundle: Bundle, tmp_path: Path) -> bytes:
 async def upload(client: httpx.AsyncClient, data: bytes) -> httpx.Response:
     headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
     return await client.post("/v1/bundles", content=data, headers=headers)
+
+
+def packed(bundle: Bundle, folder: Path) -> bytes:
+    """The content of its file."""
+    folder.mkdir(exist_ok=True)
+    path = folder / "packed.veilcam"
+    write_bundle(path, bundle)
+    return path.read_bytes()
+
+
+async def unchanged(_: LoadedBundle) -> None:
+    """A change of the camera that is none."""
 
 
 async def install(client: httpx.AsyncClient, data: bytes) -> InstalledBundle:
@@ -300,17 +319,88 @@ async def test_there_is_room_for_so_many(
         assert (await activate(client, installed.digest)).status_code == 200
 
 
-async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
-    from veilcam_server.errors import BundlesBusyError
+async def test_an_upload_that_stands_still_holds_up_nothing(bench: Bench, bundle: Bundle) -> None:
+    async def slow() -> AsyncIterator[bytes]:
+        yield first[:100]
+        await go_on.wait()
+        yield first[100:]
 
+    async def fast() -> AsyncIterator[bytes]:
+        yield second
+
+    go_on = asyncio.Event()
+    first, second = (packed(other(bundle, seed=seed), bench.state_dir) for seed in (1, 2))
     bundles = bench.service(bench.camera()).bundles
+    configured = bundles.info.digest
+    async with asyncio.timeout(60):
+        standing = asyncio.create_task(bundles.install(slow()))
+        await asyncio.sleep(0)
+        installed = await bundles.install(fast())
+        await bundles.activate(installed.digest, unchanged)
+        await bundles.activate(configured, unchanged)
+        await bundles.remove(installed.digest)
+        assert not standing.done()
+        go_on.set()
+        assert (await standing).bundle is not None
 
+
+async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
     async def chunks() -> AsyncIterator[bytes]:
-        with pytest.raises(BundlesBusyError):
-            await bundles.remove("0" * 64)
         yield data
 
-    assert (await bundles.install(chunks())).bundle is not None
+    async def slow(_: LoadedBundle) -> None:
+        changing.set()
+        await go_on.wait()
+
+    changing, go_on = asyncio.Event(), asyncio.Event()
+    bundles = bench.service(bench.camera()).bundles
+    digest = (await bundles.install(chunks())).digest
+    async with asyncio.timeout(60):
+        activation = asyncio.create_task(bundles.activate(digest, slow))
+        await changing.wait()
+        with pytest.raises(BundlesBusyError):
+            await bundles.remove(digest)
+        # What was sent to the end is taken in afterwards.
+        upload = asyncio.create_task(bundles.install(chunks()))
+        while not list((bench.state_dir / "bundles").glob(".new-*")):
+            await asyncio.sleep(0.001)
+        assert not upload.done()
+        go_on.set()
+        assert (await activation).active
+        assert (await upload).digest == digest
+
+
+async def test_uploads_at_once_leave_no_more_than_there_is_room_for(
+    bench: Bench, bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def chunks(content: bytes) -> AsyncIterator[bytes]:
+        begun.append(content)
+        while len(begun) < 2:
+            await asyncio.sleep(0)
+        yield content
+
+    begun: list[bytes] = []
+    monkeypatch.setattr(bundle_store, "CAPACITY", 1)
+    contents = [packed(other(bundle, seed=seed), bench.state_dir) for seed in (1, 2)]
+    bundles = bench.service(bench.camera()).bundles
+    results = await asyncio.gather(
+        *(bundles.install(chunks(content)) for content in contents), return_exceptions=True
+    )
+    assert sum(isinstance(result, BundlesFullError) for result in results) == 1
+    assert len((await bundles.all()).bundles) == 2
+    assert not list((bench.state_dir / "bundles").glob(".new-*"))
+
+
+async def test_so_many_uploads_at_once(running: Running, data: bytes) -> None:
+    for admission, told in (
+        (Admission(uploads=ConcurrencyLimit(0, TooManyUploadsError)), "0 uploads"),
+        (Admission(uploads_of_one=ConcurrencyLimit(0, TooManyUploadsOfOneError)), "0 of your"),
+    ):
+        async with running(admission=admission) as client:
+            refused = await upload(client, data)
+            assert code(refused) == "too_many_uploads"
+            assert told in refused.json()["detail"]
+            assert int(refused.headers["retry-after"]) >= 1
 
 
 async def test_a_full_disk_leaves_nothing_behind(

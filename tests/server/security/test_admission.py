@@ -11,7 +11,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import httpx
 import pytest
+from starlette.datastructures import Headers
 from tests.server.damage import DAMAGES
 
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
@@ -25,6 +27,9 @@ from veilcam_server.errors import (
     StartError,
     TooManyRequestsError,
     TooManyStreamsError,
+    TooManyStreamsOfOneError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
 )
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
@@ -310,6 +315,37 @@ async def test_a_daemon_without_tokens_says_how_to_make_one(
     assert actions == ["start", "stop", "start", "stop"]
 
 
+async def test_one_caller_leaves_streams_to_others(running: Running, store: TokenStore) -> None:
+    admission = Admission(
+        tokens=store,
+        streams=ConcurrencyLimit(3, TooManyStreamsError),
+        streams_of_one=ConcurrencyLimit(2, TooManyStreamsOfOneError),
+    )
+    one, other, third = (bearer(store, "read:status") for _ in range(3))
+    async with running(admission=admission) as client, asyncio.timeout(30):
+        streams: list[asyncio.Task[httpx.Response]] = []
+        for number, headers in enumerate((one, one, other), 1):
+            streams.append(asyncio.create_task(client.get("/v1/events", headers=headers)))
+            while admission.streams._under_way.total() < number:
+                await asyncio.sleep(0.001)
+            if number == 2:
+                refused = await client.get("/v1/events", headers=one)
+                assert refused.json()["code"] == "too_many_streams"
+                assert "2 of your event streams" in refused.json()["detail"]
+        refused = await client.get("/v1/events", headers=third)
+        assert "3 event streams are open" in refused.json()["detail"]
+        assert not any(stream.done() for stream in streams)
+        for stream in streams:
+            stream.cancel()
+
+
+async def test_where_no_tokens_are_wanted_the_caller_is_the_peer() -> None:
+    admission = Admission()
+    with admission.admitted(Headers(), "127.0.0.2") as caller:
+        assert caller.id == "127.0.0.2"
+        assert caller.scopes == frozenset(SCOPES)
+
+
 async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
     settings = Settings(
         bundle=tmp_path / "a.veilcam",
@@ -318,6 +354,9 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
         rate_burst=2,
         concurrency_limit=3,
         stream_limit=4,
+        caller_stream_limit=1,
+        upload_limit=3,
+        caller_upload_limit=1,
     )
     with open_admission(settings) as admission, ExitStack() as stack:
         admission.rate.take("a")
@@ -332,6 +371,17 @@ async def test_limits_are_those_of_the_settings(tmp_path: Path) -> None:
             stack.enter_context(admission.streams.held("all"))
         with pytest.raises(TooManyStreamsError):
             stack.enter_context(admission.streams.held("all"))
+        stack.enter_context(admission.streams_of_one.held("a"))
+        stack.enter_context(admission.streams_of_one.held("b"))
+        with pytest.raises(TooManyStreamsOfOneError):
+            stack.enter_context(admission.streams_of_one.held("a"))
+        for _ in range(3):
+            stack.enter_context(admission.uploads.held("all"))
+        with pytest.raises(TooManyUploadsError):
+            stack.enter_context(admission.uploads.held("all"))
+        stack.enter_context(admission.uploads_of_one.held("a"))
+        with pytest.raises(TooManyUploadsOfOneError):
+            stack.enter_context(admission.uploads_of_one.held("a"))
 
 
 # The audit log.
