@@ -65,6 +65,7 @@ class StateDamagedError(
     status=500,
     remedy="check_disk",
     title="A file of the state was damaged, and its copy is used",
+    remedy="check_disk",
 ):
     """One of the two copies of a state file is damaged or gone; nothing is lost."""
 
@@ -75,6 +76,7 @@ class StateLostError(
     status=500,
     remedy="check_disk",
     title="A file of the state and its copy are damaged",
+    remedy="check_disk",
 ):
     """Both copies of a state file are damaged or gone; the message says what follows."""
 
@@ -86,6 +88,7 @@ class AuditError(
     remedy="check_disk",
     title="The audit log cannot be written",
     retryable=True,
+    remedy="check_disk",
 ):
     """What was done cannot be written down durably, so no change is made, or acknowledged."""
 
@@ -145,6 +148,7 @@ class PolicyStoreError(
     status=503,
     title="The rotation policy is not durable",
     retryable=True,
+    remedy="check_disk",
 ):
     """A rotation policy could not be made durable."""
 
