@@ -34,15 +34,18 @@ from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
     BundleOlderError,
+    BundleRevealsError,
     BundleUnfitError,
     BundleUntrustedError,
     ProblemError,
     RotationImpossibleError,
     StartError,
 )
+from veilcam_server.gate.server import Gate, GateServer, open_gate
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
+from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
@@ -61,17 +64,22 @@ def build_service(settings: Settings) -> Service:
     """
     if settings.replay is not None:
         return replay_service(settings, settings.replay)
+    faults: list[ProblemError] = []
     try:
-        bundle = read_bundle(settings.bundle)
-        form = release_form(settings, bundle)
-        signed = open_calibration(settings, bundle)
-        owners = Owners.open(settings.owner_keys)
-        opener = Opener(bundle, source_opener(settings, signed), owners)
-        store = BundleStore(settings.state_dir / "bundles", settings.bundle, bundle.digest)
-        keys, faults = last_good(store, opener, bundle, allow_older=settings.allow_older)
         with ExitStack() as undo:
-            epochs = EpochStore(settings.state_dir)
+            # First of all: it keeps other daemons off the state.
+            epochs = EpochStore(settings.state_dir, report=faults.append)
             undo.callback(epochs.close)
+            bundle = read_bundle(settings.bundle)
+            form = release_form(settings, bundle)
+            signed = open_calibration(settings, bundle, faults.append)
+            owners = Owners.open(settings.owner_keys)
+            opener = Opener(bundle, source_opener(settings, signed), owners)
+            store = BundleStore(
+                settings.state_dir / "bundles", settings.bundle, bundle.digest, faults.append
+            )
+            keys = last_good(store, opener, bundle, faults.append, allow_older=settings.allow_older)
+            policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
             preparation = Preparation(keys.source, epochs)
@@ -82,7 +90,11 @@ def build_service(settings: Settings) -> Service:
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
-                policy=rotation_policy(settings, bundle),
+                policy=policies.at_start(
+                    rotation_policy(settings, bundle),
+                    renewable=keys.source.renewable,
+                    configured=keys.info.digest == bundle.digest,
+                ),
                 test_every=settings.self_test_every,
                 calibration=signed,
             )
@@ -92,10 +104,10 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(DeviceError, RotationImpossibleError),
+        *(BundleRevealsError, DeviceError, RotationImpossibleError),
     ) as error:
         raise StartError(str(error)) from error
-    faults = (*faults, *note_start(store, opener, keys))
+    note_start(store, opener, keys, faults.append)
     return Service(
         camera,
         Identity(
@@ -105,13 +117,15 @@ def build_service(settings: Settings) -> Service:
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
-        BundleManager(store, opener, keys, limit=settings.bundle_limit, faults=faults),
+        BundleManager(store, opener, keys, limit=settings.bundle_limit),
         CalibrationService(settings, bundle, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         break_device=device.set_faults if settings.scene_api else None,
+        faults=faults,
+        policies=policies,
     )
 
 
@@ -130,13 +144,17 @@ def _begin(camera: MaskedCamera) -> None:
         log_defect(error, during="first self test")
 
 
-class _Server(uvicorn.Server):
+class _Server(GateServer):
     """Says when it listens, and ends event streams before connections."""
 
     def __init__(
-        self, config: uvicorn.Config, service: Service, on_listening: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        gate: Gate,
+        service: Service,
+        on_listening: Callable[[], None],
     ) -> None:
-        super().__init__(config)
+        super().__init__(config, gate)
         self._service, self._on_listening = service, on_listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -194,9 +212,11 @@ def _serve(
         tls = server_context(settings.tls_certificate, settings.tls_key)
     service = build_service(settings)
     try:
-        with open_admission(settings) as admission:
+        with open_admission(settings, service.report) as admission:
+            gate = open_gate(settings)
             config = uvicorn.Config(
-                create_app(service, admission),
+                create_app(service, admission, gate.connections),
+                http="h11",
                 log_config=None,
                 access_log=False,
                 # An upgrade is asked like anything else, and refused by the application.
@@ -205,7 +225,7 @@ def _serve(
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
-            server = _Server(config, service, listening)
+            server = _Server(config, gate, service, listening)
             log.info(
                 "start",
                 urls=urls,

@@ -59,6 +59,37 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
+class StateDamagedError(
+    ProblemError,
+    code="state_damaged",
+    status=500,
+    remedy="check_disk",
+    title="A file of the state was damaged, and its copy is used",
+):
+    """One of the two copies of a state file is damaged or gone; nothing is lost."""
+
+
+class StateLostError(
+    ProblemError,
+    code="state_lost",
+    status=500,
+    remedy="check_disk",
+    title="A file of the state and its copy are damaged",
+):
+    """Both copies of a state file are damaged or gone; the message says what follows."""
+
+
+class AuditError(
+    ProblemError,
+    code="audit_not_written",
+    status=503,
+    remedy="check_disk",
+    title="The audit log cannot be written",
+    retryable=True,
+):
+    """What was done cannot be written down durably, so no change is made, or acknowledged."""
+
+
 class EpochError(
     ProblemError,
     code="epoch_not_recorded",
@@ -108,6 +139,16 @@ class RotationImpossibleError(
     """There is no other mask to change to."""
 
 
+class PolicyStoreError(
+    ProblemError,
+    code="rotation_not_stored",
+    status=503,
+    title="The rotation policy is not durable",
+    retryable=True,
+):
+    """A rotation policy could not be made durable."""
+
+
 class WithheldError(
     ProblemError, code="embedding_withheld", status=403, title="Embeddings are not released"
 ):
@@ -133,8 +174,51 @@ class IdempotencyError(
     code="idempotency_key_reused",
     status=422,
     title="The idempotency key belongs to another request",
+    detail="this Idempotency-Key came before with another request: use a new key",
 ):
     """An idempotency key that came before with another request."""
+
+
+class DoneBeforeRestartError(
+    ProblemError,
+    code="done_before_restart",
+    status=409,
+    title="This was done before the daemon was restarted",
+    detail=(
+        "what this Idempotency-Key asks for was done, and its answer was lost when the daemon was "
+        "restarted: look what is the case now, or ask again with a new key"
+    ),
+):
+    """What is asked for was done, and a restart lost the answer."""
+
+
+class AnswerNotKeptError(
+    ProblemError,
+    code="answer_not_kept",
+    status=409,
+    title="The answer is not kept any more",
+    detail=(
+        "what this Idempotency-Key asks for was done, and its answer made room for later ones: "
+        "look what is the case now, or ask again with a new key"
+    ),
+):
+    """What is asked for was done, and the answer is not kept any more."""
+
+
+class TooManyKeysError(
+    ProblemError,
+    code="too_many_keys",
+    status=429,
+    title="Too many idempotency keys in a short time",
+    retryable=True,
+):
+    """A caller used more idempotency keys than are remembered; ``retry_after`` [s]."""
+
+    def __init__(self, capacity: int, retry_after: int) -> None:
+        super().__init__(
+            f"{capacity} of your idempotency keys are remembered: try again in {retry_after} s"
+        )
+        self.retry_after = retry_after
 
 
 class HostRefusedError(
@@ -315,6 +399,33 @@ class TooManyStreamsError(
         super().__init__(f"{limit} event streams are open: close one that nobody reads")
 
 
+class TooManyStreamsOfOneError(TooManyStreamsError):
+    """One caller has too many event streams open."""
+
+    def __init__(self, limit: int) -> None:
+        ProblemError.__init__(self, f"{limit} of your event streams are open: close one of them")
+
+
+class TooManyUploadsError(
+    ProblemError,
+    code="too_many_uploads",
+    status=429,
+    title="Too many uploads at once",
+    retryable=True,
+):
+    """Too many uploads are under way."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"{limit} uploads are under way: wait for one of them to end")
+
+
+class TooManyUploadsOfOneError(TooManyUploadsError):
+    """One caller has too many uploads under way."""
+
+    def __init__(self, limit: int) -> None:
+        ProblemError.__init__(self, f"{limit} of your uploads are under way: wait for one to end")
+
+
 class LeasedError(
     ProblemError, code="leased", status=423, title="Somebody else holds the camera", retryable=True
 ):
@@ -362,6 +473,12 @@ class BundleUntrustedError(
     title="The bundle is not of this camera's owner",
 ):
     """A bundle that no owner of this camera signed."""
+
+
+class BundleRevealsError(
+    ProblemError, code="bundle_reveals", status=422, title="The bundle's masks hide nothing"
+):
+    """A bundle with a mask behind which the embedding is a picture."""
 
 
 class BundleOlderError(

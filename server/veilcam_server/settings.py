@@ -100,6 +100,7 @@ _REPLAYED = frozenset(
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
         *("heartbeat", "log_level", "hosts", "frame_ancestors"),
+        *("caller_stream_limit", "connection_limit", "header_timeout", "body_timeout"),
     )
 )
 """Settings that a recording has too; all others are of a camera."""
@@ -183,6 +184,19 @@ class Settings(Wiring):
     """Requests of one caller that may be under way at once, event streams included."""
     stream_limit: int = Field(default=64, ge=1, le=1024)
     """Event streams that may be open, all callers together."""
+    caller_stream_limit: int = Field(default=16, ge=1, le=1024)
+    """Event streams that one caller may open."""
+    connection_limit: int | None = Field(default=None, ge=8, le=4096)
+    """Connections that may be open, event streams included. Default: 256, with TLS 128."""
+    header_timeout: float = Field(default=10.0, gt=0, le=600, allow_inf_nan=False)
+    """Longest time for a TLS handshake, and for the headers of a request, in seconds."""
+    body_timeout: float = Field(default=20.0, gt=0, le=600, allow_inf_nan=False)
+    """Longest time for each 16 KiB of a request's body in seconds."""
+    upload_limit: int = Field(default=4, ge=1, le=64)
+    """Uploads that may be under way, all callers together; each has its file in the state
+    directory meanwhile."""
+    caller_upload_limit: int = Field(default=2, ge=1, le=64)
+    """Uploads that one caller may have under way."""
     bundle_limit: int = Field(default=64 * 2**20, ge=1024, le=2**30)
     """Largest bundle that may be uploaded, in bytes."""
     heartbeat: float = Field(default=10.0, gt=0, le=30, allow_inf_nan=False)
@@ -306,6 +320,15 @@ class Settings(Wiring):
             else:
                 shown[name] = "given"
         return shown
+
+    @property
+    def connections(self) -> int:
+        """Connections that may be open."""
+        if self.connection_limit is not None:
+            return self.connection_limit
+        # asyncio takes 340 kB for each TLS connection, 256 KiB of them a buffer for reading:
+        # 128 of them, which any stranger may open, are 44 MB. Without TLS it is 20 kB.
+        return 256 if self.tls_certificate is None else 128
 
     @property
     def serves_others(self) -> bool:

@@ -72,7 +72,7 @@ def test_a_command_that_has_its_extra_runs(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "sqlite3"])
+@pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "fcntl"])
 def test_what_no_extra_brings_is_a_defect_that_is_not_hidden(missing: str) -> None:
     done = run("veilcamd", "--help", without=[missing])
     assert done.returncode == 1

@@ -8,8 +8,16 @@ from .contracts import CONTRACTS, Contract
 from .registry import OPERATORS
 from .setting import Operator
 
-SLOW = ("adjoint", "length gradients", "sizes, mirror", "type kept")
-"""Contracts that build a matrix, or compute more than once for every input."""
+SLOW = (
+    "adjoint",
+    "device kept",
+    "input gradient",
+    "length gradients",
+    "repeatable",
+    "sizes, mirror",
+    "type kept",
+)
+"""Contracts that build a matrix, differentiate, or compute more than once for every input."""
 PAIRS = [
     pytest.param(
         operator,

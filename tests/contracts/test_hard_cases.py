@@ -75,6 +75,7 @@ def test_from_ultraviolet_to_thermal(operator: Operator, wavelength: float) -> N
     finite_with_gradients(operator, Setting(3, 4, wavelength=wavelength))
 
 
+@pytest.mark.slow
 @of_weights
 @pytest.mark.parametrize("openness", [0.0, 1.0])
 def test_opaque_and_fully_open(operator: Operator, openness: float) -> None:
@@ -190,6 +191,7 @@ def test_constant_scenes(brightness: float) -> None:
     assert float(measured) == pytest.approx(40, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dtype", "tolerance"), [(torch.bfloat16, 5e-3), (torch.float16, 1e-3)], ids=str
 )

@@ -95,6 +95,7 @@ def test_plan_keeps_its_promise(camera: Camera, tolerance: float) -> None:
         assert error < tolerance + 1e-4
 
 
+@pytest.mark.slow
 @cameras
 def test_made_once_or_anew_and_used_again(camera: Camera) -> None:
     """No state is left behind by another mask, another scene or an empty batch."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.server
+import os
 import shutil
 import socket
 import subprocess
@@ -159,3 +160,19 @@ def test_an_index_without_an_answer_is_left_out_and_named(machine: Machine) -> N
     assert ended.returncode == 0, ended.stderr
     assert f"no answer from {url}" in ended.stdout
     assert "index" not in machine.installed()
+
+
+def test_byte_code_is_kept_whatever_a_container_asks_for(tmp_path: Path) -> None:
+    program = tmp_path / "bin" / "pytest"
+    program.parent.mkdir()
+    program.write_text('#!/bin/sh\necho "byte code ${PYTHONDONTWRITEBYTECODE:-is kept}"\n')
+    program.chmod(0o755)
+    (tmp_path / ".installed").touch()
+    made = subprocess.run(
+        ["make", f"--directory={ROOT}", f"VENV={tmp_path}", "fast"],
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "byte code is kept\n" in made.stdout

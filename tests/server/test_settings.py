@@ -54,6 +54,14 @@ def test_certificate_and_key_go_together() -> None:
     assert "needs no TLS" in refused(socket=Path("s"), **both)
 
 
+def test_tls_costs_memory_for_each_connection() -> None:
+    settings = Settings(bundle=Path("a.veilcam"))
+    tls = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
+    assert settings.connections == 256
+    assert settings.model_copy(update=tls).connections == 128
+    assert settings.model_copy(update={**tls, "connection_limit": 500}).connections == 500
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])
 def test_this_machine_is_served(host: str) -> None:
     settings = Settings(bundle=Path("a.veilcam"), host=host)
@@ -86,6 +94,12 @@ def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
         ("rate_burst", 0),
         ("concurrency_limit", 0),
         ("stream_limit", 0),
+        ("caller_stream_limit", 0),
+        ("upload_limit", 0),
+        ("caller_upload_limit", 65),
+        ("connection_limit", 7),
+        ("header_timeout", 0.0),
+        ("body_timeout", float("inf")),
         ("log_level", "loud"),
         ("device_label", ""),
         ("device_label", "x" * 256),

@@ -18,7 +18,6 @@ import hashlib
 import json
 import os
 import re
-import sqlite3
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -42,6 +41,7 @@ from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_optics.keys.masks import Secret
+from veilcam_server.camera.epochs import RESERVED
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import BUNDLE, FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -136,7 +136,8 @@ class Fuzz:
             for path, operations in self._document["paths"].items():
                 url = self._url + re.sub(r"\{\w+\}", "0", path)
                 for method in PROBES:
-                    if method.lower() not in operations:
+                    # HEAD is GET without a body.
+                    if {"HEAD": "get"}.get(method, method.lower()) not in operations:
                         self._send(name, method, None, {"url": url})
 
     def _send(self, name: str, method: str, path: str | None, request: dict[str, Any]) -> None:
@@ -178,7 +179,7 @@ class Fuzz:
         documented = self._document["paths"][path][method.lower()]["responses"]
         if str(answer.status_code) not in documented:
             return "a status that is not documented"
-        offered = documented[str(answer.status_code)]["content"]
+        offered = documented[str(answer.status_code)].get("content", {"": {}})
         if media_type not in offered:
             return f"media type {media_type!r}"
         if not media_type.endswith("json"):
@@ -276,12 +277,11 @@ def ask_daemon(
         scene.unlink()
         fuzz.run()
         prepared = _prepared(url, callers)
-    store.close()
     planted = plant(bundle, tokens)
     if setting.secret is not None:
-        with sqlite3.connect(state / "epochs.sqlite3") as database:
-            last = int(database.execute("SELECT counter FROM epoch").fetchone()[0])
-        plant_fresh(planted, bundle, setting.secret, range(last - prepared, last + 1))
+        reserved = json.loads((state / "epochs.json").read_text().splitlines()[1])["counter"]
+        before = reserved - RESERVED * -(-prepared // RESERVED)
+        plant_fresh(planted, bundle, setting.secret, range(before + 1, before + prepared + 1))
     for path in (directory / "veilcamd.log", *state.glob(f"{DONE}*"), *state.glob(f"{REFUSED}*")):
         for number, line in enumerate(path.read_bytes().splitlines(), start=1):
             fuzz.findings.left.setdefault(_UNIQUE.sub(b"", line), f"{path.name}, line {number}")

@@ -45,6 +45,7 @@ def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
     assert record == {"soak_captures": 60, "soak_mixed": 0, "soak_reused": 0, "soak_lost": 0}
 
 
+@pytest.mark.slow
 def test_faults_become_errors_and_clocks_jump(key: engine.Key, tmp_path: Path) -> None:
     outcome = soak.soak(key, tmp_path, 80, faults=0.5, restart_every=20)
     assert outcome.errors > 0

@@ -65,7 +65,6 @@ ROTATION = Call("GET", "/v1/rotation", Rotation)
 ROTATE = Call("POST", "/v1/rotation/advance", Rotation, once=True)
 LEASE_STATE = Call("GET", "/v1/lease", Lease)
 DIAGNOSTICS = Call("GET", "/v1/diagnostics", Diagnostics)
-TOKENS = Call("GET", "/v1/tokens", Tokens)
 TAKE_SCENE_AWAY = Call("DELETE", "/v1/simulation/scene", HeldScene)
 BUNDLES = Call("GET", "/v1/bundles", InstalledBundles)
 
@@ -103,6 +102,12 @@ def take_lease(seconds: float, owner: str) -> Call[NewLease]:
 def release_lease(force: bool = False) -> Call[Lease]:
     """DELETE /v1/lease."""
     return Call("DELETE", "/v1/lease?force=true" if force else "/v1/lease", Lease)
+
+
+def tokens(limit: int, after: str | None) -> Call[Tokens]:
+    """GET /v1/tokens."""
+    start = "" if after is None else f"&after={quote(after, safe='')}"
+    return Call("GET", f"/v1/tokens?limit={limit}{start}", Tokens)
 
 
 def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Call[NewToken]:

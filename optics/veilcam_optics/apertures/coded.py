@@ -7,7 +7,7 @@ import torch
 from scipy.signal import max_len_seq
 from torch import Tensor
 
-from veilcam_optics.errors import invalid, require, require_count, require_positive
+from veilcam_optics.errors import require, require_count, require_positive
 from veilcam_optics.propagation.sampling import Grid, as_float, tiled
 
 
@@ -106,9 +106,14 @@ def fresnel_zones(grid: Grid, radius: float, *, phase: float = 0.0, binary: bool
     require_positive("radius", radius, "m")
     farthest = max(float(grid.y().abs().max()), float(grid.x().abs().max()))
     pitch = max(as_float(grid.pitch_y), as_float(grid.pitch_x))
-    if 2 * farthest * pitch > radius**2:
-        least = math.sqrt(2 * farthest * pitch)
-        raise invalid("radius", radius, "m", f"at least {least:.3e} m, or a finer or smaller grid")
+    least = math.sqrt(2 * farthest * pitch)
+    require(
+        2 * farthest * pitch <= radius**2,
+        "radius",
+        radius,
+        "m",
+        f"at least {least:.3e} m, or a finer or smaller grid",
+    )
     squared = grid.y().square()[:, None] + grid.x().square()
     zones = (1 + torch.cos(torch.pi * squared / radius**2 - phase)) / 2
     return (zones >= 0.5).to(torch.float64) if binary else zones

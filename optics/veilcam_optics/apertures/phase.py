@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.apertures.coded import pinhole
-from veilcam_optics.errors import invalid, require, require_count, require_positive, require_shape
+from veilcam_optics.errors import require, require_count, require_positive, require_shape
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import TURN, unit_phasor
 from veilcam_optics.propagation.sampling import Grid, as_float
@@ -42,9 +42,9 @@ def lens(grid: Grid, focal_length: float, wavelength: float, *, diameter: float)
     require_positive("wavelength", wavelength, "m")
     pitch = max(as_float(grid.pitch_y), as_float(grid.pitch_x))
     rim = min(diameter / 2, math.hypot(grid.height / 2, grid.width / 2))
-    if rim * pitch / (wavelength * focal_length) > 0.5:
-        finest = wavelength * focal_length / (2 * rim)
-        raise invalid("grid.pitch", pitch, "m", f"at most {finest:.3e} m for this lens")
+    finest = wavelength * focal_length / (2 * rim)
+    sampled = rim * pitch / (wavelength * focal_length) <= 0.5
+    require(sampled, "grid.pitch", pitch, "m", f"at most {finest:.3e} m for this lens")
     squared = grid.y().square()[:, None] + grid.x().square()
     curvature = unit_phasor(-torch.pi / (wavelength * focal_length) * squared, torch.complex128)
     return curvature * pinhole(grid, diameter / 2)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
 from veilcam_optics.camera.masks import respond
-from veilcam_optics.errors import invalid, require, require_ratio, require_within
+from veilcam_optics.errors import require, require_ratio, require_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +111,13 @@ class Imperfections:
 
     def check(self, camera: Camera) -> None:
         """Raise :class:`OpticsError` if ``camera`` cannot have them."""
-        if self.distance_error <= -camera.distance:
-            valid = f"more than minus the camera's distance, {-camera.distance:.3e} m"
-            raise invalid("imperfections.distance_error", self.distance_error, "m", valid)
+        require(
+            self.distance_error > -camera.distance,
+            "imperfections.distance_error",
+            self.distance_error,
+            "m",
+            f"more than minus the camera's distance, {-camera.distance:.3e} m",
+        )
         self._check_lines(camera.mask_shape)
 
     def actual(self, camera: Camera) -> Camera:
@@ -204,10 +208,13 @@ class Conditions:
         require_within("conditions.off_axis", self.off_axis, "rad", 0, 1.4)
         for name, low, high in (("levels", 2, 65536), ("adc_bits", 1, 24)):
             value = getattr(self, name)
-            if value != 0 and not (type(value) is int and low <= value <= high):
-                raise invalid(
-                    f"conditions.{name}", value, "", f"0 (none) or an integer {low} to {high}"
-                )
+            require(
+                value == 0 or (type(value) is int and low <= value <= high),
+                f"conditions.{name}",
+                value,
+                "",
+                f"0 (none) or an integer {low} to {high}",
+            )
         require_ratio("conditions.snr_db", self.snr_db)
         require(
             self.electrons == 0 or self.snr_db == math.inf,

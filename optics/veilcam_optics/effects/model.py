@@ -7,7 +7,7 @@ import torch
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
-from veilcam_optics.errors import invalid, require_choice, require_count, require_positive
+from veilcam_optics.errors import require, require_choice, require_count, require_positive
 from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import Reach
 
@@ -75,12 +75,20 @@ class Model:
         for name, width, wavelength in zip(
             CHANNELS, conditions.bandwidth, camera.wavelengths, strict=True
         ):
-            if width > wavelength / 2:
-                valid = f"at most half the wavelength, {wavelength / 2:.3e} m"
-                raise invalid(f"conditions.bandwidth[{name}]", width, "m", valid)
-        if conditions.depth_range > scene.distance:
-            valid = f"at most the scene's distance, {scene.distance:.3e} m"
-            raise invalid("conditions.depth_range", conditions.depth_range, "m", valid)
+            require(
+                width <= wavelength / 2,
+                f"conditions.bandwidth[{name}]",
+                width,
+                "m",
+                f"at most half the wavelength, {wavelength / 2:.3e} m",
+            )
+        require(
+            conditions.depth_range <= scene.distance,
+            "conditions.depth_range",
+            conditions.depth_range,
+            "m",
+            f"at most the scene's distance, {scene.distance:.3e} m",
+        )
         conditions.imperfections.check(camera)
 
     def with_sampling(

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import invalid, require_positive
+from veilcam_optics.errors import require, require_positive
 from veilcam_optics.propagation.base import TURN, real_type, unit_phasor
 from veilcam_optics.propagation.sampling import Grid, Real, as_float, as_scalar
 
@@ -69,8 +69,8 @@ def plane_wave(
         OpticsError: If the direction is no direction, or the wavelength not positive.
     """
     require_positive("wavelength", as_float(wavelength), "m")
-    if as_float(direction[0]) ** 2 + as_float(direction[1]) ** 2 >= 1:
-        shown = tuple(as_float(sine) for sine in direction)
-        raise invalid("direction", shown, "", "sines whose squares sum to less than 1")
+    sines = tuple(as_float(sine) for sine in direction)
+    valid = "sines whose squares sum to less than 1"
+    require(sum(sine**2 for sine in sines) < 1, "direction", sines, "", valid)
     along = grid.y(device)[:, None] * direction[0] + grid.x(device) * direction[1]
     return unit_phasor(TURN / as_scalar("wavelength", wavelength, device) * along, dtype)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_optics.errors import invalid
+from veilcam_optics.errors import require
 
 MOSTLY_LIT = 0.9
 """Share of lit pixels above which picking them out does not pay."""
@@ -28,13 +28,15 @@ class Region:
     def check(self, scene: Scene) -> None:
         """Raise :class:`OpticsError` unless this is wholly in ``scene``."""
         below, beside = self.top + self.rows, self.left + self.columns
-        if (
-            min(self.top, self.left) < 0
-            or min(self.rows, self.columns) < 1
-            or (below > scene.rows or beside > scene.columns)
-        ):
-            valid = f"a part of the scene's {scene.rows} x {scene.columns} pixels"
-            raise invalid("region", self, "", valid)
+        require(
+            min(self.top, self.left) >= 0
+            and min(self.rows, self.columns) >= 1
+            and (below <= scene.rows and beside <= scene.columns),
+            "region",
+            self,
+            "",
+            f"a part of the scene's {scene.rows} x {scene.columns} pixels",
+        )
 
 
 def embed_lit(scenes: Tensor, region: Region, transfer: Callable[[Region], Tensor]) -> Tensor:

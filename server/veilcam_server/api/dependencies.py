@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -36,8 +36,12 @@ ALWAYS = (
     "tokens_unavailable",
 )
 """What every route that wants a token can answer with."""
-BODY = ("body_too_large", "invalid_request", "idempotency_key_reused")
+KEYED = ("idempotency_key_reused", "done_before_restart", "answer_not_kept", "too_many_keys")
+"""What a route that takes an ``Idempotency-Key`` can answer with besides."""
+BODY = ("body_too_large", "invalid_request", *KEYED)
 """What a route with a body can answer with besides."""
+CHANGE = ("audit_not_written",)
+"""What a route can answer with besides that makes a change which outlives the daemon."""
 DEVICE = (
     "queue_full",
     "calibrating",
@@ -84,35 +88,40 @@ async def _admission(request: Request) -> Admission:
     return admission
 
 
+AdmissionDep = Annotated[Admission, Depends(_admission)]
+
+
 @dataclass(frozen=True, slots=True)
 class Once:
     """Does the work of a request once for its ``Idempotency-Key``."""
 
     keys: IdempotencyKeys
+    caller: str
     key: str | None
     fingerprint: bytes
 
     async def __call__(self, work: Callable[[], Coroutine[Any, Any, ResultT]]) -> ResultT:
-        """Return the result of ``work``; raises :class:`IdempotencyError` besides what it does."""
-        return await self.keys.once(self.key, self.fingerprint, work)
+        """Return the result of ``work``; raises as :meth:`IdempotencyKeys.once` besides."""
+        return await self.keys.once(self.caller, self.key, self.fingerprint, work)
 
 
 async def _once(
     request: Request,
+    admission: AdmissionDep,
     caller: CallerDep,
     idempotency_key: Annotated[str | None, Header(pattern=r"^[\x21-\x7e]{1,128}$")] = None,
 ) -> Once:
     head = f"{request.method} {request.url.path}?{request.url.query}\n".encode()
     return Once(
-        request.app.state.idempotency,
+        admission.keys,
         # A caller's own: nobody is answered with what another one was told.
-        None if idempotency_key is None else f"{caller.id} {idempotency_key}",
+        caller.id,
+        idempotency_key,
         hashlib.sha256(head + await request.body()).digest(),
     )
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
-AdmissionDep = Annotated[Admission, Depends(_admission)]
 OnceDep = Annotated[Once, Depends(_once)]
 
 
@@ -126,6 +135,19 @@ async def _holder(
 
 
 HolderDep = Annotated[str, Depends(_holder)]
+
+
+async def _upload_place(admission: AdmissionDep, caller: CallerDep) -> AsyncIterator[None]:
+    with (
+        admission.uploads_of_one.held(caller.id),
+        admission.uploads.held("all callers together"),
+    ):
+        yield
+
+
+def uploads() -> Any:
+    """For ``dependencies=[uploads()]``: 429 where too many uploads are under way."""
+    return Depends(_upload_place)
 
 
 async def _free(admission: AdmissionDep, holder: HolderDep) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator
 from typing import get_args
 
 from prometheus_client import CollectorRegistry, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from veilcam_client.wire.status import State
+from veilcam_server.gate.connections import Connections, Reason
 from veilcam_server.security.audit import AuditLog
 from veilcam_server.service.service import Service
 
@@ -31,18 +33,23 @@ class Metrics:
     Args:
         service: whose events are counted.
         audit: whose losses are counted; None where there is none.
+        connections: at the gate; None where there is none.
     """
 
-    def __init__(self, service: Service, audit: AuditLog | None) -> None:
+    def __init__(
+        self, service: Service, audit: AuditLog | None, connections: Connections | None = None
+    ) -> None:
         self._registry = CollectorRegistry()
         self._seconds = Histogram(
-            "veilcam_request_seconds",
+            "veilcam_http_request_duration_seconds",
             "Time from a request to the start of its answer.",
             ("method", "route", "status"),
             registry=self._registry,
             buckets=BUCKETS,
         )
         self._registry.register(_Daemon(service, audit))
+        if connections is not None:
+            self._registry.register(_Gate(connections))
         ProcessCollector(registry=self._registry)
 
     def observe(self, method: str, route: str, status: int, seconds: float) -> None:
@@ -67,6 +74,16 @@ class _Daemon(Collector):
 
     def collect(self) -> Iterator[Metric]:
         status, history = self._service.status(), self._service.history
+        yield InfoMetricFamily(
+            "veilcam_build",
+            "What runs, in labels; the value is 1.",
+            {"version": status.version, "python_version": platform.python_version()},
+        )
+        age = status.rotation.epoch_age_s
+        if age is not None:
+            yield GaugeMetricFamily(
+                "veilcam_epoch_age_seconds", "Time since the present mask was shown.", value=age
+            )
         for kind, (name, what) in _EVENTS.items():
             yield CounterMetricFamily(name, what, value=history.events[kind])
         faults = CounterMetricFamily("veilcam_faults", "Failures.", labels=("code",))
@@ -78,7 +95,30 @@ class _Daemon(Collector):
             states.add_metric((state,), float(state == status.state))
         yield states
         yield GaugeMetricFamily(
-            "veilcam_queue_waiting", "Captures that wait.", value=status.queue.waiting
+            "veilcam_queued_captures", "Captures that wait.", value=status.queue.waiting
         )
         lost = 0 if self._audit is None else self._audit.lost
-        yield CounterMetricFamily("veilcam_audit_lost", "Audit lines not written.", value=lost)
+        yield CounterMetricFamily(
+            "veilcam_audit_lines_lost", "Audit lines not written.", value=lost
+        )
+
+
+class _Gate(Collector):
+    def __init__(self, connections: Connections) -> None:
+        self._connections = connections
+
+    def collect(self) -> Iterator[Metric]:
+        yield GaugeMetricFamily(
+            "veilcam_open_connections", "Connections that are open.", value=len(self._connections)
+        )
+        dropped = CounterMetricFamily(
+            "veilcam_connections_dropped", "Connections that the gate ended.", labels=("reason",)
+        )
+        for reason in get_args(Reason):
+            dropped.add_metric((reason,), self._connections.dropped[reason])
+        yield dropped
+        yield CounterMetricFamily(
+            "veilcam_connections_failed",
+            "Connections that could not be accepted.",
+            value=self._connections.failures,
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,11 +11,13 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_server.bundles.hiding import HidingCheck
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.errors import (
     BundleInvalidError,
     BundleOlderError,
+    BundleRevealsError,
     BundleStoreError,
     BundleUnfitError,
     BundleUntrustedError,
@@ -27,6 +29,7 @@ from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.secret import find_secret
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import Report
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 
@@ -122,7 +125,10 @@ class LoadedBundle:
     source: MaskSource = field(repr=False)
 
 
-_UNUSABLE = (UnknownBundleError, BundleInvalidError, BundleUnfitError, BundleUntrustedError)
+_UNUSABLE = (
+    *(UnknownBundleError, BundleInvalidError, BundleUnfitError),
+    *(BundleUntrustedError, BundleRevealsError),
+)
 OpenSource = Callable[[Bundle], MaskSource]
 
 
@@ -140,6 +146,7 @@ class Opener:
     ) -> None:
         self._configured, self._open_source = configured, open_source
         self.owners = owners or Owners()
+        self._check_hiding = HidingCheck(configured)
 
     def with_source(self, open_source: OpenSource) -> Opener:
         """The same, but for what makes a bundle's source of masks."""
@@ -166,10 +173,20 @@ class Opener:
         return bundle
 
     def take(self, path: Path) -> Bundle:
-        """Read a bundle that may be used; raises as :meth:`read` and :meth:`Owners.check`."""
+        """Read a bundle that may be used; raises as :meth:`read` and :meth:`check`."""
         bundle = self.read(path)
-        self.owners.check(bundle)
+        self.check(bundle)
         return bundle
+
+    def check(self, bundle: Bundle) -> None:
+        """Refuse a bundle that may not be used, though it fits.
+
+        Raises:
+            BundleUntrustedError: no owner signed it.
+            BundleRevealsError: its masks hide nothing.
+        """
+        self.owners.check(bundle)
+        self._check_hiding(bundle)
 
     def open(self, path: Path, digest: str) -> LoadedBundle:
         """Open the bundle of this digest; raises as :meth:`take`."""
@@ -187,8 +204,13 @@ class Opener:
 
 
 def last_good(
-    store: BundleStore, opener: Opener, configured: Bundle, *, allow_older: bool = False
-) -> tuple[LoadedBundle, Sequence[str]]:
+    store: BundleStore,
+    opener: Opener,
+    configured: Bundle,
+    report: Report,
+    *,
+    allow_older: bool = False,
+) -> LoadedBundle:
     """The bundle that was in use last and still can be.
 
     One that is older than what was in use is the last resort.
@@ -197,17 +219,15 @@ def last_good(
         store: knows what was in use.
         opener: of bundles that may be used.
         configured: the bundle that the daemon was started with.
+        report: takes why one cannot be used any more, or that it is older.
         allow_older: may be older than the one in use before.
 
-    Returns:
-        That, and a line on each that cannot be used, or is older.
-
     Raises:
-        BundleUnfitError, BundleUntrustedError: the configured one cannot be used.
+        BundleUnfitError, BundleUntrustedError, BundleRevealsError: the configured one cannot be
+            used.
         BundleOlderError: the configured one is new to this daemon, and older.
     """
-    opener.owners.check(configured)
-    faults: list[str] = []
+    opener.check(configured)
     older: list[LoadedBundle] = []
     for digest in store.candidates():
         try:
@@ -223,31 +243,37 @@ def last_good(
         except _UNUSABLE as error:
             if digest == store.configured and not older:
                 raise
-            faults.append(f"bundle {digest[:12]} is not in use any more: {error}")
+            report(BundleInvalidError(f"bundle {digest[:12]} is not in use any more: {error}"))
         else:
-            return keys, [*faults, _is_older(keys)] if said else faults
+            if said:
+                report(_is_older(keys))
+            return keys
     # There is one: the configured one was the last, and did not raise.
-    return older[0], [*faults, _is_older(older[0])]
+    report(_is_older(older[0]))
+    return older[0]
 
 
-def _is_older(keys: LoadedBundle) -> str:
-    return (
+def _is_older(keys: LoadedBundle) -> BundleOlderError:
+    return BundleOlderError(
         f"bundle {keys.info.digest[:12]} of version {keys.info.version} is in use, which is older "
         "than the one before it"
     )
 
 
-def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle) -> Sequence[str]:
+def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle, report: Report) -> None:
     """Write down which bundle the daemon starts with, unless it is one that had to stand in.
 
-    Returns:
-        A line where that cannot be made durable.
+    Args:
+        store: keeps that.
+        opener: knows whose bundles are taken.
+        keys: of the bundle.
+        report: takes that it cannot be made durable.
     """
     digest = keys.info.digest
-    if digest != store.candidates()[0]:
-        return ()
+    # After a loss nothing is written: every start says it again until a bundle is activated.
+    if digest != store.candidates()[0] or store.lost:
+        return
     try:
         store.settle(digest, opener.owners.remember(keys.info, store.used))
     except BundleStoreError as error:
-        return (f"which bundle is in use is not remembered: {error}",)
-    return ()
+        report(BundleStoreError(f"which bundle is in use is not remembered: {error}"))

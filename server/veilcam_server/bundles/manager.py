@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -31,7 +31,6 @@ class BundleManager:
         opener: makes them usable.
         keys: in use.
         limit: of an upload [bytes].
-        faults: why others are not in use that should be.
     """
 
     def __init__(
@@ -41,10 +40,9 @@ class BundleManager:
         keys: LoadedBundle,
         *,
         limit: int,
-        faults: Sequence[str] = (),
     ) -> None:
         self._store, self._opener, self._keys = store, opener, keys
-        self.limit, self.faults = limit, tuple(faults)
+        self.limit = limit
         self._infos: dict[str, BundleInfo | None] = {keys.info.digest: keys.info}
         self._changing = asyncio.Lock()
 
@@ -64,16 +62,18 @@ class BundleManager:
         Raises:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
             BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
-            BundlesFullError, BundleStoreError, BundlesBusyError: it cannot be stored now.
+            BundleRevealsError: its masks hide nothing.
+            BundlesFullError, BundleStoreError: it cannot be stored now.
         """
-        async with self._alone():
-            with self._store.incoming() as (path, stream):
-                async for chunk in chunks:
-                    await asyncio.to_thread(append, stream, chunk)
+        with self._store.incoming() as (path, stream):
+            async for chunk in chunks:
+                await asyncio.to_thread(append, stream, chunk)
+            # Whoever sends slowly is waited for before this, and holds up no change.
+            async with self._changing:
                 info = await asyncio.to_thread(self._take, path)
                 await asyncio.to_thread(self._store.install, path, info.digest)
-            self._infos[info.digest] = info
-            return await self._response(info.digest)
+                self._infos[info.digest] = info
+                return await self._response(info.digest)
 
     async def activate(
         self, digest: str, change: Change, *, allow_older: bool = False
@@ -89,6 +89,7 @@ class BundleManager:
             UnknownBundleError: there is none of this digest.
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
             BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
+            BundleRevealsError: its masks hide nothing.
             BundleStoreError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():
@@ -108,7 +109,7 @@ class BundleManager:
                         self._keys = before
                     raise
             finally:
-                staged.unlink(missing_ok=True)
+                staged.close()
             return await self._response(digest)
 
     async def reopen(self, open_source: OpenSource, change: Change) -> None:

@@ -1,9 +1,9 @@
 """Bundles on the disk: installed bundles, and which of them is in use.
 
-``DIRECTORY/DIGEST.veilcam`` holds a bundle, readable by its owner alone; ``DIRECTORY/active.json``
+``DIRECTORY/DIGEST.veilcam`` holds a bundle, readable by its owner alone; ``DIRECTORY/in-use.json``
 names the one in use, the one used before it, and the bundle that the daemon was started with at the
 time. Files are replaced whole, so that whatever is killed or unplugged when, each holds what it
-held before or what it holds now.
+held before or what it holds now; that record is kept twice (:mod:`~veilcam_server.system`).
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from veilcam_optics.files import sync_folder
 from veilcam_server.bundles.owners import Used
@@ -25,19 +25,18 @@ from veilcam_server.errors import (
     BundleInUseError,
     BundlesFullError,
     BundleStoreError,
-    StartError,
     UnknownBundleError,
 )
+from veilcam_server.system.state_file import Report, Staged, StateFile, log_fault, refuse_earlier
 
 CAPACITY = 32
 """Most bundles that can be installed."""
 _SUFFIX = ".veilcam"
 _TEMPORARY = ".new-"
-_RECORD = "active.json"
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
-class _Active(BaseModel):
+class _InUse(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
     active: str
     before: str
@@ -57,14 +56,27 @@ class BundleStore:
         directory: made when the first one is installed.
         configured: the bundle that the daemon was started with; it stays where it is.
         digest: its SHA-256.
+        report: takes what was damaged.
+
+    Raises:
+        StartError: the directory is of an earlier version.
     """
 
-    def __init__(self, directory: Path, configured: Path, digest: str) -> None:
-        earlier = directory.with_name("keyrings")
-        if earlier.exists():
-            raise StartError(
-                f"{earlier} is of an earlier version: rename it to {directory.name}, or remove it"
-            )
+    def __init__(
+        self, directory: Path, configured: Path, digest: str, report: Report = log_fault
+    ) -> None:
+        refuse_earlier(
+            directory.with_name("keyrings"), f"rename it to {directory.name}, or remove it"
+        )
+        refuse_earlier(
+            directory / "active.json", "remove it, start again, and activate the bundle again"
+        )
+        self._record = StateFile(
+            directory / "in-use.json",
+            _InUse,
+            lost="the bundle that the daemon was started with is in use; activate another one",
+            report=report,
+        )
         self._directory, self._given = directory, configured
         self.configured = digest
         """Digest of the bundle that the daemon was started with."""
@@ -76,21 +88,26 @@ class BundleStore:
 
         What was activated holds until the daemon is started with another bundle.
         """
-        chosen = self._read()
+        chosen = self._record.read()
         if chosen is None or chosen.configured != self.configured:
             return (self.configured,)
         return tuple(dict.fromkeys((chosen.active, chosen.before, self.configured)))
 
     @property
+    def lost(self) -> bool:
+        """Whether it was lost which one was in use."""
+        return self._record.lost
+
+    @property
     def goes_on(self) -> bool:
         """Whether the daemon was last started with the same bundle, or has never been started."""
-        chosen = self._read()
+        chosen = self._record.read()
         return chosen is None or chosen.configured == self.configured
 
     @property
     def used(self) -> Used:
         """What is remembered of the bundles that were in use."""
-        chosen = self._read()
+        chosen = self._record.read()
         return Used() if chosen is None else Used(chosen.version, chosen.highest, chosen.newest)
 
     def digests(self) -> tuple[str, ...]:
@@ -116,8 +133,7 @@ class BundleStore:
             BundlesFullError: there are too many already.
             BundleStoreError: the disk refuses.
         """
-        if len(self.digests()) > CAPACITY:
-            raise BundlesFullError(CAPACITY)
+        self._require_room()
         with _durable():
             descriptor, name = self._temporary()
         try:
@@ -127,9 +143,16 @@ class BundleStore:
             Path(name).unlink(missing_ok=True)
 
     def install(self, temporary: Path, digest: str) -> None:
-        """Move a whole and checked file into its place; raises :class:`BundleStoreError`."""
+        """Move a whole and checked file into its place.
+
+        Raises:
+            BundlesFullError: others came meanwhile, and there are too many now.
+            BundleStoreError: the disk refuses.
+        """
         if digest == self.configured:
             return
+        if not self._path(digest).exists():
+            self._require_room()
         with _durable():
             with temporary.open("rb") as stream:
                 os.fsync(stream.fileno())
@@ -151,7 +174,7 @@ class BundleStore:
             path.unlink()
             sync_folder(self._directory)
 
-    def stage(self, digest: str, before: str, used: Used) -> Path:
+    def stage(self, digest: str, before: str, used: Used) -> Staged[_InUse]:
         """Write down that ``digest`` is in use, for :meth:`commit`.
 
         Everything that a full disk can prevent is done here.
@@ -164,22 +187,20 @@ class BundleStore:
         Raises:
             BundleStoreError: the disk refuses.
         """
-        record = _Active(
+        record = _InUse(
             active=digest, before=before, configured=self.configured, **dataclasses.asdict(used)
         )
         with _durable():
-            descriptor, name = self._temporary()
-            with os.fdopen(descriptor, "wb") as stream:
-                stream.write(record.model_dump_json().encode())
-                stream.flush()
-                os.fsync(stream.fileno())
-        return Path(name)
+            self._make_directory()
+            return self._record.stage(lambda _: record)
 
-    def commit(self, staged: Path) -> None:
+    def commit(self, staged: Staged[_InUse]) -> None:
         """Make what was staged hold from now on; raises :class:`BundleStoreError`."""
         with _durable():
-            staged.replace(self._directory / _RECORD)
-            sync_folder(self._directory)
+            staged.commit()
+
+    def _make_directory(self) -> None:
+        self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def settle(self, digest: str, used: Used) -> None:
         """Write down what the daemon starts with, unless that is known.
@@ -187,25 +208,24 @@ class BundleStore:
         Raises:
             BundleStoreError: the disk refuses.
         """
-        chosen = self._read()
+        chosen = self._record.read()
         same = chosen is not None and chosen.configured == self.configured
         if chosen is not None and same and (chosen.active, self.used) == (digest, used):
             return
         before = chosen.before if chosen is not None and same else digest
-        self.commit(self.stage(digest, before, used))
+        with closing(self.stage(digest, before, used)) as staged:
+            self.commit(staged)
+
+    def _require_room(self) -> None:
+        if len(self.digests()) > CAPACITY:
+            raise BundlesFullError(CAPACITY)
 
     def _temporary(self) -> tuple[int, str]:
-        self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._make_directory()
         return tempfile.mkstemp(dir=self._directory, prefix=_TEMPORARY)
 
     def _path(self, digest: str) -> Path:
         return self._directory / f"{digest}{_SUFFIX}"
-
-    def _read(self) -> _Active | None:
-        try:
-            return _Active.model_validate_json((self._directory / _RECORD).read_bytes())
-        except (OSError, ValidationError):
-            return None
 
 
 def append(stream: BinaryIO, chunk: bytes) -> None:

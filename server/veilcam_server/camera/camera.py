@@ -120,12 +120,19 @@ class MaskedCamera:
         active = self._panel.active
         return (None, 0) if active is None else (active.epoch, active.captures)
 
+    @property
+    def shown_for(self) -> float | None:
+        """How long the present mask has been shown [s]; None: no mask."""
+        active = self._panel.active
+        return None if active is None else time.monotonic() - active.since
+
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
         epoch, captures = self.present
         return Rotation(
             policy=self._policy,
             epoch=epoch,
+            epoch_age_s=self.shown_for,
             captures=captures,
             preparation=PreparationStatus(
                 ready=self.preparation.ready,

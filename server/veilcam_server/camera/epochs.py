@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import sqlite3
+import errno
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -11,87 +12,115 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from veilcam_server.errors import EpochError, NotReadyError, StartError
+from pydantic import BaseModel, ConfigDict
+
+from veilcam_server.errors import EpochError, NotReadyError
 from veilcam_server.masks.source import Mask, MaskSource
+from veilcam_server.system.state_file import (
+    HeldDirectory,
+    Report,
+    StateFile,
+    log_fault,
+    refuse_earlier,
+)
+
+RESERVED = 1000
+"""So many epochs are made durable at once: the disk is not written for each."""
+
+
+class _Epochs(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+    origin: int
+    """Random number of 63 bits, drawn for a new record."""
+    counter: int
+    """No epoch above this one was used."""
+    mark: str = ""
+    """Of the mask shown last, or about to be; empty if there was none."""
 
 
 class EpochStore:
-    """The counter in ``DIRECTORY/epochs.sqlite3``, for one process at a time.
+    """The counter in ``DIRECTORY/epochs.json``, for one process at a time.
 
-    At every start the counter is moved up to the clock (microseconds since 1970), far above what
-    counting alone can have reached. So a state directory that was lost, or restored from a backup,
-    brings no old epoch back, as long as the clock is right; and if it is not, what was counted
-    holds.
+    The counter is made durable in advance, ``RESERVED`` epochs at a time; what was not used of
+    them when the daemon ends is left out for ever.
+
+    A record that is lost is begun anew at a random number of 63 bits. Whatever the clock says, N
+    epochs before and N after it have one in common with a chance below 2 N / 2^63, which is 2e-10
+    for a thousand million of them. At every start the counter is moved up by the clock as well, in
+    microseconds since 1970 from where the record began: that is far above what counting can have
+    reached, so that a directory restored from a backup brings no epoch back if the clock is right.
+
+    Args:
+        directory: the daemon's state directory, held until this is closed.
+        now: wall clock, seconds since 1970.
+        report: takes what was damaged.
+
+    Raises:
+        StartError: another daemon uses the directory, or it cannot be used.
     """
 
-    def __init__(self, directory: Path, now: Callable[[], float] = time.time) -> None:
-        path = directory / "epochs.sqlite3"
-        self._lock = threading.Lock()
+    def __init__(
+        self, directory: Path, now: Callable[[], float] = time.time, report: Report = log_fault
+    ) -> None:
+        self._held = HeldDirectory(directory)
+        self._file = StateFile(
+            directory / "epochs.json",
+            _Epochs,
+            lost="epochs go on from a random number",
+            report=report,
+        )
         try:
-            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
-            # Two threads use it, one prepares epochs and one shows them; the lock parts them.
-            self._database = sqlite3.connect(
-                path, timeout=0, isolation_level=None, check_same_thread=False
-            )
-            # EXCLUSIVE from the first access on: a second daemon would show the same epochs.
-            self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
-            self._database.execute("PRAGMA journal_mode = WAL")
-            self._database.execute("PRAGMA synchronous = FULL")
-            for table, column in (("epoch", "counter INTEGER"), ("shown", "mark TEXT")):
-                self._database.execute(
-                    f"CREATE TABLE IF NOT EXISTS {table} ("
-                    f"one INTEGER PRIMARY KEY CHECK (one = 1), {column} NOT NULL) STRICT"
-                )
-            self._database.execute("INSERT OR IGNORE INTO epoch VALUES (1, 0)")
-            self._database.execute("INSERT OR IGNORE INTO shown VALUES (1, '')")
-            self._database.execute(
-                "UPDATE epoch SET counter = max(counter, ?)", (int(1e6 * now()),)
-            )
-            self._mark = str(self._database.execute("SELECT mark FROM shown").fetchone()[0])
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
-                raise StartError(
-                    f"another veilcamd uses {directory}: stop it, or give another --state-dir"
-                ) from None
-            raise _unusable(path, error) from None
-        except (sqlite3.DatabaseError, OSError) as error:
-            raise _unusable(path, error) from None
+            refuse_earlier(directory / "epochs.sqlite3", "remove it, and start again")
+            record = self._file.read()
+        except BaseException:
+            self._held.close()
+            raise
+        if record is None:
+            record = _Epochs(origin=secrets.randbits(63), counter=0)
+        self._counter = max(record.counter, record.origin + int(1e6 * now()))
+        self._record = record.model_copy(update={"counter": self._counter})
+        # Two threads use it, one prepares epochs and one shows them.
+        self._lock = threading.Lock()
 
     def next(self) -> int:
-        """Commit the next epoch to the disk, then return its counter.
+        """Return the next epoch, which was made durable before.
 
         Raises:
             EpochError: it could not be made durable.
         """
-        return self._commit("UPDATE epoch SET counter = counter + 1 RETURNING counter", ())[0][0]
+        with self._lock:
+            if self._counter == self._record.counter:
+                self._write(counter=self._counter + RESERVED)
+            self._counter += 1
+            return self._counter
 
     @property
     def mark(self) -> str:
         """Mark of the mask shown last, or about to be; empty if there was none."""
-        return self._mark
+        return self._record.mark
 
     @mark.setter
     def mark(self, mark: str) -> None:
-        if mark != self._mark:
-            self._commit("UPDATE shown SET mark = ?", (mark,))
-            self._mark = mark
+        with self._lock:
+            if mark != self._record.mark:
+                self._write(mark=mark)
 
     def close(self) -> None:
-        """Close the file."""
-        self._database.close()
+        """Let another daemon have the directory; nothing is recorded from now on."""
+        self._held.close()
 
-    def _commit(self, statement: str, values: tuple[str, ...]) -> list[tuple[int, ...]]:
+    def _write(self, **changes: int | str) -> None:
+        record = self._record.model_copy(update=changes)
         try:
-            with self._lock:
-                return self._database.execute(statement, values).fetchall()
-        except sqlite3.DatabaseError as error:
+            if self._held.closed:
+                raise OSError(errno.EBADF, "the daemon has ended")
+            self._file.change(lambda _: record)
+        except OSError as error:
             raise EpochError(
-                f"the mask epoch cannot be recorded ({error}): check the state directory's disk"
+                f"the mask epoch cannot be recorded ({error.strerror}): "
+                "check the state directory's disk"
             ) from None
-
-
-def _unusable(path: Path, error: Exception) -> StartError:
-    return StartError(f"{path} cannot be used ({error}): check it, or give another --state-dir")
+        self._record = record
 
 
 LONGEST = 60.0

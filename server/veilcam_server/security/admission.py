@@ -10,19 +10,26 @@ import structlog
 from pydantic import JsonValue
 from starlette.datastructures import Headers
 
+from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.errors import (
     RateLimitError,
     TokenStoreError,
     TooManyStreamsError,
+    TooManyStreamsOfOneError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
     UnauthorizedError,
 )
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
-from veilcam_server.security.caller import ANYONE, Caller
+from veilcam_server.security.caller import Caller
+from veilcam_server.security.idempotency import IdempotencyKeys
+from veilcam_server.security.key_record import KeyRecord
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import Report, log_fault
 
 log = structlog.get_logger()
 
@@ -39,6 +46,10 @@ class Admission:
         rate: how often one caller may ask.
         concurrency: how many requests of one caller may be under way.
         streams: how many event streams may be open, all callers together.
+        streams_of_one: how many of them one caller may open.
+        uploads: how many uploads may be under way, all callers together.
+        uploads_of_one: how many of them one caller may have under way.
+        keys: idempotency keys that came lately.
         lease: who holds the camera for a while.
         settings: of the daemon, for its diagnostics: without paths, addresses and labels.
     """
@@ -52,11 +63,32 @@ class Admission:
     streams: ConcurrencyLimit = field(
         default_factory=lambda: ConcurrencyLimit(64, TooManyStreamsError)
     )
+    streams_of_one: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(16, TooManyStreamsOfOneError)
+    )
+    uploads: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(4, TooManyUploadsError)
+    )
+    uploads_of_one: ConcurrencyLimit = field(
+        default_factory=lambda: ConcurrencyLimit(2, TooManyUploadsOfOneError)
+    )
+    keys: IdempotencyKeys = field(default_factory=IdempotencyKeys)
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
 
+    def require_audit(self) -> None:
+        """Raise :class:`AuditError` while what callers do cannot be written down."""
+        if self.audit is not None:
+            self.audit.require()
+
     def note(
-        self, caller: Caller | None, action: str, *, code: str | None, **details: str | int
+        self,
+        caller: Caller | None,
+        action: str,
+        *,
+        code: str | None,
+        durable: bool = False,
+        **details: str | int,
     ) -> None:
         """Write to the audit log what was done or refused.
 
@@ -64,7 +96,11 @@ class Admission:
             caller: None where there was no valid token.
             action: method and path.
             code: of the problem it was answered with, None where it went well.
+            durable: it is on the disk at return, or this raises.
             details: what else is known: status, request id, peer.
+
+        Raises:
+            AuditError: it must be durable, and is not.
         """
         # Who asks too often must not push out what others did.
         if code == RateLimitError.code:
@@ -73,7 +109,7 @@ class Admission:
         if log is None:
             return
         who = {} if caller is None else {"caller": caller.id, "label": caller.label}
-        log.write(action, code=code, **who, **details)
+        log.write(action, durable=durable, code=code, **who, **details)
 
     @contextmanager
     def admitted(self, headers: Headers, peer: str) -> Iterator[Caller]:
@@ -90,9 +126,8 @@ class Admission:
             TokenStoreError: the tokens cannot be read.
         """
         caller = self._caller(headers, peer)
-        name = caller.id if self.tokens is not None else peer
-        self.rate.take(name)
-        with self.concurrency.held(name):
+        self.rate.take(caller.id)
+        with self.concurrency.held(caller.id):
             yield caller
 
     def still_admits(self, headers: Headers) -> bool:
@@ -107,7 +142,7 @@ class Admission:
 
     def _caller(self, headers: Headers, peer: str) -> Caller:
         if self.tokens is None:
-            return ANYONE
+            return Caller(peer, "no token wanted", frozenset(SCOPES))
         # Two of them would mean two callers.
         given = headers.getlist("authorization")
         try:
@@ -119,11 +154,19 @@ class Admission:
 
 
 @contextmanager
-def open_admission(settings: Settings) -> Iterator[Admission]:
-    """Yield what stands in front of a daemon of these settings; raises :class:`StartError`."""
-    audit = AuditLog(settings.state_dir / DONE)
-    refused = AuditLog(settings.state_dir / REFUSED)
-    tokens = TokenStore(settings.state_dir) if settings.auth == "tokens" else None
+def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[Admission]:
+    """Yield what stands in front of a daemon.
+
+    Args:
+        settings: of the daemon.
+        report: takes what was damaged of its state.
+
+    Raises:
+        StartError: the state directory cannot be used.
+    """
+    audit = AuditLog(settings.state_dir / DONE, report=report)
+    refused = AuditLog(settings.state_dir / REFUSED, report=report)
+    tokens = TokenStore(settings.state_dir, report=report) if settings.auth == "tokens" else None
     if tokens is not None and not tokens.tokens():
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
     audit.write("start", auth=settings.auth)
@@ -136,11 +179,13 @@ def open_admission(settings: Settings) -> Iterator[Admission]:
             RateLimit(settings.rate_limit, settings.rate_burst),
             ConcurrencyLimit(settings.concurrency_limit),
             ConcurrencyLimit(settings.stream_limit, TooManyStreamsError),
+            ConcurrencyLimit(settings.caller_stream_limit, TooManyStreamsOfOneError),
+            ConcurrencyLimit(settings.upload_limit, TooManyUploadsError),
+            ConcurrencyLimit(settings.caller_upload_limit, TooManyUploadsOfOneError),
+            keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
             settings=settings.redacted(),
         )
     finally:
         audit.write("stop")
-        if tokens is not None:
-            tokens.close()
         refused.close()
         audit.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from veilcam_client.wire.tokens import SCOPES, Scope
+from veilcam_client.wire.tokens import Scope
 from veilcam_server.errors import ForbiddenError
 
 
@@ -13,7 +13,7 @@ class Caller:
     """Who asks.
 
     Attributes:
-        id: of the token; where none is wanted, a name for the peer.
+        id: of the token; where none is wanted, the peer's address.
         label: of the token, for people.
         scopes: what the caller may do.
         expires: when the token ends, seconds since 1970; None: never.
@@ -28,7 +28,3 @@ class Caller:
         """Raise :class:`ForbiddenError` unless the caller has this scope."""
         if scope not in self.scopes:
             raise ForbiddenError(f"this token lacks the scope {scope}: ask for one that has it")
-
-
-ANYONE = Caller("anyone", "no token wanted", frozenset(SCOPES))
-"""Where the daemon wants no tokens: whoever reaches it may do everything."""

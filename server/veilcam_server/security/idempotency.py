@@ -3,32 +3,90 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import math
 import time
+from collections import OrderedDict, deque
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
-from veilcam_server.errors import IdempotencyError
+import structlog
+
+from veilcam_server.errors import (
+    AnswerNotKeptError,
+    DoneBeforeRestartError,
+    IdempotencyError,
+    TooManyKeysError,
+)
+from veilcam_server.security.key_record import LIFETIME, KeyRecord
+from veilcam_server.system.logs import Throttle
 
 ResultT = TypeVar("ResultT")
 
+KEPT = 256
+"""Answers to one caller that are kept. One of 24 x 32 values is 30 kB, so that they are 8 MB."""
+CAPACITY = 8192
+"""Keys of one caller in a minute. Who asks no more often than the settings allow by default, 100
+times a second, never has so many."""
 
-@dataclass(frozen=True, slots=True)
+log = structlog.get_logger()
+
+
+@dataclass(slots=True)
 class _Entry:
     fingerprint: bytes
-    task: asyncio.Task[Any]
     since: float
+    task: asyncio.Task[Any] | None = None
+    """None where the answer is not kept any more."""
+
+    @property
+    def done(self) -> bool:
+        return self.task is None or self.task.done()
+
+
+@dataclass(slots=True)
+class _Room:
+    """Keys of one caller, the oldest first."""
+
+    entries: OrderedDict[bytes, _Entry] = field(default_factory=OrderedDict)
+    answered: deque[bytes] = field(default_factory=deque)
+
+    def forget(self, before: float) -> None:
+        """Forget keys that are older, and answers for which there is no room."""
+        while self.entries:
+            first = next(iter(self.entries.values()))
+            if first.since >= before or not first.done:
+                break
+            self.entries.popitem(last=False)
+        while len(self.answered) > KEPT:
+            oldest = self.entries.get(self.answered.popleft())
+            if oldest is not None and oldest.done:
+                oldest.task = None
 
 
 class IdempotencyKeys:
-    """Results by key for ``lifetime`` seconds, ``capacity`` at most. Failures are not kept."""
+    """Keys and answers of the last minute; every caller has room of its own. Failures are not kept.
 
-    def __init__(self, lifetime: float = 60.0, capacity: int = 128) -> None:
-        self._lifetime, self._capacity = lifetime, capacity
-        self._entries: dict[str, _Entry] = {}
+    Lives on one event loop.
+
+    Args:
+        record: tells what was done before a restart; None where nobody needs to know.
+        now: a clock that is never set [s].
+    """
+
+    def __init__(
+        self, record: KeyRecord | None = None, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._record, self._now = record, now
+        self._rooms: dict[str, _Room] = {}
+        self._before = {} if record is None else record.read()
+        self._started = now()
+        self._not_written = Throttle()
 
     async def once(
         self,
+        caller: str,
         key: str | None,
         fingerprint: bytes,
         work: Callable[[], Coroutine[Any, Any, ResultT]],
@@ -36,41 +94,83 @@ class IdempotencyKeys:
         """Return the result of ``work``, done once for ``key``, even if the caller goes away.
 
         Args:
+            caller: whose key it is.
             key: chosen by the client; None does the work every time.
             fingerprint: of the request: a key belongs to one.
             work: what to do.
 
         Raises:
             IdempotencyError: the key came before with another fingerprint.
+            DoneBeforeRestartError: it was done, and the answer is lost.
+            AnswerNotKeptError: it was done, and too many others were since.
+            TooManyKeysError: the caller has used too many keys.
         """
         if key is None:
             return await work()
         self._forget()
-        entry = self._entries.get(key)
+        name = hashlib.sha256(f"{caller}\n{key}".encode()).digest()
+        self._require_new(name, fingerprint)
+        room = self._rooms.setdefault(caller, _Room())
+        entry = room.entries.get(name)
         if entry is None:
-            entry = _Entry(fingerprint, asyncio.create_task(work()), time.monotonic())
-            self._entries[key] = entry
-            entry.task.add_done_callback(lambda task: self._drop_failure(key, task))
+            entry = self._begin(room, name, fingerprint, work)
         elif entry.fingerprint != fingerprint:
-            raise IdempotencyError(
-                "this Idempotency-Key came before with another request: use a new key"
-            )
+            raise IdempotencyError
+        if entry.task is None:
+            raise AnswerNotKeptError
         return cast(ResultT, await asyncio.shield(entry.task))
 
-    def _drop_failure(self, key: str, task: asyncio.Task[Any]) -> None:
-        if task.cancelled() or task.exception() is not None:
-            entry = self._entries.get(key)
-            if entry is not None and entry.task is task:
-                del self._entries[key]
+    def _begin(
+        self,
+        room: _Room,
+        name: bytes,
+        fingerprint: bytes,
+        work: Callable[[], Coroutine[Any, Any, ResultT]],
+    ) -> _Entry:
+        now = self._now()
+        if len(room.entries) >= CAPACITY:
+            oldest = next(iter(room.entries.values()))
+            raise TooManyKeysError(CAPACITY, max(1, math.ceil(oldest.since + LIFETIME - now)))
+        task = asyncio.create_task(self._do(name, fingerprint, work))
+        entry = room.entries[name] = _Entry(fingerprint, now, task)
+        room.answered.append(name)
+
+        def drop_failure(task: asyncio.Task[Any]) -> None:
+            if task.cancelled() or task.exception() is not None:
+                room.entries.pop(name, None)
+
+        task.add_done_callback(drop_failure)
+        return entry
+
+    async def _do(
+        self, name: bytes, fingerprint: bytes, work: Callable[[], Coroutine[Any, Any, ResultT]]
+    ) -> ResultT:
+        """Do the work, and write down that it was done before anybody hears of it."""
+        result = await work()
+        if self._record is not None:
+            try:
+                await asyncio.to_thread(self._record.add, name, fingerprint)
+            except OSError as error:
+                # A full disk stops no capture. The key holds until the daemon ends.
+                if (count := self._not_written.due()) is not None:
+                    log.warning(
+                        "idempotency keys will not survive a restart",
+                        error=error.strerror,
+                        times=count,
+                    )
+        return result
+
+    def _require_new(self, name: bytes, fingerprint: bytes) -> None:
+        """Raise what tells of a key that came before the restart."""
+        if name in self._before:
+            same = self._before[name] == fingerprint
+            raise DoneBeforeRestartError if same else IdempotencyError
 
     def _forget(self) -> None:
-        now = time.monotonic()
-        old = [
-            key
-            for key, entry in self._entries.items()
-            if entry.task.done() and now - entry.since > self._lifetime
-        ]
-        done = [key for key, entry in self._entries.items() if entry.task.done()]
-        excess = max(0, len(self._entries) - self._capacity + 1)
-        for key in {*old, *done[:excess]}:
-            del self._entries[key]
+        limit = self._now() - LIFETIME
+        if self._before and self._started < limit:
+            self._before = {}
+        for caller, room in tuple(self._rooms.items()):
+            room.forget(limit)
+            if not room.entries:
+                del self._rooms[caller]

@@ -4,49 +4,55 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
+import math
 import re
 import secrets
-import sqlite3
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Token
 from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
 from veilcam_server.security.caller import Caller
+from veilcam_server.system.state_file import (
+    Report,
+    StateFile,
+    log_fault,
+    refuse_earlier,
+    unusable,
+)
 
+KEPT = 90 * 86_400.0
+"""How long a token that was revoked, or has expired, stays on the list [s]."""
+_PAUSE = 60.0
+"""Before the day of a use is written again, where that failed [s]."""
 _TOKEN = re.compile(r"Bearer vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
-_COLUMNS = "id, label, scopes, created, expires, revoked, used, digest"
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS token (
-    id TEXT PRIMARY KEY, label TEXT NOT NULL, scopes TEXT NOT NULL, created REAL NOT NULL,
-    expires REAL, revoked REAL, used TEXT, digest BLOB NOT NULL) STRICT;
-CREATE TABLE IF NOT EXISTS clock (
-    one INTEGER PRIMARY KEY CHECK (one = 1), seen REAL NOT NULL) STRICT;
-INSERT OR IGNORE INTO clock VALUES (1, 0);
-"""
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
+class _Row(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
     id: str
     label: str
-    scopes: str
+    scopes: tuple[str, ...]
     created: float
-    expires: float | None
-    revoked: float | None
-    used: str | None
-    digest: bytes
+    expires: float | None = None
+    revoked: float | None = None
+    used: str | None = None
+    digest: str
+
+    @property
+    def ended(self) -> float:
+        """Since when it lets nobody in; inf while it may."""
+        return min(time for time in (self.expires, self.revoked, float("inf")) if time is not None)
 
     def public(self) -> Token:
         return Token(
             id=self.id,
             label=self.label,
-            scopes=tuple(self.scopes.split()),
+            scopes=self.scopes,
             created_at=_datetime(self.created),
             expires_at=None if self.expires is None else _datetime(self.expires),
             revoked_at=None if self.revoked is None else _datetime(self.revoked),
@@ -54,23 +60,34 @@ class _Row:
         )
 
 
+class _Tokens(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    seen: float = 0.0
+    """The latest time at which one was made or revoked."""
+    tokens: tuple[_Row, ...] = ()
+
+
 class TokenStore:
-    """``DIRECTORY/tokens.sqlite3``; a daemon sees at once what another process changes in it.
+    """``DIRECTORY/tokens.json``; a daemon sees at once what another process changes in it.
 
     A token is ``vc_ID_SECRET`` with a secret of 256 bits, of which the file has the SHA-256: a
     secret that cannot be guessed needs no slow hash. What is asked at every request comes from
-    memory, which is read anew when the file changed.
+    memory, which is read anew when the file changed. Where neither of its copies is whole there is
+    no token, and nobody is let in until one is made.
 
     Time only goes on: a clock that is set back brings no expired token back while the daemon runs,
     and none that had expired when a token was last made or revoked after a restart.
+
+    A token is forgotten ``KEPT`` after it ended, when the next one is made or revoked.
 
     Args:
         directory: the daemon's state directory; made if it is not there.
         now: wall clock, seconds since 1970.
         monotonic: a clock that is never set [s].
+        report: takes what was damaged.
 
     Raises:
-        StartError: the file cannot be used.
+        StartError: the directory cannot be used, or an earlier version used it.
     """
 
     def __init__(
@@ -78,32 +95,31 @@ class TokenStore:
         directory: Path,
         now: Callable[[], float] = time.time,
         monotonic: Callable[[], float] = time.monotonic,
+        report: Report = log_fault,
     ) -> None:
-        self.patience = 5.0
-        """How long another process may keep the file to itself [s]."""
-        self._path, self._wall, self._monotonic = directory / "tokens.sqlite3", now, monotonic
-        self._known: dict[str, _Row] = {}
-        self._version = -1
+        self._wall, self._monotonic = now, monotonic
+        refuse_earlier(directory / "tokens.sqlite3", "make the tokens again, and remove it")
         try:
             directory.mkdir(parents=True, exist_ok=True, mode=0o700)
-            # Before SQLite opens it: its own files beside it take over the permissions.
-            os.close(os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600))
-            self._path.chmod(0o600)
-            self._reader = self._connect()
-            self._reader.executescript(_SCHEMA)
-            self._seen = float(self._reader.execute("SELECT seen FROM clock").fetchone()[0])
-            held = self._reader.execute("SELECT scopes FROM token").fetchall()
-        except (sqlite3.Error, OSError) as error:
-            raise StartError(
-                f"{self._path} cannot be used ({error}): check it, or give another --state-dir"
-            ) from None
-        unknown = {scope for row in held for scope in row[0].split()} - set(SCOPES)
+        except OSError as error:
+            raise unusable(directory, error) from None
+        self._file = StateFile(
+            directory / "tokens.json",
+            _Tokens,
+            lost="nobody is let in until a token is made with 'veilcamd token create'",
+            report=report,
+        )
+        self._version = self._file.version
+        held = self._file.read() or _Tokens()
+        self._known = _by_id(held)
+        unknown = {scope for row in held.tokens for scope in row.scopes} - set(SCOPES)
         if unknown:
             raise StartError(
-                f"{self._path} has tokens of an earlier version, with the scopes "
+                f"{directory / 'tokens.json'} has tokens of another version, with the scopes "
                 f"{' '.join(sorted(unknown))}: move it away and make the tokens again"
             )
-        self._since = monotonic()
+        self._seen, self._since = held.seen, monotonic()
+        self._note_from = -math.inf
 
     def create(self, label: str, scopes: tuple[Scope, ...], lifetime: float | None) -> NewToken:
         """Make a token.
@@ -117,15 +133,15 @@ class TokenStore:
             TokenStoreError: it cannot be written.
         """
         now, secret = self._now(), secrets.token_hex(32)
-        expires = None if lifetime is None else now + lifetime
-        held = " ".join(sorted(set(scopes)))
-        row = _Row(secrets.token_hex(6), label, held, now, expires, None, None, _digest(secret))
-        with self._writing() as database:
-            _advance(database, now)
-            database.execute(
-                f"INSERT INTO token ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608
-                (row.id, label, held, now, expires, None, None, row.digest),
-            )
+        row = _Row(
+            id=secrets.token_hex(6),
+            label=label,
+            scopes=tuple(sorted(set(scopes))),
+            created=now,
+            expires=None if lifetime is None else now + lifetime,
+            digest=_digest(secret),
+        )
+        self._change(lambda held: _advanced(held, now, {**_current(held, now), row.id: row}))
         return NewToken(**row.public().model_dump(), secret=f"vc_{row.id}_{secret}")
 
     def tokens(self) -> tuple[Token, ...]:
@@ -141,18 +157,19 @@ class TokenStore:
             TokenStoreError: it cannot be written.
         """
         now = self._now()
-        with self._writing() as database:
-            _advance(database, now)
-            found = database.execute(
-                "UPDATE token SET revoked = coalesce(revoked, ?) WHERE id = ? RETURNING id",
-                (now, token_id),
-            ).fetchall()
-        if not found:
-            raise UnknownTokenError(
-                "there is no token of this id: 'veilcamd token list' names them all"
-            )
-        self._refresh()
-        return self._known[token_id].public()
+
+        def revoke(held: _Tokens) -> _Tokens:
+            rows = _current(held, now)
+            row = rows.get(token_id)
+            if row is None:
+                raise UnknownTokenError(
+                    "there is no token of this id: 'veilcamd token list' names them all"
+                )
+            if row.revoked is None:
+                rows[token_id] = row.model_copy(update={"revoked": now})
+            return _advanced(held, now, rows)
+
+        return _by_id(self._change(revoke))[token_id].public()
 
     def caller(self, authorization: str) -> Caller:
         """Who sends this ``Authorization`` header.
@@ -160,73 +177,61 @@ class TokenStore:
         Raises:
             UnauthorizedError: no token, or one that is unknown, revoked, expired or misspelt: which
                 of these it is, is nobody's business.
-            TokenStoreError: the file cannot be read.
+            TokenStoreError: the file is of another version.
         """
         self._refresh()
         match = _TOKEN.fullmatch(authorization)
         token_id, secret = match.groups() if match else ("", "")
         row = self._known.get(token_id)
         now = self._now()
-        right = hmac.compare_digest(_digest(secret), row.digest if row else bytes(32))
+        right = hmac.compare_digest(_digest(secret), row.digest if row else _NO_DIGEST)
         if row is None or not right or row.revoked is not None:
             raise UnauthorizedError
         if row.expires is not None and now >= row.expires:
             raise UnauthorizedError
         self._note_use(row, now)
-        return Caller(row.id, row.label, frozenset(row.scopes.split()), row.expires)
+        return Caller(row.id, row.label, frozenset(row.scopes), row.expires)
 
     def lifetime(self, caller: Caller) -> float | None:
         """How long the caller's token is still valid [s], None for ever."""
         return None if caller.expires is None else max(0.0, caller.expires - self._now())
 
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
-
-    def _connect(self) -> sqlite3.Connection:
-        database = sqlite3.connect(
-            self._path, timeout=self.patience, isolation_level=None, check_same_thread=False
-        )
-        database.execute("PRAGMA journal_mode = WAL")
-        database.execute("PRAGMA synchronous = FULL")
-        return database
-
-    @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
-        # A connection of its own: it may come from any thread, and the reader sees a change.
+    def _change(self, update: Callable[[_Tokens], _Tokens]) -> _Tokens:
         try:
-            with closing(self._connect()) as database:
-                database.execute("BEGIN IMMEDIATE")
-                yield database
-                database.execute("COMMIT")
-        except sqlite3.Error as error:
+            return self._file.change(lambda held: update(held or _Tokens()))
+        except OSError as error:
             raise TokenStoreError(
-                f"the tokens cannot be written ({error}): check the state directory's disk"
+                f"the tokens cannot be written ({error.strerror}): check the state directory's disk"
             ) from None
+        except StartError as error:
+            raise TokenStoreError(f"the tokens cannot be written: {error}") from None
 
     def _refresh(self) -> None:
+        version = self._file.version
+        if version == self._version:
+            return
         try:
-            version = self._reader.execute("PRAGMA data_version").fetchone()[0]
-            if version == self._version:
-                return
-            rows = self._reader.execute(
-                f"SELECT {_COLUMNS} FROM token ORDER BY rowid"  # noqa: S608
-            ).fetchall()
-        except sqlite3.Error as error:
-            raise TokenStoreError(
-                f"the tokens cannot be read ({error}): check the state directory's disk"
-            ) from None
-        self._known = {row[0]: _Row(*row) for row in rows}
-        self._version = version
+            held = self._file.read() or _Tokens()
+        except StartError as error:
+            raise TokenStoreError(f"the tokens cannot be read: {error}") from None
+        self._known, self._version = _by_id(held), version
 
     def _note_use(self, row: _Row, now: float) -> None:
         today = _datetime(now).strftime("%Y-%m-%d")
-        if row.used == today:
+        if row.used == today or self._monotonic() < self._note_from:
             return
+
+        def note(held: _Tokens) -> _Tokens:
+            rows = _by_id(held)
+            if row.id in rows:
+                rows[row.id] = rows[row.id].model_copy(update={"used": today})
+            return held.model_copy(update={"tokens": tuple(rows.values())})
+
         # Once a day for each token; that it cannot be written is no reason to refuse a request.
-        with suppress(TokenStoreError), self._writing() as database:
-            database.execute("UPDATE token SET used = ? WHERE id = ?", (today, row.id))
-        self._known[row.id] = replace(row, used=today)
+        try:
+            self._change(note)
+        except TokenStoreError:
+            self._note_from = self._monotonic() + _PAUSE
 
     def _now(self) -> float:
         """The wall clock, but never less than it was plus the time since then."""
@@ -235,13 +240,25 @@ class TokenStore:
         return now
 
 
-def _advance(database: sqlite3.Connection, now: float) -> None:
+_NO_DIGEST = 64 * "0"
+
+
+def _advanced(held: _Tokens, now: float, rows: Mapping[str, _Row]) -> _Tokens:
     # Not at every use: one second in which the clock stands in 2099 would end tokens for good.
-    database.execute("UPDATE clock SET seen = max(seen, ?)", (now,))
+    return _Tokens(seen=max(held.seen, now), tokens=tuple(rows.values()))
 
 
-def _digest(secret: str) -> bytes:
-    return hashlib.sha256(secret.encode()).digest()
+def _current(held: _Tokens, now: float) -> dict[str, _Row]:
+    """All that are not to be forgotten."""
+    return {row.id: row for row in held.tokens if now < row.ended + KEPT}
+
+
+def _by_id(held: _Tokens) -> dict[str, _Row]:
+    return {row.id: row for row in held.tokens}
+
+
+def _digest(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def _datetime(seconds: float) -> datetime:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
@@ -49,7 +49,8 @@ from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
-    BundleInvalidError,
+    PolicyStoreError,
+    ProblemError,
     ReplayingError,
     SceneApiOffError,
     SceneInvalidError,
@@ -63,6 +64,7 @@ from veilcam_server.service.responses import (
     classification_response,
     timing,
 )
+from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 
 log = structlog.get_logger()
@@ -82,6 +84,8 @@ class Service:
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
         break_device: breaks and mends a simulated device; None: nobody may.
+        faults: what was found before; told of once this is open.
+        policies: where the rotation policy is kept; None: it lasts no longer than this.
     """
 
     def __init__(
@@ -96,11 +100,15 @@ class Service:
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
         break_device: Callable[[Faults], None] | None = None,
+        faults: Sequence[ProblemError] = (),
+        policies: PolicyStore | None = None,
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self.release = form
         """In which form embeddings leave."""
-        self._bundles, self._scenes, self._break = bundles, scenes, break_device
+        self._bundles, self._scenes, self._policies = bundles, scenes, policies
+        self._break = break_device
+        self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
         self._alarms = Alarms(camera, publish)
@@ -117,6 +125,7 @@ class Service:
         ):
             self._events.subscribe(self._alarms.guarded(task, take))
         self._since = time.monotonic()
+        self._found: list[ProblemError] | None = list(faults)
         self._inference_thread = ThreadPoolExecutor(1, "inference")
         camera.listen(self._alarms.pass_on)
 
@@ -127,15 +136,9 @@ class Service:
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
         with self._events.open():
-            for fault in () if self._bundles is None else self._bundles.faults:
-                self._events.publish(
-                    partial(
-                        Fault,
-                        code=BundleInvalidError.code,
-                        detail=fault,
-                        remedy=BundleInvalidError.remedy,
-                    )
-                )
+            found, self._found = self._found or (), None
+            for fault in found:
+                self.report(fault)
             try:
                 async with self._scheduler.running():
                     yield
@@ -152,6 +155,19 @@ class Service:
         finally:
             self._queue.close()
             self._inference_thread.shutdown()
+
+    def report(self, fault: ProblemError) -> None:
+        """Tell of a fault that ended nothing; from whatever thread, and before this is open too."""
+        if self._found is not None:
+            self._found.append(fault)
+        else:
+            self._events.publish(
+                partial(Fault, code=fault.code, detail=str(fault), remedy=fault.remedy)
+            )
+
+    def healthy(self) -> bool:
+        """Whether panel and camera still answer."""
+        return self._camera.healthy()
 
     def stop(self) -> None:
         """Show opaque and let go of the device, without an event loop; twice does no harm."""
@@ -194,9 +210,21 @@ class Service:
         """The policy, the present epoch, and whether the next one is ready."""
         return self._camera.rotation()
 
-    def set_policy(self, policy: RotationPolicy) -> Rotation:
-        """Change when masks change; raises :class:`RotationImpossibleError`."""
-        self._camera.policy = policy
+    async def set_policy(self, policy: RotationPolicy) -> Rotation:
+        """Change when masks change, also after a restart.
+
+        Raises:
+            RotationImpossibleError: the policy needs another mask, and there is none.
+            PolicyStoreError: it cannot be made durable; the one before goes on.
+        """
+        async with self._setting_policy:
+            before, self._camera.policy = self._camera.policy, policy
+            if self._policies is not None:
+                try:
+                    await asyncio.to_thread(self._policies.set, policy)
+                except PolicyStoreError:
+                    self._camera.policy = before
+                    raise
         self._events.publish(partial(RotationChanged, policy=policy))
         return self.rotation()
 

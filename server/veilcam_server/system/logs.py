@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
 import traceback
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import TextIO
 
@@ -101,3 +103,26 @@ def log_defect(error: BaseException, **context: str) -> None:
         ],
         **context,
     )
+
+
+class Throttle:
+    """Says when a line about what happens often is due: at most one in ``interval``.
+
+    Args:
+        interval: between two lines [s].
+        now: a clock that is never set [s].
+    """
+
+    def __init__(self, interval: float = 60.0, now: Callable[[], float] = time.monotonic) -> None:
+        self._interval, self._now = interval, now
+        self._last: float | None = None
+        self._count = 0
+
+    def due(self) -> int | None:
+        """Count one more; return how many the line that is due stands for, None if none is."""
+        self._count += 1
+        now = self._now()
+        if self._last is not None and now - self._last < self._interval:
+            return None
+        count, self._last, self._count = self._count, now, 0
+        return count

@@ -223,6 +223,7 @@ def test_types_of_each_precision() -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(6, 8), (24, 32)])
 def test_precision_is_bounded(shape: tuple[int, int]) -> None:
     weights = quantise(mask(3), CAMERA.panel)

@@ -209,6 +209,7 @@ def test_what_is_always_there_is_off_where_it_hardly_shows(
     assert chosen.reached
 
 
+@pytest.mark.slow
 def test_what_is_off_is_not_computed() -> None:
     """The plan of an ordinary scene holds what the plain operator holds, and not a number more."""
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
@@ -269,6 +270,7 @@ def test_dark_mask_keeps_a_finite_gradient_under_gamma() -> None:
     assert bool(torch.isfinite(gradient).all())
 
 
+@pytest.mark.slow
 def test_spectrum_is_an_average_over_wavelengths() -> None:
     conditions = Conditions(bandwidth=(60e-9,) * 3)
     called = Called(conditions, embedding=Embedding(60, 70))
@@ -296,6 +298,7 @@ def test_spectrum_is_an_average_over_wavelengths() -> None:
     assert errors[2] < 1e-4
 
 
+@pytest.mark.slow
 def test_depth_is_an_average_over_distances() -> None:
     called = Called(Conditions(depth_range=0.12))
     total = torch.zeros(20, 42, dtype=torch.float64)

@@ -287,6 +287,7 @@ def test_no_batch_is_named() -> None:
         plan(CAMERA, SCENE, EMBEDDING, 1e-2, batch=0)
 
 
+@pytest.mark.slow
 def test_explanation_says_what_was_chosen() -> None:
     chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
     text = chosen.explain()

@@ -67,6 +67,7 @@ def test_no_shift_at_odd_or_even_sizes(sensor: tuple[int, int]) -> None:
     assert relative(image.flip(1), image) < 1e-9
 
 
+@pytest.mark.slow
 def test_delivers_the_noise_that_is_asked_for() -> None:
     scene = pictures(24, 14, 14)
     clean = Algorithm1(SMALL, SCENE, EMBEDDING, snr_db=math.inf)

@@ -95,6 +95,7 @@ def test_every_pair_within_reach_counts() -> None:
         assert relative(transfers[channel], reference) < 1e-3
 
 
+@pytest.mark.slow
 def test_dropping_far_pairs_costs_little_and_is_monotone() -> None:
     camera = Camera(panel=Panel(filter_cycle=()))
     weights = mask(camera)
@@ -297,7 +298,12 @@ def test_a_scene_elsewhere_is_a_part_of_a_larger_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("camera", "pairs"), [(SMALL, Reach(0, 0)), (SMALL, Reach(3, 1)), (LEAKY, Reach(0, 0))]
+    ("camera", "pairs"),
+    [
+        pytest.param(SMALL, Reach(0, 0), marks=pytest.mark.slow),
+        (SMALL, Reach(3, 1)),
+        (LEAKY, Reach(0, 0)),
+    ],
 )
 def test_a_small_rotation_moves_every_sub_pixel_by_itself(camera: Camera, pairs: Reach) -> None:
     """Row r moves along x by -angle y_r, and column c along y by angle x_c."""

@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from starlette.types import Message
 
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture, Classification
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, Rotation
 from veilcam_client.wire.status import Status
+from veilcam_server.api.app import create_app
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.devices import DisplayError, SensorError, SensorTimeoutError
 from veilcam_server.errors import ProblemError
@@ -53,7 +56,6 @@ async def test_status(running: Running, bench: Bench) -> None:
     assert status.bundle.pairs == 3
     assert status.queue.limit == 8
     assert status.experiment is None
-    assert answer.headers["cache-control"] == "no-store"
 
 
 async def test_capture_as_json_and_as_npy(running: Running, bench: Bench) -> None:
@@ -62,6 +64,7 @@ async def test_capture_as_json_and_as_npy(running: Running, bench: Bench) -> Non
         answer = await client.post("/v1/captures")
         capture = Capture.model_validate_json(answer.content)
         npy = await client.post("/v1/captures", headers={"Accept": NPY_MEDIA_TYPE})
+    assert answer.headers["cache-control"] == npy.headers["cache-control"] == "no-store"
     assert capture.epoch == bench.epochs[0]
     assert np.array_equal(np.asarray(capture), bench.sensor.measurement)
     assert capture.exposure is not None
@@ -132,7 +135,7 @@ async def test_a_change_at_the_moment_of_closing_does_not_keep_the_service_open(
     async with asyncio.timeout(20):
         async with service.open():
             await asyncio.sleep(0.05)
-            service.set_policy(EveryCaptures(captures=2))
+            await service.set_policy(EveryCaptures(captures=2))
     assert camera.state[0] == "stopping"
 
 
@@ -203,7 +206,7 @@ async def test_errors_of_the_protocol_are_problems(running: Running) -> None:
         problem(await client.get("/v1/status/"), "not_found")
         wrong = await client.delete("/v1/status")
         problem(wrong, "method_not_allowed")
-        assert wrong.headers["allow"] == "GET"
+        assert wrong.headers["allow"] == "GET, HEAD"
         problem(
             await client.post("/v1/captures", headers={"Accept": "image/png"}), "not_acceptable"
         )
@@ -228,6 +231,46 @@ async def test_a_body_too_large_is_refused_whatever_it_claims(
                 path, content=content, headers={"Content-Type": "application/json"}
             )
             problem(answer, "body_too_large")
+    assert bench.sensor.captures == 0
+
+
+@pytest.mark.parametrize("path", ["/v1/captures", "/v1/bundles", "/v1/simulation/scene"])
+async def test_a_body_that_breaks_off_is_no_defect(
+    bench: Bench, path: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    service = bench.service(bench.camera())
+    app = create_app(service)
+    messages: list[Message] = [
+        {"type": "http.request", "body": b"PK", "more_body": True},
+        {"type": "http.disconnect"},
+    ]
+    sent: list[Message] = []
+    media_types = {"/v1/bundles": BUNDLE_MEDIA_TYPE, "/v1/simulation/scene": "image/png"}
+
+    async def receive() -> Message:
+        return messages.pop(0)
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "http_version": "1.1",
+        "method": "PUT" if path.endswith("scene") else "POST",
+        "path": path,
+        "raw_path": path.encode(),
+        "query_string": b"",
+        "headers": [
+            (b"host", b"localhost"),
+            (b"content-type", media_types.get(path, "application/json").encode()),
+            (b"content-length", b"1000"),
+        ],
+    }
+    async with service.open():
+        await app(scope, receive, send)
+    assert not sent or sent[0]["status"] < 500
+    log = capsys.readouterr()
+    assert "defect" not in log.out + log.err
     assert bench.sensor.captures == 0
 
 

@@ -137,6 +137,7 @@ async def test_what_is_no_picture_changes_nothing(
         assert (await http.get("/v1/diagnostics")).json()["faults"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_it_has_to_be_allowed(given: dict[str, Any]) -> None:
     async with camera({**given, "scene_api": False}) as sdk:

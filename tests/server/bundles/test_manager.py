@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import os
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import torch
+from tests.server.damage import DAMAGES
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
@@ -19,17 +22,29 @@ from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.bundles import store as bundle_store
-from veilcam_server.bundles.loader import Opener, last_good
+from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.camera.epochs import EpochStore
 from veilcam_server.devices import DisplayError
-from veilcam_server.errors import BundleInvalidError, BundleStoreError, StartError
+from veilcam_server.errors import (
+    BundleInvalidError,
+    BundlesBusyError,
+    BundlesFullError,
+    BundleStoreError,
+    ProblemError,
+    StartError,
+    StateLostError,
+    TooManyUploadsError,
+    TooManyUploadsOfOneError,
+)
 from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.security.admission import Admission
+from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncIterator, Callable
 
     import httpx
     from tests.server.conftest import Bench, Running
@@ -65,6 +80,18 @@ def data(bundle: Bundle, tmp_path: Path) -> bytes:
 async def upload(client: httpx.AsyncClient, data: bytes) -> httpx.Response:
     headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
     return await client.post("/v1/bundles", content=data, headers=headers)
+
+
+def packed(bundle: Bundle, folder: Path) -> bytes:
+    """The content of its file."""
+    folder.mkdir(exist_ok=True)
+    path = folder / "packed.veilcam"
+    write_bundle(path, bundle)
+    return path.read_bytes()
+
+
+async def unchanged(_: LoadedBundle) -> None:
+    """A change of the camera that is none."""
 
 
 async def install(client: httpx.AsyncClient, data: bytes) -> InstalledBundle:
@@ -183,7 +210,7 @@ async def test_a_panel_that_fails_keeps_the_bundle_or_is_opaque(
             await client.post("/v1/rotation/advance")
             assert (await label(client)).label == expected(bundle, bench)
     assert not list((bench.state_dir / "bundles").glob(".new-*"))
-    assert not (bench.state_dir / "bundles" / "active.json").exists()
+    assert not (bench.state_dir / "bundles" / "in-use.json").exists()
 
 
 async def test_an_epoch_that_cannot_be_recorded_keeps_the_bundle(
@@ -292,17 +319,88 @@ async def test_there_is_room_for_so_many(
         assert (await activate(client, installed.digest)).status_code == 200
 
 
-async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
-    from veilcam_server.errors import BundlesBusyError
+async def test_an_upload_that_stands_still_holds_up_nothing(bench: Bench, bundle: Bundle) -> None:
+    async def slow() -> AsyncIterator[bytes]:
+        yield first[:100]
+        await go_on.wait()
+        yield first[100:]
 
+    async def fast() -> AsyncIterator[bytes]:
+        yield second
+
+    go_on = asyncio.Event()
+    first, second = (packed(other(bundle, seed=seed), bench.state_dir) for seed in (1, 2))
     bundles = bench.service(bench.camera()).bundles
+    configured = bundles.info.digest
+    async with asyncio.timeout(60):
+        standing = asyncio.create_task(bundles.install(slow()))
+        await asyncio.sleep(0)
+        installed = await bundles.install(fast())
+        await bundles.activate(installed.digest, unchanged)
+        await bundles.activate(configured, unchanged)
+        await bundles.remove(installed.digest)
+        assert not standing.done()
+        go_on.set()
+        assert (await standing).bundle is not None
 
+
+async def test_one_change_at_a_time(bench: Bench, data: bytes) -> None:
     async def chunks() -> AsyncIterator[bytes]:
-        with pytest.raises(BundlesBusyError):
-            await bundles.remove("0" * 64)
         yield data
 
-    assert (await bundles.install(chunks())).bundle is not None
+    async def slow(_: LoadedBundle) -> None:
+        changing.set()
+        await go_on.wait()
+
+    changing, go_on = asyncio.Event(), asyncio.Event()
+    bundles = bench.service(bench.camera()).bundles
+    digest = (await bundles.install(chunks())).digest
+    async with asyncio.timeout(60):
+        activation = asyncio.create_task(bundles.activate(digest, slow))
+        await changing.wait()
+        with pytest.raises(BundlesBusyError):
+            await bundles.remove(digest)
+        # What was sent to the end is taken in afterwards.
+        upload = asyncio.create_task(bundles.install(chunks()))
+        while not list((bench.state_dir / "bundles").glob(".new-*")):
+            await asyncio.sleep(0.001)
+        assert not upload.done()
+        go_on.set()
+        assert (await activation).active
+        assert (await upload).digest == digest
+
+
+async def test_uploads_at_once_leave_no_more_than_there_is_room_for(
+    bench: Bench, bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def chunks(content: bytes) -> AsyncIterator[bytes]:
+        begun.append(content)
+        while len(begun) < 2:
+            await asyncio.sleep(0)
+        yield content
+
+    begun: list[bytes] = []
+    monkeypatch.setattr(bundle_store, "CAPACITY", 1)
+    contents = [packed(other(bundle, seed=seed), bench.state_dir) for seed in (1, 2)]
+    bundles = bench.service(bench.camera()).bundles
+    results = await asyncio.gather(
+        *(bundles.install(chunks(content)) for content in contents), return_exceptions=True
+    )
+    assert sum(isinstance(result, BundlesFullError) for result in results) == 1
+    assert len((await bundles.all()).bundles) == 2
+    assert not list((bench.state_dir / "bundles").glob(".new-*"))
+
+
+async def test_so_many_uploads_at_once(running: Running, data: bytes) -> None:
+    for admission, told in (
+        (Admission(uploads=ConcurrencyLimit(0, TooManyUploadsError)), "0 uploads"),
+        (Admission(uploads_of_one=ConcurrencyLimit(0, TooManyUploadsOfOneError)), "0 of your"),
+    ):
+        async with running(admission=admission) as client:
+            refused = await upload(client, data)
+            assert code(refused) == "too_many_uploads"
+            assert told in refused.json()["detail"]
+            assert int(refused.headers["retry-after"]) >= 1
 
 
 async def test_a_full_disk_leaves_nothing_behind(
@@ -325,6 +423,8 @@ class Restarts:
 
     def __init__(self, bundle: Bundle, directory: Path) -> None:
         self.directory = directory
+        self.faults: list[ProblemError] = []
+        """Of the start that was tried last."""
         self.files = []
         for number in range(3):
             path = directory / f"{number}.veilcam"
@@ -334,7 +434,7 @@ class Restarts:
 
     def store(self, configured: int = 0) -> BundleStore:
         path, digest = self.files[configured], self.digests[configured]
-        return BundleStore(self.directory / "bundles", path, digest)
+        return BundleStore(self.directory / "bundles", path, digest, self.faults.append)
 
     def use(self, number: int, before: int) -> None:
         """Install and activate."""
@@ -342,14 +442,16 @@ class Restarts:
         with store.incoming() as (path, stream):
             bundle_store.append(stream, self.files[number].read_bytes())
             store.install(path, self.digests[number])
-        store.commit(store.stage(self.digests[number], self.digests[before], Used()))
+        with closing(store.stage(self.digests[number], self.digests[before], Used())) as staged:
+            store.commit(staged)
 
     def start(self, configured: int = 0) -> tuple[str, list[str]]:
         """Task that is served, and what could not be."""
         bundle = read_bundle(self.files[configured])
-        store = self.store(configured)
-        keys, faults = last_good(store, Opener(bundle, load_pairs), bundle)
-        return keys.info.task, list(faults)
+        self.faults.clear()
+        opener = Opener(bundle, load_pairs)
+        keys = last_good(self.store(configured), opener, bundle, self.faults.append)
+        return keys.info.task, [str(each) for each in self.faults]
 
 
 @pytest.fixture
@@ -393,11 +495,44 @@ def test_a_damaged_bundle_gives_way_to_the_last_good_one(restarts: Restarts) -> 
     assert len(faults) == 2
 
 
-@pytest.mark.parametrize("content", [b"", b"{}", b'{"active": "../x"}', bytes(100)])
-def test_a_damaged_record_is_none(restarts: Restarts, content: bytes) -> None:
+@pytest.mark.parametrize("name", ["in-use.json", "in-use.json.copy"])
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_record_is_put_right_from_its_copy(
+    restarts: Restarts, damage: Callable[[Path], None], name: str
+) -> None:
     restarts.use(1, before=0)
-    (restarts.directory / "bundles" / "active.json").write_bytes(content)
-    assert restarts.start() == ("task 0", [])
+    restarts.use(2, before=1)
+    damage(restarts.directory / "bundles" / name)
+    task, (fault,) = restarts.start()
+    assert (task, restarts.faults[0].code) == ("task 2", "state_damaged")
+    assert name in fault
+    assert restarts.start() == ("task 2", [])
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_lost_record_rolls_nothing_back_in_silence(
+    restarts: Restarts, damage: Callable[[Path], None]
+) -> None:
+    restarts.use(1, before=0)
+    for name in ("in-use.json", "in-use.json.copy"):
+        damage(restarts.directory / "bundles" / name)
+    for _ in range(2):
+        task, (fault,) = restarts.start()
+        assert (task, restarts.faults[0].code) == ("task 0", "state_lost")
+        assert "the bundle that the daemon was started with is in use; activate" in fault
+    restarts.use(1, before=0)
+    assert restarts.start() == ("task 1", [])
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_bundle_that_is_damaged_is_never_used_and_that_is_told(
+    restarts: Restarts, damage: Callable[[Path], None]
+) -> None:
+    restarts.use(1, before=0)
+    damage(restarts.directory / "bundles" / f"{restarts.digests[1]}.veilcam")
+    task, (fault,) = restarts.start()
+    assert (task, restarts.faults[0].code) == ("task 0", "bundle_invalid")
+    assert f"bundle {restarts.digests[1][:12]} is not in use any more" in fault
 
 
 def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
@@ -410,12 +545,15 @@ def test_what_a_killed_upload_left_is_removed(restarts: Restarts) -> None:
 
 async def test_faults_of_the_start_are_events(bench: Bench) -> None:
     service = bench.service(bench.camera())
-    service.bundles.faults = ("bundle 0123 is not in use any more",)
+    service.report(BundleInvalidError("bundle 0123 is not in use any more"))
     async with service.open():
+        service.report(StateLostError("of later"))
         heard = [event async for event in _until_quiet(service.events("x-0"))]
-    (fault,) = [event for event in heard if isinstance(event, Fault)]
-    assert fault.code == "bundle_invalid"
-    assert fault.detail == service.bundles.faults[0]
+    faults = [event for event in heard if isinstance(event, Fault)]
+    assert [(fault.code, fault.detail) for fault in faults] == [
+        ("bundle_invalid", "bundle 0123 is not in use any more"),
+        ("state_lost", "of later"),
+    ]
 
 
 async def _until_quiet(events: AsyncIterator[Event | None]) -> AsyncIterator[Event]:
@@ -443,3 +581,8 @@ def test_state_of_an_earlier_version_is_refused(restarts: Restarts) -> None:
         restarts.store()
     (restarts.directory / "keyrings").rename(restarts.directory / "bundles")
     assert restarts.start()[0] == "task 1"
+    (restarts.directory / "bundles" / "active.json").touch()
+    with pytest.raises(
+        StartError, match=r"active\.json is of an earlier version: remove it, start again, and"
+    ):
+        restarts.store()

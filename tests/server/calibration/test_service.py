@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -295,18 +295,16 @@ async def test_a_key_that_cannot_be_made_is_found_out_at_once(
     running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client:
-        (bench.state_dir / "calibration-key").write_text("no key")
+        (bench.state_dir / "calibration-key.json.lock").mkdir()
         answer = await start(client)
         assert (answer.status_code, answer.json()["code"]) == (409, "calibration_impossible")
-        assert "is no key" in answer.json()["detail"]
+        assert "calibration-key.json cannot be used (Is a directory)" in answer.json()["detail"]
         assert await state(client) == "ready"
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[TokenStore]:
-    store = TokenStore(tmp_path / "state")
-    yield store
-    store.close()
+def store(tmp_path: Path) -> TokenStore:
+    return TokenStore(tmp_path / "state")
 
 
 async def test_it_wants_its_scope_and_that_nobody_else_holds_the_camera(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
+import errno
 import threading
 from collections.abc import Callable
 from itertools import pairwise
@@ -271,17 +271,15 @@ def test_no_mask_is_shown_before_its_epoch_is_durable(
     camera.preparation.take()  # the one that was prepared while the disk had room
     present, shown = camera.present, len(bench.display.shown)
 
-    class FullDisk:
-        def execute(self, *_: object) -> None:
-            raise sqlite3.OperationalError("database or disk is full")
+    def full(update: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    database = camera.preparation._epochs._database
-    monkeypatch.setattr(camera.preparation._epochs, "_database", FullDisk())
-    with pytest.raises(EpochError, match="disk is full"):
-        camera.rotate()
+    with monkeypatch.context() as patched:
+        patched.setattr(camera.preparation._epochs._file, "change", full)
+        with pytest.raises(EpochError, match="No space left"):
+            camera.rotate()
     assert len(bench.display.shown) == shown
     assert camera.present == present
-    monkeypatch.setattr(camera.preparation._epochs, "_database", database)
     camera.rotate()
     assert camera.present[0] == bench.epochs[-1] != present[0]
 

@@ -205,6 +205,7 @@ def test_a_start_that_meets_a_defect_serves_and_tells_nothing_of_it(
     watched.check()
 
 
+@pytest.mark.slow
 def test_a_panel_that_cannot_be_made_opaque_does_not_keep_the_sensor_running(
     watched: Watched, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
+import errno
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -228,16 +228,15 @@ def test_a_mask_is_put_back_though_that_cannot_be_recorded(
     first = rig.show()
     second = rig.preparation.take()
 
-    class FullDisk:
-        def execute(self, *_: object) -> None:
-            raise sqlite3.OperationalError("database or disk is full")
+    def full(update: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patched:
         record = rig.preparation.record
 
         def full_from_now_on(mask: object) -> None:
             record(second.mask)
-            patched.setattr(rig.epochs, "_database", FullDisk())
+            patched.setattr(rig.epochs._file, "change", full)
 
         patched.setattr(rig.preparation, "record", full_from_now_on)
         rig.display.faults = [DisplayError("no answer")]

@@ -98,6 +98,7 @@ def test_a_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Pat
         pytest.fail("it must not start")
 
 
+@pytest.mark.slow
 def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
     light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
     observer, digits = PairObserver(bundle), load_digits()

@@ -108,6 +108,7 @@ def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(registry, driver.name, driver)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("others")
 def test_a_panel_and_a_sensor_that_were_added_serve(
     bundle_file: Path, scene_file: Path, tmp_path: Path
@@ -198,9 +199,11 @@ def test_a_driver_without_an_emulator_is_not_simulated(
         ("sensor", "--sensor NONE has no driver: use IMX477"),
     ],
 )
-def test_a_name_without_a_driver_is_refused(bundle_file: Path, name: str, message: str) -> None:
+def test_a_name_without_a_driver_is_refused(
+    bundle_file: Path, tmp_path: Path, name: str, message: str
+) -> None:
     given: dict[str, Any] = {name: "NONE"}
     with pytest.raises(DeviceMissingError, match=message):
         drivers(Wiring(**given))
     with pytest.raises(StartError, match=message):
-        build_service(Settings(bundle=bundle_file, device="simulated", **given))
+        build_service(Settings(bundle=bundle_file, device="simulated", state_dir=tmp_path, **given))

@@ -175,6 +175,7 @@ def test_the_wrong_decoder_is_another_mask_s(fresh_bundle: Bundle, secret: Secre
     assert right.reader.classify(measurement).scores != wrong.reader.classify(measurement).scores
 
 
+@pytest.mark.slow
 def test_what_the_simulated_light_gives_can_be_decoded(
     fresh_bundle: Bundle, secret: Secret
 ) -> None:

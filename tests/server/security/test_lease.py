@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,10 +71,8 @@ async def ask(client: httpx.AsyncClient, headers: dict[str, str]) -> list[int]:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[TokenStore]:
-    store = TokenStore(tmp_path / "state")
-    yield store
-    store.close()
+def store(tmp_path: Path) -> TokenStore:
+    return TokenStore(tmp_path / "state")
 
 
 @pytest.mark.anyio

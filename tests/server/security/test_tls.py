@@ -96,5 +96,4 @@ def test_a_daemon_with_tls_and_tokens(bundle_file: Path, scene_file: Path, tmp_p
                 camera.status()
         with pytest.raises(ConnectError), Camera(url, max_retries=0) as stranger:
             stranger.status()
-    store.close()
     assert token.secret.rpartition("_")[2] not in (tmp_path / "log").read_text()

@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-import itertools
-import sqlite3
+import errno
+import json
+import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from pydantic import BaseModel
+from tests.server.damage import DAMAGES
 from typer.testing import CliRunner
 
 from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
 from veilcam_server.cli.main import app
-from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError, UnknownTokenError
+from veilcam_server.errors import (
+    ProblemError,
+    StartError,
+    TokenStoreError,
+    UnauthorizedError,
+    UnknownTokenError,
+)
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
+from veilcam_server.system.state_file import StateFile
 
 if TYPE_CHECKING:
     import httpx
@@ -47,10 +56,23 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def store(tmp_path: Path, clock: Clock) -> Iterator[TokenStore]:
-    store = TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
-    yield store
-    store.close()
+def store(tmp_path: Path, clock: Clock) -> TokenStore:
+    return reopened(tmp_path, clock)
+
+
+def reopened(tmp_path: Path, clock: Clock) -> TokenStore:
+    """As after a restart, or in another process."""
+    return TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+
+
+def record(directory: Path) -> dict[str, Any]:
+    """What stands on the disk, without the checksum."""
+    found: dict[str, Any] = json.loads((directory / "tokens.json").read_text().splitlines()[1])
+    return found
+
+
+def full(update: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def make(store: TokenStore, *scopes: Scope, lifetime: float | None = None) -> NewToken:
@@ -62,10 +84,9 @@ def who(store: TokenStore, token: str) -> Caller:
 
 
 def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
-    with closing(TokenStore(tmp_path)) as store:
-        make(store)
-    with closing(sqlite3.connect(tmp_path / "tokens.sqlite3")) as file, file:
-        file.execute("UPDATE token SET scopes = 'admin:keyring read:status'")
+    store = TokenStore(tmp_path)
+    scopes: Any = ("admin:keyring", "read:status")
+    store.create("of another version", scopes, None)
     with pytest.raises(StartError, match=r"with the scopes admin:keyring: move it away"):
         TokenStore(tmp_path)
 
@@ -148,14 +169,13 @@ def test_a_token_ends_and_a_clock_set_back_does_not_bring_it_back(
     who(store, lasting.secret)
     # After a restart, a clock that starts in the past goes on from what was written last.
     clock.wall = 0.0
-    again = TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+    again = reopened(tmp_path, clock)
     with pytest.raises(UnauthorizedError):
         who(again, made.secret)
     who(again, lasting.secret)
     clock.elapsed += 61
     with pytest.raises(UnauthorizedError):
         who(again, lasting.secret)
-    again.close()
 
 
 def test_a_clock_set_forward_ends_tokens(store: TokenStore, clock: Clock) -> None:
@@ -175,69 +195,157 @@ def test_what_another_process_changes_holds_from_the_next_request_on(
     other.revoke(made.id)
     with pytest.raises(UnauthorizedError):
         who(store, made.secret)
-    other.close()
 
 
-def test_a_request_writes_nothing_but_once_a_day(
-    store: TokenStore, clock: Clock, tmp_path: Path
-) -> None:
+def test_a_request_writes_nothing_but_once_a_day(store: TokenStore, clock: Clock) -> None:
     made = make(store)
-    writes = sqlite3.connect(tmp_path / "state" / "tokens.sqlite3")
-
-    def version() -> int:
-        return int(writes.execute("PRAGMA data_version").fetchone()[0])
-
-    versions = [version()]
+    versions = [store._file.version]
     for _ in range(3):
         for _ in range(50):
             who(store, made.secret)
-        versions.append(version())
+            if store._file.version != versions[-1]:
+                versions.append(store._file.version)
         clock.sleep(DAY)
-    assert all(later > earlier for earlier, later in itertools.pairwise(versions))
-    before = version()
+    assert len(versions) == 4
     who(store, made.secret)
-    after = version()
-    for _ in range(50):
-        who(store, made.secret)
-    assert version() == after != before
-    used = store.tokens()[0].last_used_on
-    assert used == "2027-01-18"
-    writes.close()
+    assert store.tokens()[0].last_used_on == "2027-01-18"
 
 
 def test_a_disk_that_takes_nothing_refuses_no_request(
-    store: TokenStore, tmp_path: Path, clock: Clock
+    store: TokenStore, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = make(store)
-    blocker = sqlite3.connect(tmp_path / "state" / "tokens.sqlite3", isolation_level=None)
-    blocker.execute("BEGIN IMMEDIATE")
-    store.patience = 0.0
-    assert who(store, made.secret).id == made.id
-    with pytest.raises(TokenStoreError, match="cannot be written"):
-        make(store)
-    blocker.close()
+    before = (tmp_path / "state" / "tokens.json").read_bytes()
+    tried: list[object] = []
+
+    def fail(update: object) -> None:
+        tried.append(update)
+        full(update)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store._file, "change", fail)
+        for _ in range(3):
+            assert who(store, made.secret).id == made.id
+        assert len(tried) == 1
+        # What is not on the disk is not told.
+        assert store.tokens()[0].last_used_on is None
+        for change in (make, lambda store: store.revoke(made.id)):
+            with pytest.raises(TokenStoreError, match=r"written \(No space left .*: check the"):
+                change(store)
+    assert (tmp_path / "state" / "tokens.json").read_bytes() == before
+    clock.sleep(59.5)
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on is None
+    clock.sleep(0.5)
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on == "2027-01-15"
 
 
-def test_a_file_that_is_no_database_is_a_reason_not_to_start(tmp_path: Path) -> None:
-    (tmp_path / "tokens.sqlite3").write_bytes(b"no database" * 100)
-    with pytest.raises(StartError, match=r"tokens\.sqlite3 cannot be used .* --state-dir"):
+def test_tokens_of_an_earlier_version_are_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "tokens.sqlite3").touch()
+    with pytest.raises(StartError, match=r"tokens\.sqlite3 is of an earlier version: make the"):
         TokenStore(tmp_path)
 
 
-def test_what_others_could_read_before_is_for_the_owner_alone(tmp_path: Path) -> None:
-    path = tmp_path / "tokens.sqlite3"
-    path.touch(0o666)
-    path.chmod(0o666)
-    TokenStore(tmp_path).close()
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+def test_what_is_no_directory_is_a_reason_not_to_start(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StartError, match=r"file cannot be used .* --state-dir"):
+        TokenStore(tmp_path / "file")
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_damaged_tokens_are_put_right_while_the_daemon_runs_and_at_its_start(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    faults: list[ProblemError] = []
+    store = TokenStore(tmp_path, report=faults.append)
+    made = make(store)
+    who(store, made.secret)
+    damage(tmp_path / "tokens.json")
+    assert who(store, made.secret).id == made.id
+    assert [fault.code for fault in faults] == ["state_damaged"]
+    damage(tmp_path / "tokens.json.copy")
+    assert who(TokenStore(tmp_path, report=faults.append), made.secret).id == made.id
+    assert [fault.code for fault in faults] == ["state_damaged", "state_damaged"]
+
+
+@pytest.mark.parametrize("running", [True, False], ids=["while it runs", "at the start"])
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_where_the_tokens_are_lost_nobody_is_let_in(
+    tmp_path: Path, damage: Callable[[Path], None], running: bool
+) -> None:
+    faults: list[ProblemError] = []
+    store = TokenStore(tmp_path, report=faults.append)
+    made = make(store)
+    who(store, made.secret)
+    for name in ("tokens.json", "tokens.json.copy"):
+        damage(tmp_path / name)
+    if not running:
+        store = TokenStore(tmp_path, report=faults.append)
+    for _ in range(3):
+        with pytest.raises(UnauthorizedError):
+            who(store, made.secret)
+    (fault,) = faults
+    assert fault.code == "state_lost"
+    assert "nobody is let in until a token is made with 'veilcamd token create'" in str(fault)
+    other = make(TokenStore(tmp_path))
+    assert who(store, other.secret).id == other.id
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    assert len(faults) == 1
+
+
+def test_tokens_of_a_later_version_let_nobody_in(store: TokenStore, tmp_path: Path) -> None:
+    made = make(store)
+
+    class Later(BaseModel):
+        more: int = 0
+
+    written = StateFile(tmp_path / "later.json", Later, lost="")
+    written.change(lambda _: Later())
+    (tmp_path / "later.json").replace(tmp_path / "state" / "tokens.json")
+    with pytest.raises(TokenStoreError, match=r"cannot be read: .* is of another version"):
+        who(store, made.secret)
+    with pytest.raises(TokenStoreError, match=r"cannot be written: .* is of another version"):
+        make(store)
+
+
+def test_tokens_are_forgotten_90_days_after_they_ended(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    def held() -> set[str]:
+        return {row["id"] for row in record(tmp_path / "state")["tokens"]}
+
+    endless, revoked, ending = make(store), make(store), make(store, lifetime=3 * DAY)
+    store.revoke(revoked.id)
+    both = make(store, lifetime=500 * DAY)
+    clock.sleep(DAY)
+    store.revoke(both.id)
+    clock.sleep(89 * DAY - 1)
+    assert held() == {endless.id, revoked.id, ending.id, both.id}
+    last = make(store)
+    assert held() == {endless.id, revoked.id, ending.id, both.id, last.id}
+    clock.sleep(1)
+    store.revoke(last.id)
+    assert held() == {endless.id, ending.id, both.id, last.id}
+    with pytest.raises(UnknownTokenError):
+        store.revoke(revoked.id)
+    clock.sleep(3 * DAY)
+    # Asking forgets nothing: a clock that is wrong for a second must not cost a token.
+    who(store, endless.secret)
+    assert held() == {endless.id, ending.id, both.id, last.id}
+    with pytest.raises(UnknownTokenError):
+        store.revoke(ending.id)
+    make(store)
+    assert {endless.id, last.id} < held()
+    assert not {ending.id, both.id} & held()
 
 
 def test_a_state_directory_is_made_for_the_owner_alone(tmp_path: Path) -> None:
     directory = tmp_path / "var" / "state"
     store = TokenStore(directory)
     assert stat.S_IMODE(directory.stat().st_mode) == 0o700
-    assert store.patience == 5.0
-    store.close()
+    assert store.tokens() == ()
 
 
 def test_a_list_tells_all_but_the_secret(store: TokenStore, clock: Clock) -> None:
@@ -258,11 +366,9 @@ def test_a_store_that_is_opened_knows_the_tokens_of_before(
     store: TokenStore, tmp_path: Path
 ) -> None:
     made = make(store)
-    store.close()
     again = TokenStore(tmp_path / "state")
     assert [token.id for token in again.tokens()] == [made.id]
     assert who(again, made.secret).id == made.id
-    again.close()
 
 
 def test_how_long_a_caller_may_still_come(store: TokenStore, clock: Clock) -> None:
@@ -293,10 +399,9 @@ def test_a_revocation_tells_the_time_to_the_next_start(
     clock.sleep(60)
     store.revoke(other.id)
     clock.wall = 0.0
-    again = TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+    again = reopened(tmp_path, clock)
     with pytest.raises(UnauthorizedError):
         who(again, ending.secret)
-    again.close()
 
 
 def test_a_secret_opens_no_token_but_its_own(store: TokenStore) -> None:
@@ -313,46 +418,46 @@ def test_tokens_are_asked_and_made_on_any_thread(store: TokenStore) -> None:
         assert other.submit(who, store, made.secret).result().id == made.id
 
 
-def test_what_is_made_is_flushed_to_the_disk(store: TokenStore) -> None:
-    assert store._reader.execute("PRAGMA synchronous").fetchone() == (2,)
-    assert store._reader.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+def test_what_is_made_is_flushed_to_the_disk(
+    store: TokenStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[str] = []
+    fsync = os.fsync
 
+    def noted(descriptor: int) -> None:
+        flushed.append(Path(os.readlink(f"/proc/self/fd/{descriptor}")).name)
+        fsync(descriptor)
 
-def test_two_processes_that_write_wait_for_each_other(store: TokenStore, tmp_path: Path) -> None:
-    """A change is one transaction from its beginning: what another one holds, it waits for."""
-    blocker = sqlite3.connect(
-        tmp_path / "state" / "tokens.sqlite3", isolation_level=None, check_same_thread=False
-    )
-    blocker.execute("BEGIN IMMEDIATE")
-    with ThreadPoolExecutor(1) as other:
-        waiting = other.submit(make, store)
-        with pytest.raises(TimeoutError):
-            waiting.result(0.05)
-        blocker.execute("COMMIT")
-        assert who(store, waiting.result().secret)
-    blocker.close()
-
-
-def test_a_change_that_breaks_off_leaves_nothing(store: TokenStore, tmp_path: Path) -> None:
+    monkeypatch.setattr(os, "fsync", noted)
     made = make(store)
-    blocker = sqlite3.connect(tmp_path / "state" / "tokens.sqlite3")
-    blocker.execute("CREATE TRIGGER no BEFORE UPDATE ON token BEGIN SELECT RAISE(ABORT, 'no'); END")
-    blocker.commit()
-    seen = blocker.execute("SELECT seen FROM clock").fetchone()
+    assert flushed == ["tokens.json.new", "tokens.json.copy.new", "state"]
+    store.revoke(made.id)
+    assert len(flushed) == 6
+
+
+def test_two_stores_that_write_at_once_lose_nothing(store: TokenStore, tmp_path: Path) -> None:
+    other = TokenStore(tmp_path / "state")
+    with ThreadPoolExecutor(2) as threads:
+        made = list(threads.map(make, [store, other] * 8))
+    assert {token.id for token in store.tokens()} == {token.id for token in made}
+    assert store.tokens() == other.tokens()
+
+
+def test_a_change_that_breaks_off_leaves_nothing(
+    store: TokenStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make(store)
+    before = record(tmp_path / "state")
     store._wall = lambda: 1.9e9
-    with pytest.raises(TokenStoreError, match="cannot be written"):
-        store.revoke(made.id)
+    with monkeypatch.context() as patch:
+        patch.setattr(store._file, "_write_beside", full)
+        with pytest.raises(TokenStoreError, match="cannot be written"):
+            store.revoke(made.id)
     # The clock was advanced in the same change, and so is not.
-    assert blocker.execute("SELECT seen FROM clock").fetchone() == seen
+    assert record(tmp_path / "state") == before
     assert who(store, made.secret).id == made.id
-    blocker.close()
-
-
-def test_a_store_that_was_closed_answers_no_more(store: TokenStore) -> None:
-    make(store)
-    store.close()
-    with pytest.raises(TokenStoreError, match="cannot be read"):
-        store.tokens()
+    store.revoke(made.id)
+    assert record(tmp_path / "state")["seen"] == 1.9e9
 
 
 # Over HTTP.
@@ -451,7 +556,6 @@ def test_tokens_from_a_terminal(tmp_path: Path) -> None:
     assert run("revoke", caller.id, *where) == f"revoked {caller.id}\n"
     with pytest.raises(UnauthorizedError):
         who(store, secret)
-    store.close()
     assert "revoked " in run("list", *where)
     audited = runner.invoke(app, ["audit", *map(str, where)]).stdout
     assert audited.count("token create") == 2

@@ -18,6 +18,7 @@ from veilcam_client import AsyncCamera, Capture, Classification, EveryCaptures, 
 from veilcam_client.cli.format import event_in_words
 from veilcam_client.errors import ApiError
 from veilcam_client.recording import record
+from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
 from veilcam_server.api.app import create_app
 from veilcam_server.cli.terminal import one_line
@@ -120,7 +121,7 @@ async def test_the_status_never_says_ready(path: Path) -> None:
         assert status.state == "replay"
         assert status.device.display == "replay of ST7735R"
         assert status.device.sensor == "replay of IMX477"
-        assert status.bundle.model_dump(mode="json") == STATUS["bundle"]
+        assert status.bundle == BundleInfo.model_validate_json(json.dumps(STATUS["bundle"]))
         assert status.release == "white"
         assert status.rotation.epoch is None
         assert status.rotation.policy == RotationOff()

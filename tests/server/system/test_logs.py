@@ -14,7 +14,7 @@ import pytest
 import structlog
 
 from veilcam_server.cli.serve import _say
-from veilcam_server.system.logs import LogStream, configure, log_defect
+from veilcam_server.system.logs import LogStream, Throttle, configure, log_defect
 
 
 class Disk(io.StringIO):
@@ -87,3 +87,16 @@ def test_a_defect_is_told_without_its_text(capsys: pytest.CaptureFixture[str]) -
     assert "rotation" in told
     assert "test_a_defect_is_told_without_its_text" in told
     assert "63" not in told
+
+
+def test_a_line_a_minute_stands_for_all_that_came() -> None:
+    clock = [100.0]
+    throttle = Throttle(60.0, now=lambda: clock[0])
+    assert throttle.due() == 1
+    for clock[0] in (101.0, 130.0, 159.9):
+        assert throttle.due() is None
+    clock[0] = 160.0
+    assert throttle.due() == 4
+    assert throttle.due() is None
+    clock[0] = 1000.0
+    assert throttle.due() == 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import torch
 
@@ -20,17 +18,19 @@ from veilcam_training.experiments.model import fresh_statistics, make_fresh_came
 CAMERA = Camera(window=Window(rows=18, columns=9))
 
 
-def make_camera(source: Source, **changes: Any) -> FreshCamera:
+@pytest.fixture(scope="module")
+def camera(source: Source) -> FreshCamera:
     """A small camera with fresh masks."""
-    chosen = FreshSettings(embedding="6x8", rank=40, **{"misalignment": None, **changes})
+    chosen = FreshSettings(embedding="6x8", rank=40, misalignment=None)
     training = split(source.training()).training
     statistics = fresh_statistics(chosen, CAMERA, source.scene, training)
     return make_fresh_camera(chosen, CAMERA, source.scene, statistics)
 
 
 @pytest.mark.parametrize("form", [ReleaseForm.RAW, ReleaseForm.FLAT, ReleaseForm.WHITE])
-def test_without_a_key_one_sees_the_released_form(source: Source, form: ReleaseForm) -> None:
-    camera = make_camera(source)
+def test_without_a_key_one_sees_the_released_form(
+    source: Source, camera: FreshCamera, form: ReleaseForm
+) -> None:
     mask = next(KeylessCamera(camera, form).masks("x"))
     scenes = source.test().scenes(slice(0, 40))
     measurements = shot_noise(mask.embed(scenes), 40.0, torch.Generator().manual_seed(0))

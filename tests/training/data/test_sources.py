@@ -97,6 +97,7 @@ def test_missing_and_broken_faces(tmp_path: Path) -> None:
             source.training()
 
 
+@pytest.mark.slow
 def test_faces_with_a_wrong_byte(faces_file: Writer, tmp_path: Path) -> None:
     """numpy and zipfile raise all kinds of errors; here it is one, or the byte did not matter."""
     path = faces_file(tmp_path, images=np.zeros((120, 64, 52), np.uint8)) / "faces.npz"

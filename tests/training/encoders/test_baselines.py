@@ -34,6 +34,7 @@ def test_a_lens_shows_a_scene_pixel_inverted_where_geometry_says(place: tuple[in
     assert int((image > 0.01 * image.max()).sum()) < 50
 
 
+@pytest.mark.slow
 def test_coded_aperture_casts_the_shadow_of_its_pattern() -> None:
     psf = b.coded_aperture_psf(CAMERA, SCENE)
     # Averaged over an opening and its fringes, the light is the pattern, magnified a little.
@@ -52,6 +53,7 @@ def test_coded_aperture_casts_the_shadow_of_its_pattern() -> None:
     assert power == pytest.approx(float(pattern.sum()) * b.APERTURE_FEATURE**2, rel=0.02)
 
 
+@pytest.mark.slow
 def test_diffuser_makes_caustics_and_no_light() -> None:
     psf = b.diffuser_psf(CAMERA, SCENE, stream(0, "diffuser"))
     rows, columns = psf.irradiance.shape[1:]
@@ -61,6 +63,7 @@ def test_diffuser_makes_caustics_and_no_light() -> None:
     assert contrast > 0.5
 
 
+@pytest.mark.slow
 def test_caustics_are_sharpest_where_the_sensor_is(monkeypatch: pytest.MonkeyPatch) -> None:
     contrast = {}
     for distance in (1e-3, 4e-3, 16e-3):

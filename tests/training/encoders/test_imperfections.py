@@ -40,6 +40,7 @@ def test_gamma_and_floor() -> None:
     assert bool((lifted >= weights).all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [LearnedMask, FixedMask])
 def test_drawn_in_training_alone(kind: type[LearnedMask | FixedMask]) -> None:
     ideal = kind(SETUP, stream(0, "encoder")).eval()

@@ -120,6 +120,7 @@ def test_what_a_task_raises_is_raised(workers: Executor) -> None:
     assert "in refuse" in "".join(caught.value.__notes__)  # where, in the worker
 
 
+@pytest.mark.slow
 def test_a_result_that_cannot_be_sent() -> None:
     with pytest.raises(TrainingError, match="cannot be sent"):
         list(LocalExecutor(2).run(closure, [0]))
@@ -129,6 +130,7 @@ def test_nothing_to_do() -> None:
     assert list(LocalExecutor(2).run(place, [])) == []
 
 
+@pytest.mark.slow
 def test_gpus(cluster: str) -> None:
     assert list(RayExecutor(cluster, gpus=1).run(gpus, [0])) == [(0, [0])]
 
@@ -223,6 +225,7 @@ def test_a_table_is_the_same_wherever_it_is_made(
     assert made[0] == made[1] == made[2]
 
 
+@pytest.mark.slow
 def test_a_cluster_is_started_for_local_alone(
     monkeypatch: pytest.MonkeyPatch, cluster: str
 ) -> None:
@@ -246,6 +249,7 @@ def test_a_cluster_is_started_for_local_alone(
     assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", ""])
 def test_an_address_without_a_cluster(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     import ray

@@ -121,6 +121,7 @@ def test_what_is_learned_of_masks_is_taken_up_and_published(source: Source, tmp_
     assert np.array_equal(bundle.fresh.distribution.lowest, one.lowest)
 
 
+@pytest.mark.slow
 def test_masks_of_a_test_change_what_is_seen(source: Source) -> None:
     model = run_fresh(settings(epochs=1), source, CAMERA, masks=5).fit.model
     few, many = (evaluate(model, source.test(), 0, "x", batches=masks) for masks in (2, 50))

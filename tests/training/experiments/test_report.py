@@ -86,6 +86,7 @@ def work(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_report(work: Path, tmp_path: Path) -> None:
     out = tmp_path / "report"
     results = list(load_results(work))

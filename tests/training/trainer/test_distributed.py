@@ -194,6 +194,7 @@ def test_all_ranks_have_the_same_model(members: dict[int, Seen]) -> None:
     assert torch.isfinite(members[0].unbroken).all()
 
 
+@pytest.mark.slow
 def test_resumed_is_the_same_as_unbroken(members: dict[int, Seen]) -> None:
     for seen in members.values():
         assert seen.first_steps == [(1, 1)]
@@ -206,6 +207,7 @@ def test_the_first_rank_alone_writes(members: dict[int, Seen], work: Path) -> No
     assert sorted(path.name for path in work.iterdir() if path.is_dir()) == ["0"]
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_another_number_of_ranks_is_refused(
     source: Source, members: dict[int, Seen], work: Path
 ) -> None:

@@ -153,6 +153,7 @@ def test_every_option_changes_the_result(
     assert before.shape != after.shape or not torch.equal(before, after)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes", [{"classifier": "FC20"}, {"embedding": "3x4"}, {"binning": "point"}]
 )
@@ -214,6 +215,7 @@ def test_the_rate_of_learned_ranges_changes_them(source: Source) -> None:
     assert not np.array_equal(slow.distribution.lowest, fast.distribution.lowest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rescale", "rotate", "perspective"])
 def test_changes_of_the_scene(source: Source, reference: Fit, name: str) -> None:
     """Training and testing both see the change, and it makes the task harder."""

@@ -24,8 +24,8 @@ LastEventId = Annotated[str | None, Header(max_length=128)]
 router = APIRouter(prefix="/v1/events", redirect_slashes=False)
 
 
-async def _stream_place(admission: AdmissionDep) -> AsyncIterator[None]:
-    with admission.streams.held("all callers together"):
+async def _stream_place(admission: AdmissionDep, caller: CallerDep) -> AsyncIterator[None]:
+    with admission.streams_of_one.held(caller.id), admission.streams.held("all callers together"):
         yield
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES, Faults, HeldScene
-from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased
+from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased, uploads
 from veilcam_server.api.scopes import requires
 
 PREFIX = "/v1/simulation"
@@ -33,7 +33,12 @@ router = APIRouter(
 )
 
 
-@router.put("/scene", openapi_extra=_PICTURE, responses=problems("scene_invalid", *_REFUSALS))
+@router.put(
+    "/scene",
+    dependencies=[uploads()],
+    openapi_extra=_PICTURE,
+    responses=problems("scene_invalid", "too_many_uploads", *_REFUSALS),
+)
 async def hold_scene(service: ServiceDep, request: Request) -> HeldScene:
     """Hold a picture up, the content of a PNG, JPEG or `.npy` file, until another one is.
 

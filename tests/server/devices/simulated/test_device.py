@@ -240,6 +240,7 @@ def test_it_warms_up() -> None:
     assert simulation.capture(after=100.0).mean() / expected == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_a_decoder_need_not_know_changes_the_light(light: Light) -> None:
     other = Simulation(
         planned_light(
@@ -256,6 +257,7 @@ def test_what_a_decoder_need_not_know_changes_the_light(light: Light) -> None:
     assert difference(other.capture(), ideal.capture()) > 0.01
 
 
+@pytest.mark.slow
 def test_dead_lines_do_not_obey(light: Light) -> None:
     stuck = Imperfections(dead_rows=(2,), dead_columns=(4,), dead_transmittance=1.0)
     dead, ideal = Simulation(planned_light(CAMERA, Scene(), EMBEDDING, stuck)), Simulation(light)

@@ -267,7 +267,7 @@ class Checks:
         edited = {network.UNITS / f"veilcamd.{kind}.d" for kind in ("service", "socket")}
         kept = {STATE, Path("/etc/veilcam"), CREDENTIAL, *edited}
         assert self._left() == kept, self._left()
-        assert (STATE / "epochs.sqlite3").exists()
+        assert (STATE / "epochs.json").exists()
         assert not SOCKET.exists()
         assert "veilcamd" not in run("systemctl", "list-unit-files", "--no-legend")
         run(uninstall, "--purge")

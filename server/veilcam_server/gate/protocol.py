@@ -1,0 +1,210 @@
+"""HTTP/1.1 of uvicorn, with deadlines for whoever sends or reads too slowly."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any, cast
+
+import h11
+import uvicorn
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+
+from veilcam_server.gate.connections import Connection, Place, Reason
+
+PORTION = 16 * 1024
+"""A request is handed on when so much of its body is there, or all of it [bytes]. So whoever
+dribbles is seen by nobody behind the gate: nothing is counted, allocated or logged for it. This is
+also what a body has to bring on within each of its deadlines."""
+READING_TIME = 30.0
+"""An answer that does not move for so long is not read by anybody [s]."""
+
+# Whoever sends what is no HTTP may do so without end: that is worth no line.
+_quiet = logging.getLogger("veilcam_server.gate.uvicorn")
+_quiet.setLevel(logging.ERROR)
+
+
+@dataclass(frozen=True, slots=True)
+class Deadlines:
+    """How long a connection may take for what others wait for.
+
+    Attributes:
+        headers: for the TLS handshake, and for the headers of a request [s].
+        body: for each :data:`PORTION` of a body [s].
+    """
+
+    headers: float
+    body: float
+
+
+class _Stage(Enum):
+    """What a connection is waited for."""
+
+    HEADERS = auto()
+    BEGINNING = auto()
+    """Of a body: the request is not handed on yet."""
+    UPLOAD = auto()
+    """The rest of the body of a request that was handed on."""
+    WORK = auto()
+    REST = auto()
+    """Of a body whose request was answered without it."""
+    ANSWERED = auto()
+
+
+_PLACES = {
+    _Stage.HEADERS: Place.UNFINISHED,
+    _Stage.BEGINNING: Place.UNFINISHED,
+    _Stage.UPLOAD: Place.WORKING,
+    _Stage.WORK: Place.WORKING,
+    _Stage.REST: Place.UNFINISHED,
+    _Stage.ANSWERED: Place.IDLE,
+}
+
+
+class GateProtocol(H11Protocol):
+    """One HTTP connection. It tells the gate where it stands, and ends what takes too long.
+
+    Args:
+        config, server_state, app_state: of uvicorn.
+        connection: its entry at the gate.
+        deadlines: after which it ends.
+    """
+
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        connection: Connection,
+        deadlines: Deadlines,
+    ) -> None:
+        super().__init__(config, server_state, app_state)
+        self.logger = _quiet
+        self._application = cast(ASGIApp, self.app)
+        self.app = cast(Any, self._hand_on)
+        self._connection, self._deadlines = connection, deadlines
+        self._stage = _Stage.HEADERS
+        self._handed_on = False
+        self._received = 0
+        self._deadline: asyncio.TimerHandle | None = None
+        self._reader: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for headers."""
+        super().connection_made(transport)
+        self._connection.abort = transport.abort
+        self._wait_for(_Stage.HEADERS)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait for nothing any more."""
+        self._connection.leave()
+        _cancel(self._deadline)
+        _cancel(self._reader)
+        self._unset_keepalive_if_required()
+        super().connection_lost(exc)
+        # A circle less for the garbage collector.
+        self.app = cast(Any, self._application)
+
+    def data_received(self, data: bytes) -> None:
+        """Take in what came."""
+        self._received += len(data)
+        super().data_received(data)
+
+    def handle_events(self) -> None:
+        """Go on with the request, and see where it stands then."""
+        before = self.cycle
+        super().handle_events()
+        if self.cycle is not before:
+            self._handed_on = False
+        self._settle()
+
+    def on_response_complete(self) -> None:
+        """Go on to the next request."""
+        super().on_response_complete()
+        self._settle()
+
+    def pause_writing(self) -> None:
+        """Give the reader of the answer a time."""
+        super().pause_writing()
+        self._reader = self._later(READING_TIME, "answer")
+
+    def resume_writing(self) -> None:
+        """The answer is read."""
+        _cancel(self._reader)
+        super().resume_writing()
+
+    def _settle(self) -> None:
+        stage = self._present()
+        if stage is not self._stage:
+            self._wait_for(stage)
+
+    def _present(self) -> _Stage:
+        """Where the connection stands by h11's account."""
+        answered = self.cycle is None or self.cycle.response_complete
+        if self.conn.their_state is h11.IDLE and (self.cycle is None or self.conn.trailing_data[0]):
+            return _Stage.HEADERS
+        if self.conn.their_state is h11.SEND_BODY:
+            if answered:
+                return _Stage.REST
+            return _Stage.UPLOAD if self._handed_on else _Stage.BEGINNING
+        return _Stage.ANSWERED if answered else _Stage.WORK
+
+    def _wait_for(self, stage: _Stage) -> None:
+        self._stage = stage
+        self._connection.move(_PLACES[stage])
+        _cancel(self._deadline)
+        if stage is _Stage.HEADERS:
+            self._deadline = self._later(self._deadlines.headers, "headers")
+        elif stage in (_Stage.BEGINNING, _Stage.UPLOAD):
+            self._wait_for_portion()
+        elif stage is _Stage.REST:
+            self._deadline = self._later(self._deadlines.body, "body")
+        elif stage is _Stage.ANSWERED:
+            # uvicorn closes an idle connection sooner, but not before the answer was read.
+            self._deadline = self._later(READING_TIME, "answer")
+
+    def _wait_for_portion(self) -> None:
+        due = self._received + PORTION
+
+        def look() -> None:
+            # Where the application does not read on, the other side cannot send.
+            if self._received >= due or self.flow.read_paused:
+                self._wait_for_portion()
+            else:
+                self._connection.drop("body")
+
+        self._deadline = self.loop.call_later(self._deadlines.body, look)
+
+    def _later(self, seconds: float, reason: Reason) -> asyncio.TimerHandle:
+        return self.loop.call_later(seconds, self._connection.drop, reason)
+
+    async def _hand_on(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the application have the request once the first portion of its body is there."""
+        body, more = bytearray(), True
+        while more and len(body) < PORTION:
+            message = await receive()
+            if message["type"] == "http.disconnect":
+                return
+            body += message["body"]
+            more = message["more_body"]
+        begun: Message | None = {"type": "http.request", "body": bytes(body), "more_body": more}
+        self._handed_on = True
+        self._settle()
+
+        async def receive_all() -> Message:
+            nonlocal begun
+            if begun is None:
+                return await receive()
+            message, begun = begun, None
+            return message
+
+        await self._application(scope, receive_all, send)
+
+
+def _cancel(timer: asyncio.TimerHandle | None) -> None:
+    if timer is not None:
+        timer.cancel()

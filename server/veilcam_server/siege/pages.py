@@ -1,0 +1,128 @@
+"""Row of the foreign page: requests with the headers that a browser puts on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.rotation import RotationOff
+from veilcam_server.siege.client import Address, ask
+from veilcam_server.siege.ground import Ground, Judgement, write_small_bundle
+
+Headers = Mapping[str, str]
+
+_ORIGIN = {"Origin": "https://evil.example"}
+_CROSS: Headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}
+_FETCH: Headers = {**_ORIGIN, **_CROSS, "Sec-Fetch-Dest": "empty"}
+_FORM: Headers = {
+    **_ORIGIN,
+    "Sec-Fetch-Site": "cross-site",
+    "Sec-Fetch-Mode": "navigate",
+    "Sec-Fetch-Dest": "document",
+}
+_TEXT: Headers = {"Content-Type": "text/plain;charset=UTF-8"}
+_ENCODED: Headers = {"Content-Type": "application/x-www-form-urlencoded"}
+_JSON: Headers = {"Content-Type": "application/json"}
+_BUNDLE: Headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
+_PREFLIGHT: Headers = {**_ORIGIN, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
+ADVANCE, CAPTURE, LEASE = "/v1/rotation/advance", "/v1/classifications", "/v1/lease"
+
+
+@dataclass(frozen=True, slots=True)
+class PageRequest:
+    """What a page makes a browser send.
+
+    Attributes:
+        page: headers that tell of the page, and what it may say of the body.
+        own: headers of the same request by a program.
+    """
+
+    method: str
+    path: str
+    page: Headers
+    own: Headers = field(default_factory=dict)
+    body: bytes | None = None
+
+
+def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
+    """Return twenty of them, as Chromium sends them."""
+    other_port = {"Origin": f"http://{address.host}:{address.port + 1}"}
+    rebound = {"Host": "evil.example", "Origin": "http://evil.example"}
+    policy, lease = b'{"mode":"captures","captures":7}', b'{"owner":"page","seconds":60}'
+    get = _CROSS  # no Origin: a page may ask without CORS
+    return [
+        PageRequest("POST", ADVANCE, _FETCH),
+        PageRequest("POST", ADVANCE, {**_FETCH, "Origin": "null"}),
+        PageRequest("POST", ADVANCE, _ORIGIN),  # as over plain HTTP on a LAN
+        PageRequest("POST", ADVANCE, {**_FETCH, **other_port, "Sec-Fetch-Site": "same-site"}),
+        PageRequest("POST", ADVANCE, {**rebound, "Sec-Fetch-Site": "same-origin"}),
+        PageRequest("POST", ADVANCE, {**_FORM, **_ENCODED}),
+        PageRequest("POST", CAPTURE, {**_FETCH, **_TEXT}, _JSON, b"{}"),
+        PageRequest("POST", CAPTURE, {**_FORM, "Content-Type": "text/plain"}, _JSON, b"{}"),
+        PageRequest("POST", CAPTURE, {**_ORIGIN, **_TEXT}, _JSON, b"{}"),
+        PageRequest("POST", LEASE, {**_FETCH, **_TEXT}, _JSON, lease),
+        PageRequest("POST", "/v1/bundles", {**_FETCH, **_TEXT}, _BUNDLE, bundle),
+        PageRequest("PUT", "/v1/rotation", {**_PREFLIGHT, **_JSON}, _JSON, policy),
+        PageRequest("GET", "/v1/status", {**get, "Sec-Fetch-Dest": "image"}),
+        PageRequest("GET", "/v1/status", {**_FORM, "Sec-Fetch-Dest": "iframe"}),
+        PageRequest("GET", "/v1/status", {**rebound, "Sec-Fetch-Site": "same-origin"}),
+        PageRequest("GET", "/v1/bundles", {**get, "Sec-Fetch-Dest": "script"}),
+        PageRequest("GET", "/v1/diagnostics", _FORM),
+        PageRequest("GET", "/v1/lease", _PREFLIGHT),
+        PageRequest("GET", "/v1/rotation", _ORIGIN),
+        # The last: while it goes on, nothing else does.
+        PageRequest("POST", "/v1/calibration", _FETCH),
+    ]
+
+
+async def foreign_page(ground: Ground, judgement: Judgement) -> None:
+    """What a page of another site sends to a daemon that wants no tokens; then the same without."""
+    settings = ground.settings(
+        "foreign-page", auth="none", rotation=RotationOff(), rate_burst=10_000
+    )
+    bundle = write_small_bundle(settings.bundle.with_name("second.veilcam"), "second").read_bytes()
+    acted: list[str] = []
+    idle: list[str] = []
+    with ground.start(settings) as daemon:
+        address = daemon.address
+        asked = page_requests(address, bundle)
+        for request in asked:
+            name = f"{request.method} {request.path}"
+            if await _acts(address, request, {**request.own, **request.page}):
+                acted.append(name)
+            await _undo(address)
+            if not await _acts(address, request, request.own):
+                idle.append(name)
+            await _undo(address)
+    judgement.at_most(
+        f"of {len(asked)} requests of a page act", len(acted), 0, beside="; ".join(acted)
+    )
+    judgement.at_most("do nothing without the page", len(idle), 0, beside="; ".join(idle))
+
+
+async def _acts(address: Address, request: PageRequest, headers: Headers) -> bool:
+    """Whether a request is answered, or leaves the daemon other than it was."""
+    before = await _standing(address)
+    reply = await ask(address, request.method, request.path, body=request.body, headers=headers)
+    return 200 <= reply.status < 300 or await _standing(address) != before
+
+
+async def _standing(address: Address) -> list[object]:
+    """All that a request could change."""
+    status, *others = [
+        await ask(address, "GET", f"/v1/{name}")
+        for name in ("status", "bundles", "lease", "calibration")
+    ]
+    told = status.json()
+    rotation = told["rotation"]
+    return [
+        *(told["captures"], rotation["policy"], rotation["epoch"], told["state"]),
+        *(other.json() for other in others),
+    ]
+
+
+async def _undo(address: Address) -> None:
+    """End what would keep the next request from acting."""
+    await ask(address, "DELETE", "/v1/lease?force=true")
+    await ask(address, "DELETE", "/v1/calibration")

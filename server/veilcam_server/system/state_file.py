@@ -1,0 +1,354 @@
+"""State files: small records in two copies, each whole and with a checksum of its own.
+
+A record that is damaged is noticed and put right from its copy. That, and every loss of both, is
+reported: nothing goes back to an earlier state in silence.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Generic, TypeAlias, TypeVar
+
+import structlog
+from pydantic import BaseModel, ValidationError
+
+from veilcam_optics.files import sync_folder
+from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
+
+StateT = TypeVar("StateT", bound=BaseModel)
+Report: TypeAlias = Callable[[ProblemError], None]
+"""Takes a fault that ended nothing; neither blocks nor fails."""
+
+MAX_BYTES = 2**24
+"""A longer file is no record: a daemon has thousands of tokens at most."""
+_PAUSE = 0.01
+
+log = structlog.get_logger()
+
+
+def log_fault(error: ProblemError) -> None:
+    """Write a fault to the log, where nobody else takes it."""
+    log.warning("fault", code=error.code, detail=str(error))
+
+
+@dataclass(frozen=True, slots=True)
+class _Copy(Generic[StateT]):
+    """What one file holds: a state with its serial number, or why it holds none."""
+
+    path: Path
+    content: bytes = b""
+    serial: int = -1
+    state: StateT | None = None
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Staged(Generic[StateT]):
+    """A change of a record that is on the disk, beside it."""
+
+    state: StateT
+    """The record as it will be."""
+    commit: Callable[[], None]
+    """Makes it hold; raises :class:`OSError` as :meth:`StateFile.change`."""
+    close: Callable[[], None]
+    """Lets others change the record; what was not committed is gone."""
+
+
+class StateFile(Generic[StateT]):
+    """One record in ``PATH`` and ``PATH.copy``, changed by any process, thread by thread.
+
+    Each file is a line with the SHA-256 of all that follows and the record's serial number, then
+    the record as JSON. A change writes both anew, beside them, and flushes them to the disk before
+    either takes its place: what a full disk or a cut can prevent changes nothing. The newest whole
+    copy is the one that counts.
+
+    ``PATH.lock`` is held during a change. It stays, and says that there were copies: that both of
+    them are gone is told from a record that was never written.
+
+    Args:
+        path: of the record, in a folder that exists.
+        model: of the record.
+        lost: what follows where no copy is whole, in words for whoever must act.
+        report: takes what was damaged.
+    """
+
+    def __init__(
+        self, path: Path, model: type[StateT], *, lost: str, report: Report = log_fault
+    ) -> None:
+        self.patience = 5.0
+        """How long another process may keep the record to itself [s]."""
+        self._model, self._lost, self._report = model, lost, report
+        self._told = ""
+        self._lock = path.with_name(f"{path.name}.lock")
+        self._paths = (path, path.with_name(f"{path.name}.copy"))
+
+    @property
+    def version(self) -> tuple[int, int, int] | None:
+        """Differs from what it was if the record was changed; costs no more than a look."""
+        try:
+            found = self._paths[0].stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
+    @property
+    def lost(self) -> bool:
+        """Whether the last :meth:`read` found no copy whole where there had been two."""
+        return self._told == StateLostError.code
+
+    def read(self) -> StateT | None:
+        """Return the record that was written last; None if there is none, or none is whole.
+
+        Raises:
+            StartError: it is of another version of this software.
+        """
+        copies = self._copies()
+        if not self._differ(copies):
+            self._told = ""
+            return _newest(copies).state
+        try:
+            with self._locked(0.0):
+                copies = self._copies()
+                repaired = self._repair(copies)
+        except OSError:
+            # Another process is changing it, or the disk takes nothing: the next change repairs it.
+            repaired = False
+        self._tell(copies, repaired=repaired)
+        return _newest(copies).state
+
+    def change(self, update: Callable[[StateT | None], StateT]) -> StateT:
+        """Replace the record by what ``update`` makes of it; it is on the disk at return.
+
+        Raises:
+            OSError: the disk refuses, or another process keeps it. The record is what it was; if
+                the disk failed between one copy's change of names and the other's, it is either.
+            StartError: it is of another version of this software.
+        """
+        with closing(self.stage(update)) as staged:
+            staged.commit()
+            return staged.state
+
+    def stage(self, update: Callable[[StateT | None], StateT]) -> Staged[StateT]:
+        """Begin a change whose end must not fail: a full disk prevents it here, if at all.
+
+        Returns:
+            What makes it hold. Nobody else changes the record before that is closed.
+
+        Raises:
+            OSError, StartError: as :meth:`change`.
+        """
+        with ExitStack() as undo:
+            lock = undo.enter_context(self._locked(self.patience))
+            copies = self._copies()
+            if self._differ(copies):
+                self._tell(copies, repaired=self._repair(copies))
+            newest = _newest(copies)
+            state = update(newest.state)
+            undo.callback(self._discard)
+            self._write_beside(self._encode(state, newest.serial + 1))
+
+            def commit() -> None:
+                self._put_in_place()
+                self._told = ""
+                if os.fstat(lock).st_size == 0:
+                    with suppress(OSError):  # the next change does it
+                        os.write(lock, b"written\n")
+
+            return Staged(state, commit, undo.pop_all().close)
+
+    def _encode(self, state: StateT, serial: int) -> bytes:
+        content = f"{serial}\n{state.model_dump_json()}\n".encode()
+        return sha256(content).hexdigest().encode() + b" " + content
+
+    def _decode(self, content: bytes) -> tuple[int, StateT]:
+        """Serial number and record; raises :class:`ValueError` for what is damaged."""
+        digest, _, rest = content.partition(b" ")
+        if sha256(rest).hexdigest().encode() != digest:
+            raise ValueError("its checksum is wrong")
+        serial, _, record = rest.partition(b"\n")
+        return int(serial), self._model.model_validate_json(record)
+
+    def _copies(self) -> tuple[_Copy[StateT], ...]:
+        return tuple(self._copy(path) for path in self._paths)
+
+    def _copy(self, path: Path) -> _Copy[StateT]:
+        try:
+            with path.open("rb") as stream:
+                content = stream.read(MAX_BYTES)
+            serial, state = self._decode(content)
+        except FileNotFoundError:
+            return _Copy(path, fault="is gone")
+        except OSError as error:
+            return _Copy(path, fault=f"cannot be read ({error.strerror})")
+        except ValidationError:
+            raise StartError(
+                f"{path} is of another version of veilcamd: start that one, or move away "
+                f"{self._paths[0].name}, its copy and its lock"
+            ) from None
+        except ValueError:
+            return _Copy(path, fault="is damaged")
+        return _Copy(path, content, serial, state)
+
+    def _differ(self, copies: Sequence[_Copy[StateT]]) -> bool:
+        """Whether there is something to repair or to tell."""
+        if any(copy.fault not in ("", "is gone") for copy in copies):
+            return True
+        return self._written() and not copies[0].content == copies[1].content != b""
+
+    def _written(self) -> bool:
+        """Whether both copies were there once."""
+        try:
+            return self._lock.stat().st_size > 0
+        except OSError:
+            return False
+
+    def _repair(self, copies: Sequence[_Copy[StateT]]) -> bool:
+        """Set aside what is damaged, and write the newest whole copy in its place.
+
+        Returns:
+            Whether both copies are whole.
+        """
+        for copy in copies:
+            if copy.fault not in ("", "is gone"):
+                copy.path.replace(_aside(copy.path))
+        newest = _newest(copies)
+        if newest.state is None:
+            return False
+        if any(copy.content != newest.content for copy in copies):
+            try:
+                self._write_beside(newest.content)
+                self._put_in_place()
+            finally:
+                self._discard()
+        return True
+
+    def _tell(self, copies: Sequence[_Copy[StateT]], *, repaired: bool) -> None:
+        told = [copy for copy in copies if copy.fault]
+        if not told or not (self._written() or any(copy.fault != "is gone" for copy in copies)):
+            return
+        what = " and ".join(f"{copy.path.name} {copy.fault}" for copy in told)
+        fault: ProblemError
+        if len(told) < len(copies):
+            end = "was put right" if repaired else "cannot be put right now: check the disk"
+            fault = StateDamagedError(f"{what}: its other copy is used, and it {end}")
+        else:
+            kept = [_aside(copy.path).name for copy in told if _aside(copy.path).exists()]
+            rest = f"; what was left is in {' and '.join(kept)}" if kept else ""
+            fault = StateLostError(f"{what}: {self._lost}{rest}")
+        # A loss stays until the next change, which need not tell of it again.
+        if fault.code != self._told:
+            self._report(fault)
+        self._told = fault.code
+
+    def _write_beside(self, content: bytes) -> None:
+        for path in self._paths:
+            descriptor = os.open(_new(path), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(descriptor, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+
+    def _put_in_place(self) -> None:
+        # The record itself comes last: who sees it change finds both changed.
+        for path in reversed(self._paths):
+            _new(path).replace(path)
+        sync_folder(self._lock.parent)
+
+    def _discard(self) -> None:
+        for path in self._paths:
+            with suppress(OSError):
+                _new(path).unlink()
+
+    @contextmanager
+    def _locked(self, patience: float) -> Iterator[int]:
+        lock = os.open(self._lock, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            _lock(lock, patience)
+            yield lock
+        finally:
+            os.close(lock)
+
+
+class HeldDirectory:
+    """A state directory that no other daemon uses meanwhile; made, for its owner alone.
+
+    Args:
+        directory: to hold until it is closed.
+
+    Raises:
+        StartError: another daemon holds it, or it cannot be used.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        try:
+            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # The folder itself: a file for it could not be made on a full disk.
+            self._descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError as error:
+            raise unusable(directory, error) from None
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._descriptor)
+            if not isinstance(error, BlockingIOError):
+                raise unusable(directory, error) from None
+            raise StartError(
+                f"another veilcamd uses {directory}: stop it, or give another --state-dir"
+            ) from None
+
+    @property
+    def closed(self) -> bool:
+        """Whether another daemon may have it now."""
+        return self._descriptor < 0
+
+    def close(self) -> None:
+        """Let another daemon have it; twice does no harm."""
+        if not self.closed:
+            os.close(self._descriptor)
+        self._descriptor = -1
+
+
+def unusable(directory: Path, error: OSError) -> StartError:
+    """What is said of a state directory that cannot be used."""
+    return StartError(
+        f"{directory} cannot be used ({error.strerror}): check it, or give another --state-dir"
+    )
+
+
+def refuse_earlier(path: Path, remedy: str) -> None:
+    """Raise :class:`StartError` where ``path`` is: an earlier version wrote it."""
+    if path.exists():
+        raise StartError(f"{path} is of an earlier version: {remedy}")
+
+
+def _newest(copies: Sequence[_Copy[StateT]]) -> _Copy[StateT]:
+    return max(copies, key=lambda copy: copy.serial)
+
+
+def _new(path: Path) -> Path:
+    return path.with_name(f"{path.name}.new")
+
+
+def _aside(path: Path) -> Path:
+    return path.with_name(f"{path.name}.damaged")
+
+
+def _lock(descriptor: int, patience: float) -> None:
+    until = time.monotonic() + patience
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until:
+                raise TimeoutError(errno.ETIMEDOUT, "another process keeps it") from None
+            time.sleep(_PAUSE)
+        else:
+            return

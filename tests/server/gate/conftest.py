@@ -1,0 +1,144 @@
+"""A server behind the gate, with deadlines of a moment, and those who knock."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, ExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import pytest
+import uvicorn
+from starlette.types import Message, Receive, Scope, Send
+
+from veilcam_server.gate.connections import Connections
+from veilcam_server.gate.protocol import Deadlines
+from veilcam_server.gate.server import Gate, GateServer
+
+PATIENT = Deadlines(headers=600.0, body=600.0)
+ENOUGH = 30.0
+"""What is awaited happens long before [s]."""
+REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
+POST = b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: %d\r\n\r\n"
+SLOW = b"GET /slow HTTP/1.1\r\nHost: a\r\n\r\n"
+
+
+@dataclass
+class Behind:
+    """What stands behind the gate, and what it was asked."""
+
+    connections: Connections
+    server: GateServer
+    address: tuple[str, int]
+    asked: list[str] = field(default_factory=list)
+    bodies: list[int] = field(default_factory=list)
+    """How much was read of each."""
+    go: asyncio.Event = field(default_factory=asyncio.Event)
+    """Lets slow requests end."""
+
+    async def app(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Read the body and answer; ``/deaf`` does not read it, and ``/late`` does so later."""
+        path = scope["path"]
+        self.asked.append(path)
+        answer, more = b"x" * 2**24 if path == "/big" else b"ok", path != "/deaf"
+        if more:
+            self.bodies.append(0)
+        if path == "/late":
+            await self.go.wait()
+        while more:
+            message: Message = await receive()
+            if message["type"] == "http.disconnect":
+                return
+            self.bodies[-1] += len(message["body"])
+            more = message["more_body"]
+        if path == "/slow":
+            await self.go.wait()
+        await send({"type": "http.response.start", "status": 200, "headers": _length(answer)})
+        await send({"type": "http.response.body", "body": answer})
+
+    async def until(self, condition: Callable[[], object]) -> None:
+        """Wait until ``condition`` holds."""
+        async with asyncio.timeout(ENOUGH):
+            while not condition():
+                await asyncio.sleep(0.001)
+
+
+def _length(answer: bytes) -> list[tuple[bytes, bytes]]:
+    return [(b"content-length", str(len(answer)).encode())]
+
+
+Serving: TypeAlias = Callable[..., AbstractAsyncContextManager[Behind]]
+Knock: TypeAlias = Callable[..., socket.socket]
+
+
+@pytest.fixture
+def serving() -> Serving:
+    """A factory of servers on a free port of loopback."""
+
+    @asynccontextmanager
+    async def serve(
+        *,
+        limit: int = 8,
+        waiting: int = 64,
+        deadlines: Deadlines = PATIENT,
+        tls: ssl.SSLContext | None = None,
+    ) -> AsyncIterator[Behind]:
+        async def app(scope: Scope, receive: Receive, send: Send) -> None:
+            await behind.app(scope, receive, send)
+
+        config = uvicorn.Config(
+            app,
+            http="h11",
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            ssl_context_factory=None if tls is None else lambda *_: tls,
+        )
+        connections = Connections(limit)
+        server = GateServer(config, Gate(connections, deadlines, waiting))
+        with socket.socket() as listener:
+            listener.bind(("127.0.0.1", 0))
+            behind = Behind(connections, server, listener.getsockname())
+            serving = asyncio.create_task(server.serve([listener]))
+            try:
+                await behind.until(lambda: server.started or serving.done())
+                yield behind
+            finally:
+                server.should_exit = True
+                behind.go.set()
+                await serving
+
+    return serve
+
+
+@pytest.fixture
+def knock() -> Iterator[Knock]:
+    """A factory of client sockets, bound to an address of loopback, that have sent something."""
+    with ExitStack() as stack:
+
+        def open_one(behind: Behind, said: bytes = b"", source: str = "127.0.0.1") -> socket.socket:
+            one = stack.enter_context(socket.socket())
+            one.bind((source, 0))
+            one.connect(behind.address)
+            one.setblocking(False)
+            one.sendall(said)
+            return one
+
+        yield open_one
+
+
+async def heard(one: socket.socket) -> bytes:
+    """What comes next; nothing if the other side has ended it."""
+    try:
+        async with asyncio.timeout(ENOUGH):
+            return await asyncio.get_running_loop().sock_recv(one, 2**16)
+    except ConnectionError:
+        return b""
+
+
+async def is_served(one: socket.socket) -> bool:
+    """Whether the answer is that all went well."""
+    return (await heard(one)).startswith(b"HTTP/1.1 200")

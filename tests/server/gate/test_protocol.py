@@ -1,0 +1,174 @@
+"""Deadlines: who dribbles is ended, who moves on is not, however long it takes."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from tests.server.gate.conftest import (
+    POST,
+    REQUEST,
+    SLOW,
+    Knock,
+    Serving,
+    heard,
+    is_served,
+)
+
+from veilcam_server.gate import protocol
+from veilcam_server.gate.protocol import PORTION, Deadlines
+
+pytestmark = pytest.mark.anyio
+
+HASTY = Deadlines(headers=0.2, body=600.0)
+HUNGRY = Deadlines(headers=600.0, body=0.2)
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HT", REQUEST[:-2]])
+async def test_headers_that_do_not_come_in_time(
+    serving: Serving, knock: Knock, said: bytes
+) -> None:
+    async with serving(deadlines=HASTY) as behind:
+        one = knock(behind, said)
+        dribbling = asyncio.create_task(_dribble(one, b"a"))
+        assert await heard(one) == b""
+        dribbling.cancel()
+        assert behind.connections.dropped["headers"] == 1
+        assert not behind.asked
+
+
+async def test_headers_of_a_second_request_have_their_own_time(
+    serving: Serving, knock: Knock
+) -> None:
+    async with serving(deadlines=HASTY) as behind:
+        one = knock(behind, REQUEST)
+        assert await is_served(one)
+        # Idle for longer than headers may take; uvicorn closes it after 5 s.
+        await asyncio.sleep(2 * HASTY.headers)
+        one.sendall(REQUEST + REQUEST[:5])
+        assert await is_served(one)
+        assert await heard(one) == b""
+        assert behind.connections.dropped["headers"] == 1
+        assert len(behind.asked) == 2
+
+
+async def test_a_dribbled_body_reaches_nobody(serving: Serving, knock: Knock) -> None:
+    async with serving(deadlines=HUNGRY) as behind:
+        one = knock(behind, POST % 1000)
+        dribbling = asyncio.create_task(_dribble(one, b"a"))
+        assert await heard(one) == b""
+        dribbling.cancel()
+        assert behind.connections.dropped["body"] == 1
+        assert not behind.asked
+
+
+async def test_a_long_body_that_moves_on_may_take_long(serving: Serving, knock: Knock) -> None:
+    async with serving(deadlines=HUNGRY) as behind:
+        loop, size = asyncio.get_running_loop(), 20 * PORTION
+        one = knock(behind, POST % size)
+        for _ in range(20):
+            await loop.sock_sendall(one, b"a" * PORTION)
+            await asyncio.sleep(HUNGRY.body / 5)
+        assert await is_served(one)
+        assert behind.bodies == [size]
+        assert not behind.connections.dropped
+
+
+async def test_a_long_body_that_stops_is_ended(serving: Serving, knock: Knock) -> None:
+    async with serving(deadlines=HUNGRY) as behind:
+        one = knock(behind, POST % (20 * PORTION) + b"a" * 2 * PORTION)
+        await behind.until(lambda: behind.asked)
+        dribbling = asyncio.create_task(_dribble(one, b"a"))
+        assert await heard(one) == b""
+        dribbling.cancel()
+        assert behind.connections.dropped["body"] == 1
+        assert 2 * PORTION <= behind.bodies[0] < 3 * PORTION
+
+
+async def test_nobody_is_ended_for_what_the_application_does_not_read(
+    serving: Serving, knock: Knock
+) -> None:
+    async with serving(deadlines=HUNGRY) as behind:
+        loop, size = asyncio.get_running_loop(), 40 * PORTION
+        one = knock(behind, (POST % size).replace(b"/", b"/late", 1))
+        sending = asyncio.create_task(loop.sock_sendall(one, b"a" * size))
+        await asyncio.sleep(4 * HUNGRY.body)
+        behind.go.set()
+        await sending
+        assert await is_served(one)
+
+
+async def test_the_rest_of_a_body_that_is_answered_already(serving: Serving, knock: Knock) -> None:
+    async with serving(deadlines=HUNGRY) as behind:
+        size = 20 * PORTION
+        one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
+        assert await is_served(one)
+        dribbling = asyncio.create_task(_dribble(one, b"a"))
+        assert await heard(one) == b""
+        dribbling.cancel()
+        assert behind.connections.dropped["body"] == 1
+
+
+async def test_a_connection_goes_on_after_the_rest_of_a_body(
+    serving: Serving, knock: Knock
+) -> None:
+    async with serving(deadlines=HUNGRY) as behind:
+        size = 2 * PORTION
+        one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
+        assert await is_served(one)
+        one.sendall(b"a" * PORTION + REQUEST)
+        assert await is_served(one)
+        assert behind.asked == ["/deaf", "/"]
+
+
+async def test_what_is_worked_on_may_take_longer_than_all_deadlines(
+    serving: Serving, knock: Knock
+) -> None:
+    async with serving(limit=2, deadlines=Deadlines(0.05, 0.05)) as behind:
+        one = knock(behind, SLOW)
+        await behind.until(lambda: behind.asked)
+        await asyncio.sleep(0.3)
+        # Nor is it ended for others.
+        others = [knock(behind) for _ in range(5)]
+        assert await heard(others[0]) == b""
+        behind.go.set()
+        assert await is_served(one)
+
+
+async def test_an_answer_that_nobody_reads(
+    serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(protocol, "READING_TIME", 0.2)
+    async with serving() as behind:
+        knock(behind, REQUEST.replace(b"/", b"/big", 1))
+        await behind.until(lambda: behind.connections.dropped["answer"])
+        assert not len(behind.connections)
+
+
+async def test_what_is_no_http_is_answered_and_not_logged(
+    serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with serving() as behind:
+        one = knock(behind, b"\0\r\n\r\n")
+        assert (await heard(one)).startswith(b"HTTP/1.1 400")
+        upgrade = b"Host: a\r\nConnection: upgrade\r\nUpgrade: websocket"
+        assert await is_served(knock(behind, REQUEST.replace(b"Host: a", upgrade)))
+    assert not [each for each in caplog.records if "uvicorn" in each.name]
+
+
+async def test_a_body_that_breaks_off_leaves_no_trace(
+    serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with serving() as behind:
+        one = knock(behind, POST % 1000 + b"a")
+        await behind.until(lambda: len(behind.connections))
+        one.close()
+        await behind.until(lambda: not len(behind.connections))
+        assert not behind.asked
+    assert not caplog.records
+
+
+async def _dribble(one: object, what: bytes) -> None:
+    while True:
+        await asyncio.sleep(0.05)
+        one.send(what)  # type: ignore[attr-defined]

@@ -1,0 +1,231 @@
+"""Server of a page of another site, the browser that shows it, and what came of its requests."""
+
+from __future__ import annotations
+
+import http.client
+import http.server
+import json
+import os
+import shutil
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+from tests.system.browser.asks import Ask
+
+from veilcam_server.security.audit import DONE, REFUSED
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE = 120.0
+"""Longest wait for a page to have made all its requests [s]; they take about 20."""
+STATE = ("rotation", "bundles", "lease", "calibration")
+
+
+def browser() -> str | None:
+    """Where Chromium is, None where there is none."""
+    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A daemon, seen from its own side.
+
+    Attributes:
+        url: where it listens.
+        state_dir: with its audit log.
+        headers: of who may ask everything.
+    """
+
+    url: str
+    state_dir: Path
+    headers: Mapping[str, str] = field(default_factory=dict)
+
+    def state(self) -> dict[str, Any]:
+        """All that a request could change: counts, mask, policy, bundles, lease, tokens, log."""
+        with httpx.Client(base_url=self.url, headers=self.headers, trust_env=False) as client:
+            found = {path: client.get(f"/v1/{path}").json() for path in STATE}
+            diagnostics = client.get("/v1/diagnostics").json()
+            found["events"] = diagnostics["events"]
+            if self.headers:
+                found["tokens"] = client.get("/v1/tokens").json()
+        # Time goes by, and the next mask is prepared.
+        del found["rotation"]["epoch_age_s"], found["rotation"]["preparation"]
+        # What is refused for another reason than the site stands here too.
+        found["done"] = len(self.audit(DONE))
+        return found
+
+    def audit(self, name: str) -> list[dict[str, Any]]:
+        """Lines of one of the two logs."""
+        path = self.state_dir / name
+        lines = path.read_text().splitlines() if path.exists() else []
+        return [json.loads(line) for line in lines]
+
+    def refusals(self) -> list[str]:
+        """Codes of what was refused without a caller, or from another host or site."""
+        return [entry["code"] for entry in self.audit(REFUSED)]
+
+
+@dataclass
+class Result:
+    """What came of the requests of one page.
+
+    Attributes:
+        learned: what the page could read, by the name of the request; None: nothing.
+        changed: names of the requests after which the daemon was another.
+        refused: codes with which the daemon refused.
+    """
+
+    learned: dict[str, str | None] = field(default_factory=dict)
+    changed: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+
+    @property
+    def acted(self) -> list[str]:
+        """Requests that did something, or told the page something."""
+        told = [name for name, learned in self.learned.items() if learned is not None]
+        return sorted({*told, *self.changed})
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    server: _Server
+
+    def do_GET(self) -> None:
+        if self.path.startswith("/v1/"):
+            self._relay()
+        elif self.path == "/asks":
+            self._answer(json.dumps(self.server.told()).encode(), "application/json")
+        elif self.path.startswith("/body/"):
+            self._answer(self.server.asks[self.path.removeprefix("/body/")].body, "x/x")
+        else:
+            self._answer(Path(__file__).with_name("page.html").read_bytes(), "text/html")
+
+    def do_POST(self) -> None:
+        if self.path.startswith("/v1/"):
+            self._relay()
+            return
+        content = self.rfile.read(int(self.headers.get("Content-Length", "0")))
+        if self.path == "/done":
+            self.server.done.set()
+        else:
+            self.server.note(self.path.removeprefix("/learned/"), json.loads(content))
+        self._answer(b"", "text/plain")
+
+    def do_PUT(self) -> None:
+        self.do_POST()
+
+    def do_DELETE(self) -> None:
+        self.do_POST()
+
+    def do_OPTIONS(self) -> None:
+        self.do_POST()
+
+    def _relay(self) -> None:
+        """The name of this server leads to the daemon now: what comes goes there as it is."""
+        target = urlsplit(self.server.watched.url)
+        connection = http.client.HTTPConnection(target.hostname or "", target.port, timeout=2)
+        content = self.rfile.read(int(self.headers.get("Content-Length", "0")))
+        connection.putrequest(self.command, self.path, skip_host=True, skip_accept_encoding=True)
+        for name, value in self.headers.items():
+            connection.putheader(name, value)
+        connection.endheaders(content)
+        answer = connection.getresponse()
+        self.send_response(answer.status)
+        self.send_header("Content-Type", answer.headers["Content-Type"])
+        self.end_headers()
+        self.wfile.write(answer.read1(2**16))
+        connection.close()
+
+    def _answer(self, content: bytes, media_type: str) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", media_type)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+class _Server(http.server.ThreadingHTTPServer):
+    daemon_threads = True
+
+    def __init__(self, asks: Mapping[str, Ask], target: str | None, watched: Watched) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.asks, self.watched, self._target = asks, watched, target
+        self.done, self.result = threading.Event(), Result()
+        self._before, self._refused = watched.state(), len(watched.refusals())
+
+    def told(self) -> list[dict[str, Any]]:
+        # Without a target the page asks its own host, whose name has come to lead to the daemon.
+        return [ask.for_page(self._target or "") for ask in self.asks.values()]
+
+    def note(self, name: str, learned: str | None) -> None:
+        self.result.learned[name] = learned
+        now = self.watched.state()
+        if now != self._before:
+            self.result.changed.append(name)
+        self._before = now
+
+    def finish(self) -> Result:
+        self.result.refused = self.watched.refusals()[self._refused :]
+        return self.result
+
+
+def show(
+    program: str,
+    folder: Path,
+    asks: Mapping[str, Ask],
+    watched: Watched,
+    *,
+    host: str,
+    target: str | None,
+) -> Result:
+    """Let a browser show a page that makes every request, and return what came of them.
+
+    Args:
+        program: the browser.
+        folder: for its profile and log.
+        asks: the requests.
+        watched: the daemon.
+        host: name that the page comes from; every name leads to this machine.
+        target: URL under which the page asks the daemon; None: under its own.
+    """
+    server = _Server(asks, target, watched)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        with _running(program, folder, f"http://{host}:{server.server_port}/"):
+            if not server.done.wait(PATIENCE):
+                asked = ", ".join(server.result.learned) or "nothing"
+                raise TimeoutError(f"the page has not come to its end; asked: {asked}")
+        return server.finish()
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@contextmanager
+def _running(program: str, folder: Path, url: str) -> Iterator[None]:
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [
+        *(program, "--headless", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
+        # The page is ours, and root has no sandbox.
+        *("--no-sandbox", "--disable-popup-blocking", "--disable-background-networking"),
+        *(f"--user-data-dir={folder / 'profile'}", "--no-proxy-server"),
+        *("--host-resolver-rules=MAP * 127.0.0.1", url),
+    ]
+    with (folder / "browser.log").open("w") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        try:
+            yield
+        finally:
+            # With all that it has started.
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
