@@ -123,6 +123,7 @@ def build_service(settings: Settings) -> Service:
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        break_device=device.set_faults if settings.scene_api else None,
         faults=faults,
         policies=policies,
     )

@@ -327,7 +327,7 @@ class SceneApiOffError(
     code="scene_api_off",
     status=409,
     title="No scenes are held up by program",
-    detail="this daemon takes no scenes: start it with --simulate --scene-api",
+    detail="this daemon takes no scenes and no faults: start it with --simulate --scene-api",
 ):
     """Scenes are not held up by program before this camera."""
 
