@@ -16,7 +16,13 @@ from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.settings import Settings
 from veilcam_server.siege.client import Address, ask, listening
 from veilcam_server.siege.daemon import Daemon
-from veilcam_server.siege.ground import Ground, Judgement, make_tokens, write_small_bundle
+from veilcam_server.siege.ground import (
+    Ground,
+    Judgement,
+    make_tokens,
+    tokens_of,
+    write_small_bundle,
+)
 
 ADVANCE, KEY, DONE = "/v1/rotation/advance", "Idempotency-Key", "done_before_restart"
 CALIBRATED, REVOKED = 0.25, 0.5
@@ -51,9 +57,9 @@ class Ledger:
         """Compare what was acknowledged with a new life."""
         rotation = (await ask(address, "GET", "/v1/rotation")).json()
         bundles = (await ask(address, "GET", "/v1/bundles")).json()["bundles"]
-        tokens = (await ask(address, "GET", "/v1/tokens")).json()["tokens"]
+        tokens = await tokens_of(address)
         active = [each["digest"] for each in bundles if each["active"]]
-        valid = {each["id"] for each in tokens if each["revoked_at"] is None}
+        valid = {token for token, is_valid in tokens.items() if is_valid}
         self.epochs[rotation["epoch"]] += 1
         self._keep("policy", rotation["policy"] in self.policy)
         self._keep("bundle", active[0] in self.active)
