@@ -59,14 +59,11 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
-class StoppedError(Exception):
-    """The daemon cannot go on and ended; one line that says what to do."""
-
-
 class StateDamagedError(
     ProblemError,
     code="state_damaged",
     status=500,
+    remedy="check_disk",
     title="A file of the state was damaged, and its copy is used",
 ):
     """One of the two copies of a state file is damaged or gone; nothing is lost."""
@@ -76,6 +73,7 @@ class StateLostError(
     ProblemError,
     code="state_lost",
     status=500,
+    remedy="check_disk",
     title="A file of the state and its copy are damaged",
 ):
     """Both copies of a state file are damaged or gone; the message says what follows."""
@@ -85,6 +83,7 @@ class AuditError(
     ProblemError,
     code="audit_not_written",
     status=503,
+    remedy="check_disk",
     title="The audit log cannot be written",
     retryable=True,
 ):

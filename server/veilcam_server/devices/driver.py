@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_server.devices.base import Display, Levels, Sensor
+from veilcam_server.devices.base import Levels, OpenDisplay, Sensor
 from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.settings import Settings, Wiring
 
@@ -39,8 +39,8 @@ class EmulateDisplay(Protocol):
 
     def __call__(
         self, camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
-    ) -> tuple[Display, EmulatedPanel]:
-        """Return the panel from both sides.
+    ) -> tuple[Callable[[], OpenDisplay], EmulatedPanel]:
+        """Return what sets the panel up, and the panel as it is looked through.
 
         Args:
             camera: whose window is the mask.
@@ -83,8 +83,10 @@ class DisplayDriver:
 
     name: str
     """As settings and the API have it."""
-    open: Callable[[Wiring, Camera], Display]
+    open: Callable[[Wiring, Camera], OpenDisplay]
     """Opens it, opaque, for the camera whose window is the mask; raises :class:`DeviceError`."""
+    check: Callable[[Camera], None] = lambda _: None
+    """Refuses a camera with another panel; raises :class:`DisplayError`."""
     emulate: EmulateDisplay | None = None
     packages: tuple[str, ...] = ()
     """To import when it is opened."""

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import structlog
 
 from veilcam_client import __version__
 from veilcam_client.wire.base import API_VERSION
@@ -44,7 +45,7 @@ from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
-from veilcam_server.devices.errors import SensorLostError
+from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
@@ -66,6 +67,7 @@ from veilcam_server.service.responses import (
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 
+log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
 
 
@@ -145,6 +147,8 @@ class Service:
         try:
             await self.calibration.close()
             await self._queue.run(self._camera.stop)
+        except DisplayError as error:
+            log.error("the panel could not be made opaque at the end", reason=str(error))
         finally:
             self._queue.close()
             self._inference_thread.shutdown()
@@ -161,11 +165,6 @@ class Service:
     def healthy(self) -> bool:
         """Whether panel and camera still answer."""
         return self._camera.healthy()
-
-    @property
-    def lost(self) -> SensorLostError | None:
-        """Why the daemon has to be started again; None if it need not."""
-        return self._queue.lost
 
     def stop(self) -> None:
         """Show opaque and let go of the device, without an event loop; twice does no harm."""

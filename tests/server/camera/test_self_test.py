@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.base import Exposure, Levels, Sensor
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.reopening import ReopeningDisplay
 from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
 from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
@@ -99,9 +101,9 @@ class Rig:
             clock=self.clock,
             faults=self.faults,
         )
-        display = ST7735R(
-            self.panel,
-            self.panel,
+        set_up = partial(
+            ST7735R,
+            *(self.panel, self.panel),
             camera=CAMERA,
             tab=TABS[self.driver],
             sleep=lambda _: None,
@@ -140,7 +142,12 @@ class Rig:
             full_scale=FULL_SCALE,
             clock=self.clock,
         )
-        self.device = Device(display, sensor, simulated=True)
+        self.device = Device(
+            ReopeningDisplay("ST7735R", set_up, clock=self.clock),
+            sensor,
+            simulated=True,
+        )
+        self.device.display.blank()
 
     def read(self) -> npt.NDArray[np.float32]:
         return self.picture
