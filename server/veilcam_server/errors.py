@@ -63,7 +63,6 @@ class StateDamagedError(
     ProblemError,
     code="state_damaged",
     status=500,
-    remedy="check_disk",
     title="A file of the state was damaged, and its copy is used",
     remedy="check_disk",
 ):
@@ -74,7 +73,6 @@ class StateLostError(
     ProblemError,
     code="state_lost",
     status=500,
-    remedy="check_disk",
     title="A file of the state and its copy are damaged",
     remedy="check_disk",
 ):
@@ -85,7 +83,6 @@ class AuditError(
     ProblemError,
     code="audit_not_written",
     status=503,
-    remedy="check_disk",
     title="The audit log cannot be written",
     retryable=True,
     remedy="check_disk",
