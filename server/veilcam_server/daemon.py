@@ -222,6 +222,8 @@ def _serve(
                 # An upgrade is asked like anything else, and refused by the application.
                 ws="none",
                 server_header=False,
+                # Whoever is on this machine could be anybody by naming another address.
+                proxy_headers=False,
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )

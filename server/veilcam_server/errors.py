@@ -63,8 +63,8 @@ class StateDamagedError(
     ProblemError,
     code="state_damaged",
     status=500,
-    remedy="check_disk",
     title="A file of the state was damaged, and its copy is used",
+    remedy="check_disk",
 ):
     """One of the two copies of a state file is damaged or gone; nothing is lost."""
 
@@ -73,8 +73,8 @@ class StateLostError(
     ProblemError,
     code="state_lost",
     status=500,
-    remedy="check_disk",
     title="A file of the state and its copy are damaged",
+    remedy="check_disk",
 ):
     """Both copies of a state file are damaged or gone; the message says what follows."""
 
@@ -83,9 +83,9 @@ class AuditError(
     ProblemError,
     code="audit_not_written",
     status=503,
-    remedy="check_disk",
     title="The audit log cannot be written",
     retryable=True,
+    remedy="check_disk",
 ):
     """What was done cannot be written down durably, so no change is made, or acknowledged."""
 

@@ -79,6 +79,7 @@ def _summary(verdict: Verdict) -> dict[str, object]:
         "seconds": round(verdict.seconds, 1),
         "found": judgement.found,
         "missed": judgement.missed,
+        "untried": judgement.untried,
     }
 
 
@@ -88,6 +89,8 @@ def _table(verdicts: Sequence[Verdict]) -> Table:
         judgement = verdict.judgement
         sign, style = _SIGNS[judgement.outcome]
         table.add_row(Text(sign, style), verdict.row, Text(f"{verdict.seconds:.0f} s"), "")
+        if judgement.untried is not None:
+            table.add_row("", "", "", Text(judgement.untried, style))
         for part in judgement.found:
             table.add_row("", "", "", Text(part, "bold red" if part in judgement.missed else ""))
     return table

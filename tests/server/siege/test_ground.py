@@ -13,8 +13,15 @@ from veilcam_server.security.tokens import TokenStore
 from veilcam_server.siege import run
 from veilcam_server.siege.client import PATIENCE, Address, Reply
 from veilcam_server.siege.daemon import Launcher
-from veilcam_server.siege.damage import _flipped, _trials
-from veilcam_server.siege.ground import SHORT, Ground, Judgement, make_tokens, write_small_bundle
+from veilcam_server.siege.damage import _flipped, _sample, _trials
+from veilcam_server.siege.ground import (
+    SHORT,
+    Extent,
+    Ground,
+    Judgement,
+    make_tokens,
+    write_small_bundle,
+)
 from veilcam_server.siege.pages import page_requests
 from veilcam_server.siege.run import Verdict, besiege, figures_of
 from veilcam_server.siege.starving import p99
@@ -126,5 +133,15 @@ def test_each_file_is_damaged_alone_and_with_its_copy(tmp_path: Path) -> None:
         assert [how for how, damaged in tried if damaged == paths] == [
             *("truncated", "emptied", "flipped", "flipped")
         ]
-    assert ("damaged", ()) in tried
+    assert tried[0] == ("damaged", ())
     assert len(tried) == 17
+
+
+def test_a_sample_of_damage_begins_with_none(tmp_path: Path) -> None:
+    (tmp_path / "state").write_bytes(b"12345678")
+    trials = list(_trials(tmp_path, 20))
+    few = _sample(trials, Extent(starts=5))
+    assert few[0] == trials[0]
+    assert len(few) == 5
+    assert all(trial in trials for trial in few)
+    assert len(_sample(trials, Extent())) == len(trials)
