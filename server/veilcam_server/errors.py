@@ -472,18 +472,27 @@ class BundleUntrustedError(
     code="bundle_untrusted",
     status=403,
     title="The bundle is not of this camera's owner",
+    remedy="install_bundle",
 ):
     """A bundle that no owner of this camera signed."""
 
 
 class BundleRevealsError(
-    ProblemError, code="bundle_reveals", status=422, title="The bundle's masks hide nothing"
+    ProblemError,
+    code="bundle_reveals",
+    status=422,
+    title="The bundle's masks hide nothing",
+    remedy="install_bundle",
 ):
     """A bundle with a mask behind which the embedding is a picture."""
 
 
 class BundleOlderError(
-    ProblemError, code="bundle_older", status=409, title="A newer bundle was in use"
+    ProblemError,
+    code="bundle_older",
+    status=409,
+    title="A newer bundle was in use",
+    remedy="install_bundle",
 ):
     """A bundle of an older version than one that was in use."""
 
