@@ -28,7 +28,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # of one file, which share what is slow to make, mostly stay together.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 
-.PHONY: help demo serve check test stress test-libcamera lint types layers fast pytest test-vm mutants clean
+.PHONY: help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
@@ -36,6 +36,7 @@ help:
 	@echo "make check    lint, types, layers and the fast tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
+	@echo "make siege    attackers and faults against a simulated daemon: half an hour; before a release"
 	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make suite-SSE, suite-AVX2   all tests with the instructions of older processors"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
@@ -76,6 +77,10 @@ stress: $(INSTALLED)
 	$(BIN)/python -m tests.stress.api_fuzz
 	$(BIN)/python -m tests.stress.soak
 	$(PYTEST) --timeout 0 --long -m long
+
+# The long form of what a test does for seconds, on a machine that does nothing else meanwhile.
+siege: $(INSTALLED)
+	$(BIN)/python -m tests.stress.siege --figures benchmarks/results/siege.json
 
 # Not part of test: it needs Debian's package lists and its source of libcamera.
 test-libcamera: $(INSTALLED)

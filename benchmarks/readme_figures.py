@@ -220,10 +220,55 @@ CHECKS: Figures = {
     for figure, words in {"wall_s": "wall", "user_cpu_s": "time of all cores"}.items()
 }
 
+CONDITIONING: Figures = {
+    **{
+        f"conditioning_{masks}_{name}": ("conditioning", f"least `{name}`, {words}", "{:.2f}")
+        for masks, words in (("drawn", "masks drawn from a key"), ("learned", "learned masks"))
+        for name in ("directions", "spread", "own")
+    },
+    **{
+        f"conditioning_refused_{name}": (
+            "conditioning",
+            f"refused at the embedding where fewest are: {words}",
+            "{:.1%}",
+        )
+        for name, words in (
+            ("1_open", "one open pixel anywhere"),
+            ("2_open", "two open pixels anywhere"),
+            ("3_open", "three open pixels anywhere"),
+            ("open_window", "open window, up to 20 % of noise"),
+            ("half", "half of the window open"),
+            ("gradient", "gradient"),
+        )
+    },
+    "conditioning_ms": ("conditioning", "time for one mask, 24 x 32", "{:.0f} ms"),
+    "conditioning_open_ms": ("conditioning", "time for a bundle of mode `fresh`", "{:.0f} ms"),
+}
+
+SIEGE: Figures = {
+    name: ("siege", words, pattern)
+    for name, (words, pattern) in {
+        "siege_status_p99_ms": (
+            "`status` from another address under attack, 99 of 100, worst row",
+            "{:.0f} ms",
+        ),
+        "siege_log_bytes_per_s": ("log of an attack, worst row", "{:.0f} B/s"),
+        "siege_rss_growth_mb": ("memory that an attack takes, worst row", "{:.0f} MB"),
+        "state_faults_tried": ("damaged state: starts tried", "{:.0f}"),
+        "starts_refused": ("of them refused", "{:.0f}"),
+        "silent_rollbacks": ("that rolled something back in silence", "{:.0f}"),
+        "kills": ("kills", "{:.0f}"),
+        "kills_lost": ("what was acknowledged and lost", "{:.0f}"),
+        "epochs_repeated": ("epochs that came again", "{:.0f}"),
+    }.items()
+}
+
 PAGES: dict[str, list[Figures]] = {
     "CONTRIBUTING.md": [CHECKS],
     "README.md": [README],
+    "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
+    "docs/siege.md": [SIEGE],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
 }
 """The tables of each page, from top to bottom."""

@@ -59,15 +59,12 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
-class StoppedError(Exception):
-    """The daemon cannot go on and ended; one line that says what to do."""
-
-
 class StateDamagedError(
     ProblemError,
     code="state_damaged",
     status=500,
     title="A file of the state was damaged, and its copy is used",
+    remedy="check_disk",
 ):
     """One of the two copies of a state file is damaged or gone; nothing is lost."""
 
@@ -77,8 +74,20 @@ class StateLostError(
     code="state_lost",
     status=500,
     title="A file of the state and its copy are damaged",
+    remedy="check_disk",
 ):
     """Both copies of a state file are damaged or gone; the message says what follows."""
+
+
+class AuditError(
+    ProblemError,
+    code="audit_not_written",
+    status=503,
+    title="The audit log cannot be written",
+    retryable=True,
+    remedy="check_disk",
+):
+    """What was done cannot be written down durably, so no change is made, or acknowledged."""
 
 
 class EpochError(
@@ -128,6 +137,17 @@ class RotationImpossibleError(
     remedy="install_bundle",
 ):
     """There is no other mask to change to."""
+
+
+class PolicyStoreError(
+    ProblemError,
+    code="rotation_not_stored",
+    status=503,
+    title="The rotation policy is not durable",
+    retryable=True,
+    remedy="check_disk",
+):
+    """A rotation policy could not be made durable."""
 
 
 class WithheldError(
@@ -304,7 +324,7 @@ class SceneApiOffError(
     code="scene_api_off",
     status=409,
     title="No scenes are held up by program",
-    detail="this daemon takes no scenes: start it with --simulate --scene-api",
+    detail="this daemon takes no scenes and no faults: start it with --simulate --scene-api",
 ):
     """Scenes are not held up by program before this camera."""
 
@@ -452,12 +472,27 @@ class BundleUntrustedError(
     code="bundle_untrusted",
     status=403,
     title="The bundle is not of this camera's owner",
+    remedy="install_bundle",
 ):
     """A bundle that no owner of this camera signed."""
 
 
+class BundleRevealsError(
+    ProblemError,
+    code="bundle_reveals",
+    status=422,
+    title="The bundle's masks hide nothing",
+    remedy="install_bundle",
+):
+    """A bundle with a mask behind which the embedding is a picture."""
+
+
 class BundleOlderError(
-    ProblemError, code="bundle_older", status=409, title="A newer bundle was in use"
+    ProblemError,
+    code="bundle_older",
+    status=409,
+    title="A newer bundle was in use",
+    remedy="install_bundle",
 ):
     """A bundle of an older version than one that was in use."""
 

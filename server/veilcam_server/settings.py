@@ -125,7 +125,7 @@ class Settings(Wiring):
     set as mnist:FOLDER or mnist:FOLDER:test. Give several, and each capture sees the next.
     Default: what 'veilcamd show' writes."""
     scene_api: bool = False
-    """Let callers set the scene before the simulated camera, for tests."""
+    """Let callers set the scene before the simulated camera, and break it, for tests."""
     replay: Path | None = None
     """Answer with what 'veilcam record' wrote to this file, instead of a camera."""
     host: str = "127.0.0.1"

@@ -109,7 +109,7 @@ async def test_who_does_not_read_slows_nobody_and_is_told_what_it_missed(bench: 
         while not fast:
             await asyncio.sleep(0.001)
         for place in range(CAPACITY + 500):
-            service.set_policy(policy)
+            await service.set_policy(policy)
             if place % 100 == 0:
                 await until(fast, place)
         first = await until(fast, CAPACITY + 499)

@@ -40,6 +40,50 @@ def test_a_host_is_an_address(host: str) -> None:
     assert "is no IP address" in refused(host=host)
 
 
+def test_further_names_are_hosts() -> None:
+    made = Settings(bundle=Path("a.veilcam"), hosts=("Camera.example", "door_2:8443", "[FE80::1]"))
+    assert made.hosts == ("camera.example", "door_2:8443", "[fe80::1]")
+    for wrong in (
+        "https://a.example",
+        "a.example/",
+        "",
+        "a b",
+        "*.example",
+        "a:",
+        ".example",
+        "a;",
+    ):
+        assert refused(hosts=("a.example", wrong)) == (
+            f"--hosts: {wrong!r} is no host name: use camera.example, or with :PORT"
+        )
+
+
+def test_pages_in_whose_frames_it_may_stand_are_origins() -> None:
+    origins = ("https://home.example", "http://home.example:8123")
+    assert Settings(bundle=Path("a"), frame_ancestors=origins).frame_ancestors == origins
+    # What stands in a header must not go on to another directive.
+    for wrong in ("home.example", "https://a.example/", "https://*", "'self'", "https://a; x", "*"):
+        assert refused(frame_ancestors=(wrong,)) == (
+            f"--frame-ancestors: {wrong!r} is no origin: use https://home.example, or with :PORT"
+        )
+
+
+def test_one_name_or_several_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for given, hosts in (("a.example", ("a.example",)), ('["a", "b:1"]', ("a", "b:1"))):
+        monkeypatch.setenv("VEILCAM_HOSTS", given)
+        assert Settings(bundle=Path("a.veilcam")).hosts == hosts
+
+
+def test_a_recording_has_names_too() -> None:
+    made = Settings.model_validate({"replay": Path("r.jsonl"), "hosts": ("a.example",)})
+    assert made.hosts == ("a.example",)
+
+
+def test_names_are_not_told() -> None:
+    made = Settings(bundle=Path("a.veilcam"), hosts=("a.example",), frame_ancestors=())
+    assert (made.redacted()["hosts"], made.redacted()["frame_ancestors"]) == ("given", None)
+
+
 def test_tokens_are_wanted_unless_the_camera_is_simulated() -> None:
     assert Settings(bundle=Path("a.veilcam")).auth == "tokens"
     assert Settings.model_validate({"device": "simulated"}).auth == "none"

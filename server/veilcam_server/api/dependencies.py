@@ -40,6 +40,8 @@ KEYED = ("idempotency_key_reused", "done_before_restart", "answer_not_kept", "to
 """What a route that takes an ``Idempotency-Key`` can answer with besides."""
 BODY = ("body_too_large", "invalid_request", *KEYED)
 """What a route with a body can answer with besides."""
+CHANGE = ("audit_not_written",)
+"""What a route can answer with besides that makes a change which outlives the daemon."""
 DEVICE = (
     "queue_full",
     "calibrating",

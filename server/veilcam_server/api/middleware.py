@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import secrets
 import time
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 from starlette.datastructures import Headers, MutableHeaders
@@ -23,7 +25,7 @@ from veilcam_server.api.problems import (
     error_response,
     problem_response,
 )
-from veilcam_server.errors import ProblemError
+from veilcam_server.errors import AuditError, ProblemError
 from veilcam_server.security.admission import Admission
 from veilcam_server.system.logs import log_defect
 
@@ -54,10 +56,19 @@ class Body:
         A page of another site can make a browser send text and forms without asking first; none of
         these types is among them (https://fetch.spec.whatwg.org/#cors-safelisted-request-header).
         """
-        empty = "transfer-encoding" not in headers and headers.get("content-length", "0") == "0"
+        length = headers.get("content-length", "").strip("0")
+        empty = not length and "transfer-encoding" not in headers
         given = headers.get("content-type", "").partition(";")[0].strip().lower()
         if (self.required or not empty) and given not in self.media_types:
             raise UnsupportedMediaTypeError(self.media_types)
+
+
+@dataclass(slots=True)
+class _Answer:
+    """What became of one request so far."""
+
+    status: int = 0
+    refused: bool = False
 
 
 class RequestContext:
@@ -70,11 +81,13 @@ class RequestContext:
         metrics: Metrics,
         *,
         open_paths: Collection[str],
+        passing: Collection[str],
         body: Body,
         uploads: Mapping[tuple[str, str], Body],
     ) -> None:
         self._app, self._admission, self._metrics = app, admission, metrics
         self._open_paths, self._body, self._uploads = open_paths, body, uploads
+        self._passing = passing
         self._headers = security_headers(admission.site.frame_ancestors)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -87,20 +100,12 @@ class RequestContext:
         request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
         state = scope.setdefault("state", {})
         state.update(request_id=request_id, caller=None, problem=None, noted={})
-        peer = scope["client"][0] if scope.get("client") else "local socket"
+        peer = _peer(scope)
         body = self._uploads.get((scope["method"], scope["path"]), self._body)
-        begun, status = time.monotonic(), 0
+        begun = time.monotonic()
 
-        async def send_with_id(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-                answer = MutableHeaders(scope=message)
-                answer["X-Request-Id"] = request_id
-                answer.update(self._headers)
-                self._audit(scope, status, peer)
-                self._metrics.observe(*_names(scope), status, time.monotonic() - begun)
-            await send(message)
+        answer = _Answer()
+        send_with_id = self._sender(scope, receive, send, answer)
 
         try:
             with ExitStack() as stack:
@@ -111,6 +116,8 @@ class RequestContext:
                         admitted = self._admission.admitted(headers, peer)
                         state["caller"] = stack.enter_context(admitted)
                     body.require_media_type(headers)
+                    if self._is_change(scope):
+                        await asyncio.to_thread(self._admission.require_audit)
                 except ProblemError as error:
                     response = error_response(scope, error)
                     await response(scope, receive, send_with_id)
@@ -121,7 +128,7 @@ class RequestContext:
             log.debug("broken off", request_id=request_id)
         except Exception as error:
             log_defect(error, request_id=request_id)
-            if status:
+            if answer.status:
                 raise
             response = problem_response(
                 scope,
@@ -137,28 +144,72 @@ class RequestContext:
                 request_id=request_id,
                 method=scope["method"],
                 path=scope["path"],
-                status=status,
+                status=answer.status,
                 ms=round(1e3 * (time.monotonic() - begun), 1),
             )
+
+    def _sender(self, scope: Scope, receive: Receive, send: Send, answer: _Answer) -> Send:
+        """Note the answer, count it, and give it an id; or refuse it, where it cannot be noted."""
+        state, begun = scope["state"], time.monotonic()
+
+        async def give(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                answer.status = message["status"]
+                fields = MutableHeaders(scope=message)
+                fields["X-Request-Id"] = state["request_id"]
+                fields.update(self._headers)
+                # What has a tag may be kept, and says so itself.
+                if "ETag" not in fields:
+                    fields["Cache-Control"] = "no-store"
+                await self._audit(scope, answer.status, _peer(scope))
+                self._metrics.observe(*_names(scope), answer.status, time.monotonic() - begun)
+            await send(message)
+
+        async def give_or_refuse(message: Message) -> None:
+            if answer.refused:
+                return  # the rest of what is not answered
+            try:
+                await give(message)
+            except AuditError as error:
+                answer.refused = True
+                await error_response(scope, error)(scope, receive, give)
+
+        return give_or_refuse
 
     def _is_open(self, scope: Scope) -> bool:
         return scope["method"] in ("GET", "HEAD") and scope["path"] in self._open_paths
 
-    def _audit(self, scope: Scope, status: int, peer: str) -> None:
-        """Note everything but what was only read; who watches the events learns what is seen."""
+    def _is_change(self, scope: Scope) -> bool:
+        """Whether what is done must be on the disk, in the audit log, before it is acknowledged."""
+        return scope["method"] not in ("GET", "HEAD") and scope["path"] not in self._passing
+
+    async def _audit(self, scope: Scope, status: int, peer: str) -> None:
+        """Note everything but what was only read; who watches the events learns what is seen.
+
+        Raises:
+            AuditError: a change cannot be noted.
+        """
         path, state = scope["path"], scope["state"]
         only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
-        if only_read and status < 400:
+        # A monitor that is told 'no' is not refused.
+        if only_read and state["problem"] is None:
             return
-        self._admission.note(
+        durable = status < 400 and self._is_change(scope)
+        note = partial(
+            self._admission.note,
             state["caller"],
             f"{scope['method']} {path[:MAX_PATH]}",
             code=state["problem"],
+            durable=durable,
             status=status,
             request=state["request_id"],
             peer=peer,
             **state["noted"],
         )
+        if durable:
+            await asyncio.to_thread(note)
+        else:
+            note()
 
 
 def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
@@ -169,7 +220,6 @@ def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
     """
     framing = " ".join(frame_ancestors) or "'none'"
     return {
-        "Cache-Control": "no-store",
         "Content-Security-Policy": (
             f"default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors {framing}"
         ),
@@ -194,9 +244,15 @@ def _limited(receive: Receive, limit: int) -> Receive:
     return receive_some
 
 
+def _peer(scope: Scope) -> str:
+    return scope["client"][0] if scope.get("client") else "local socket"
+
+
 def _names(scope: Scope) -> tuple[str, str]:
     """Method and template of the route, or a word for both: no stranger's words become labels."""
     route = scope.get("route")
     if not isinstance(route, Route):
         return "other", "none"
-    return scope["method"] if scope["method"] in (route.methods or ()) else "other", route.path
+    # HEAD is answered wherever GET is.
+    method, known = scope["method"], route.methods or set()
+    return method if {method, {"HEAD": "GET"}.get(method)} & known else "other", route.path

@@ -11,11 +11,13 @@ from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
+from veilcam_server.bundles.hiding import HidingCheck
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.errors import (
     BundleInvalidError,
     BundleOlderError,
+    BundleRevealsError,
     BundleStoreError,
     BundleUnfitError,
     BundleUntrustedError,
@@ -123,7 +125,10 @@ class LoadedBundle:
     source: MaskSource = field(repr=False)
 
 
-_UNUSABLE = (UnknownBundleError, BundleInvalidError, BundleUnfitError, BundleUntrustedError)
+_UNUSABLE = (
+    *(UnknownBundleError, BundleInvalidError, BundleUnfitError),
+    *(BundleUntrustedError, BundleRevealsError),
+)
 OpenSource = Callable[[Bundle], MaskSource]
 
 
@@ -141,6 +146,7 @@ class Opener:
     ) -> None:
         self._configured, self._open_source = configured, open_source
         self.owners = owners or Owners()
+        self._check_hiding = HidingCheck(configured)
 
     def with_source(self, open_source: OpenSource) -> Opener:
         """The same, but for what makes a bundle's source of masks."""
@@ -167,10 +173,20 @@ class Opener:
         return bundle
 
     def take(self, path: Path) -> Bundle:
-        """Read a bundle that may be used; raises as :meth:`read` and :meth:`Owners.check`."""
+        """Read a bundle that may be used; raises as :meth:`read` and :meth:`check`."""
         bundle = self.read(path)
-        self.owners.check(bundle)
+        self.check(bundle)
         return bundle
+
+    def check(self, bundle: Bundle) -> None:
+        """Refuse a bundle that may not be used, though it fits.
+
+        Raises:
+            BundleUntrustedError: no owner signed it.
+            BundleRevealsError: its masks hide nothing.
+        """
+        self.owners.check(bundle)
+        self._check_hiding(bundle)
 
     def open(self, path: Path, digest: str) -> LoadedBundle:
         """Open the bundle of this digest; raises as :meth:`take`."""
@@ -207,10 +223,11 @@ def last_good(
         allow_older: may be older than the one in use before.
 
     Raises:
-        BundleUnfitError, BundleUntrustedError: the configured one cannot be used.
+        BundleUnfitError, BundleUntrustedError, BundleRevealsError: the configured one cannot be
+            used.
         BundleOlderError: the configured one is new to this daemon, and older.
     """
-    opener.owners.check(configured)
+    opener.check(configured)
     older: list[LoadedBundle] = []
     for digest in store.candidates():
         try:

@@ -62,6 +62,7 @@ class BundleManager:
         Raises:
             BundleInvalidError, BundleUnfitError: it cannot be used here.
             BundleUntrustedError, BundleOlderError: it is no owner's, or not of a higher version.
+            BundleRevealsError: its masks hide nothing.
             BundlesFullError, BundleStoreError: it cannot be stored now.
         """
         with self._store.incoming() as (path, stream):
@@ -88,6 +89,7 @@ class BundleManager:
             UnknownBundleError: there is none of this digest.
             BundleInvalidError, BundleUnfitError: it cannot be used (any more).
             BundleUntrustedError, BundleOlderError: it is no owner's, or older and may not be.
+            BundleRevealsError: its masks hide nothing.
             BundleStoreError, BundlesBusyError: it cannot be made durable now.
         """
         async with self._alone():

@@ -7,24 +7,47 @@ from pathlib import Path
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.bundles.loader import OpenSource, open_source
-from veilcam_server.calibration.record import RECORD_NAME, SigningKey, imperfections_of, read_record
+from veilcam_server.calibration.record import RECORD_NAME, RecordFile, SigningKey, imperfections_of
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import Report, log_fault
 from veilcam_training.bundle import Bundle
 
 
-def open_calibration(settings: Settings, bundle: Bundle) -> SignedCalibration | None:
+def open_calibration(
+    settings: Settings, bundle: Bundle, report: Report = log_fault
+) -> SignedCalibration | None:
     """Return the record that the settings name, or the one in the state directory, or none.
 
+    One in the state directory that is lost, or cannot be trusted any more, is reported, and the
+    camera is taken as it was drawn.
+
+    Args:
+        settings: checked.
+        bundle: whose camera it is.
+        report: takes what was damaged.
+
     Raises:
-        StartError: it cannot be read or trusted, or is of another camera.
+        StartError: it is of another camera; or the one that the settings name cannot be trusted.
     """
-    path = record_path(settings)
-    if settings.calibration is None and not path.exists():
+    path, named = record_path(settings), settings.calibration is not None
+    signed = RecordFile(path, report).read()
+    if signed is None:
+        if named:
+            raise StartError(
+                f"{path} holds no calibration that is whole: run 'veilcamd calibrate' again, or "
+                "give another --calibration"
+            )
         return None
     try:
-        signed = read_record(path, SigningKey.open(settings.state_dir))
+        SigningKey.open(settings.state_dir, report=report).require(signed, path)
+    except CalibrationError as error:
+        if named:
+            raise StartError(str(error)) from None
+        report(error)
+        return None
+    try:
         check_record(signed.record, settings, bundle)
     except CalibrationError as error:
         raise StartError(str(error)) from None

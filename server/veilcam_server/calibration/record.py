@@ -7,15 +7,23 @@ from typing import Self
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import Imperfections
-from veilcam_optics.files import create_private, write_whole
-from veilcam_server.errors import CalibrationError
+from veilcam_server.errors import CalibrationError, StartError
+from veilcam_server.system.state_file import Report, StateFile, log_fault, refuse_earlier
 
-KEY_NAME = "calibration-key"
+RECORD_NAME = "calibration.json"
+"""Of the record in the state directory."""
+KEY_NAME = "calibration-key.json"
 """Of the private key in the state directory."""
+_AGAIN = "run 'veilcamd calibrate' again"
+
+
+class _Seed(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+    seed: str = Field(pattern="^[0-9a-f]{64}$", repr=False)
 
 
 class SigningKey:
@@ -25,29 +33,40 @@ class SigningKey:
         self._key = key
 
     @classmethod
-    def open(cls, state_dir: Path, *, create: bool = False) -> Self:
+    def open(cls, state_dir: Path, *, create: bool = False, report: Report = log_fault) -> Self:
         """Read the key in ``state_dir``, or make one.
 
+        Args:
+            state_dir: of the daemon.
+            create: make one where there is none, and a new one where it is lost.
+            report: takes what was damaged.
+
         Raises:
-            CalibrationError: there is none, or it cannot be read or made.
+            CalibrationError: there is none, it cannot be made, or it is of another version.
         """
-        path = state_dir / KEY_NAME
+        lost = f"what it signed cannot be checked; {_AGAIN}"
+        file = StateFile(state_dir / KEY_NAME, _Seed, lost=lost, report=report)
         try:
-            if create and not path.exists():
+            refuse_earlier(
+                state_dir / "calibration-key", f"remove it and {RECORD_NAME}, and {_AGAIN}"
+            )
+            found = file.read()
+        except StartError as error:
+            raise CalibrationError(str(error)) from None
+        if found is None and not create:
+            raise CalibrationError(
+                f"there is no key {state_dir / KEY_NAME} to check a calibration with: {_AGAIN}"
+            )
+        try:
+            if found is None:
                 state_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
-                secret = Ed25519PrivateKey.generate().private_bytes_raw()
-                create_private(path, f"{secret.hex()}\n".encode())
-            return cls(Ed25519PrivateKey.from_private_bytes(bytes.fromhex(path.read_text("ascii"))))
-        except FileNotFoundError:
-            raise CalibrationError(
-                f"there is no key {path} to check a calibration with: run 'veilcamd calibrate'"
-            ) from None
+                made = Ed25519PrivateKey.generate().private_bytes_raw().hex()
+                found = file.change(lambda held: held or _Seed(seed=made))
         except OSError as error:
-            raise CalibrationError(f"{path} cannot be used ({error.strerror}): check it") from None
-        except ValueError:
             raise CalibrationError(
-                f"{path} is no key: move it away and run 'veilcamd calibrate'"
+                f"{state_dir / KEY_NAME} cannot be used ({error.strerror}): check it"
             ) from None
+        return cls(Ed25519PrivateKey.from_private_bytes(bytes.fromhex(found.seed)))
 
     @property
     def public(self) -> str:
@@ -57,6 +76,13 @@ class SigningKey:
     def sign(self, message: bytes) -> str:
         """Signature of ``message``, 128 hexadecimal digits."""
         return self._key.sign(message).hex()
+
+    def require(self, signed: SignedCalibration, path: Path) -> None:
+        """Raise :class:`CalibrationError` where another key signed the record at ``path``."""
+        if signed.public_key != self.public:
+            raise CalibrationError(
+                f"{path} was signed by another daemon: {_AGAIN}, or give another --calibration"
+            )
 
     def __repr__(self) -> str:
         return f"SigningKey(public={self.public})"
@@ -72,9 +98,29 @@ def is_signed(message: bytes, signature: str, public: str) -> bool:
     return True
 
 
-RECORD_NAME = "calibration.json"
-"""Of the record in the state directory."""
-MAX_BYTES = 2**20
+class RecordFile(StateFile[SignedCalibration]):
+    """A signed record in two copies, each as others read it: its signature is its checksum.
+
+    Args:
+        path: of the record.
+        report: takes what was damaged.
+    """
+
+    def __init__(self, path: Path, report: Report = log_fault) -> None:
+        lost = f"the camera is taken as it was drawn; {_AGAIN}"
+        super().__init__(path, SignedCalibration, lost=lost, report=report)
+
+    def _encode(self, state: SignedCalibration, serial: int) -> bytes:  # noqa: ARG002 - its time
+        return f"{state.model_dump_json(indent=1)}\n".encode()
+
+    def _decode(self, content: bytes) -> tuple[int, SignedCalibration]:
+        try:
+            signed = SignedCalibration.model_validate_json(content)
+        except ValidationError:
+            raise ValueError("it is no record") from None
+        if not is_signed(_message(signed.record), signed.signature, signed.public_key):
+            raise ValueError("it was changed after it was signed")
+        return int(1e6 * signed.record.taken_at.timestamp()), signed
 
 
 def imperfections_of(record: CalibrationRecord) -> Imperfections:
@@ -101,43 +147,15 @@ def sign_record(record: CalibrationRecord, key: SigningKey) -> SignedCalibration
 
 
 def write_record(path: Path, signed: SignedCalibration) -> None:
-    """Replace ``path`` by a signed record, or leave what was there before.
+    """Replace ``path`` and its copy by a signed record, or leave what was there before.
 
     Raises:
         CalibrationError: it cannot be written.
     """
     try:
-        write_whole(path, f"{signed.model_dump_json(indent=1)}\n".encode(), private=True)
+        RecordFile(path).change(lambda _: signed)
     except OSError as error:
         raise CalibrationError(f"{path} cannot be written ({error.strerror}): check it") from None
-
-
-def read_record(path: Path, key: SigningKey) -> SignedCalibration:
-    """Read what :func:`write_record` wrote with ``key``.
-
-    Raises:
-        CalibrationError: it cannot be read, is none, was changed, or is signed by another.
-    """
-    again = "run 'veilcamd calibrate' again, or give another --calibration"
-    try:
-        with path.open("rb") as stream:
-            text = stream.read(MAX_BYTES + 1)
-        if len(text) > MAX_BYTES:
-            raise CalibrationError(f"{path} is too large for a calibration: {again}")
-        signed = SignedCalibration.model_validate_json(text)
-    except OSError as error:
-        raise CalibrationError(f"{path} cannot be read ({error.strerror}): check it") from None
-    except ValidationError as error:
-        details = error.errors(include_url=False, include_input=False, include_context=False)[0]
-        place = ".".join(map(str, details["loc"])) or "file"
-        raise CalibrationError(
-            f"{path} is no calibration ({place}: {details['msg']}): {again}"
-        ) from None
-    if signed.public_key != key.public:
-        raise CalibrationError(f"{path} was signed by another daemon: {again}")
-    if not is_signed(_message(signed.record), signed.signature, signed.public_key):
-        raise CalibrationError(f"{path} was changed after it was signed: {again}")
-    return signed
 
 
 def _message(record: CalibrationRecord) -> bytes:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from veilcam_client.cli.format import token_in_words
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
 from veilcam_server.cli.terminal import StateDirOption, fail, one_line
-from veilcam_server.errors import StartError, TokenStoreError, UnknownTokenError
+from veilcam_server.errors import AuditError, StartError, TokenStoreError, UnknownTokenError
 from veilcam_server.security.audit import DONE, AuditLog
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import default_state_dir
@@ -101,9 +101,9 @@ def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, AuditLog]]:
             yield store, audit
         finally:
             audit.close()
-    except (StartError, TokenStoreError, UnknownTokenError) as error:
+    except (AuditError, StartError, TokenStoreError, UnknownTokenError) as error:
         fail(str(error))
 
 
 def _note(audit: AuditLog, action: str, token: Token) -> None:
-    audit.write(action, token=token.id, label=token.label, user=getpass.getuser())
+    audit.write(action, durable=True, token=token.id, label=token.label, user=getpass.getuser())

@@ -76,8 +76,19 @@ class Admission:
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
 
+    def require_audit(self) -> None:
+        """Raise :class:`AuditError` while what callers do cannot be written down."""
+        if self.audit is not None:
+            self.audit.require()
+
     def note(
-        self, caller: Caller | None, action: str, *, code: str | None, **details: str | int
+        self,
+        caller: Caller | None,
+        action: str,
+        *,
+        code: str | None,
+        durable: bool = False,
+        **details: str | int,
     ) -> None:
         """Write to the audit log what was done or refused.
 
@@ -85,7 +96,11 @@ class Admission:
             caller: None where there was no valid token.
             action: method and path.
             code: of the problem it was answered with, None where it went well.
+            durable: it is on the disk at return, or this raises.
             details: what else is known: status, request id, peer.
+
+        Raises:
+            AuditError: it must be durable, and is not.
         """
         # Who asks too often must not push out what others did.
         if code == RateLimitError.code:
@@ -94,7 +109,7 @@ class Admission:
         if log is None:
             return
         who = {} if caller is None else {"caller": caller.id, "label": caller.label}
-        log.write(action, code=code, **who, **details)
+        log.write(action, durable=durable, code=code, **who, **details)
 
     @contextmanager
     def admitted(self, headers: Headers, peer: str) -> Iterator[Caller]:
@@ -149,8 +164,8 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
     Raises:
         StartError: the state directory cannot be used.
     """
-    audit = AuditLog(settings.state_dir / DONE)
-    refused = AuditLog(settings.state_dir / REFUSED)
+    audit = AuditLog(settings.state_dir / DONE, report=report)
+    refused = AuditLog(settings.state_dir / REFUSED, report=report)
     tokens = TokenStore(settings.state_dir, report=report) if settings.auth == "tokens" else None
     if tokens is not None and not tokens.tokens():
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import threading
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import structlog
 
-from veilcam_server.errors import StartError
+from veilcam_optics.files import sync_folder
+from veilcam_server.errors import AuditError, StartError
+from veilcam_server.system.state_file import Report, log_fault
 
 log = structlog.get_logger()
 
@@ -22,74 +26,117 @@ ten thousand times does not push out what happened inside."""
 class AuditLog:
     """One file of JSON lines and the full ones before it, ``NAME.1`` the latest of them.
 
-    A disk that is full stops no capture: what could not be written is counted, and the log says so
-    once.
+    A disk that is full stops no capture: what could not be written is counted, and reported once.
+    A change is another thing: it is made where its line is on the disk before it is acknowledged.
 
     Args:
-        path: of the file; made, for its owner alone.
+        path: of the file; made, for its owner alone, as soon as it can be.
         limit: size of one file [bytes].
         kept: how many full ones stay.
-
-    Raises:
-        StartError: it cannot be written.
+        report: takes that it cannot be written.
     """
 
-    def __init__(self, path: Path, limit: int = 8 << 20, kept: int = 7) -> None:
-        self._path, self._limit, self._kept = path, limit, kept
+    def __init__(
+        self, path: Path, limit: int = 8 << 20, kept: int = 7, report: Report = log_fault
+    ) -> None:
+        self._path, self._limit, self._kept, self._report = path, limit, kept, report
         self.lost = 0
+        """Lines that could not be written."""
         self._failing = False
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            self._open()
-        except OSError as error:
-            raise StartError(
-                f"{path} cannot be written ({error.strerror}): check it, "
-                "or give another --state-dir"
-            ) from None
+        self._lock = threading.Lock()
+        self._file: int | None = None
+        self._size = 0
+        self._torn = False
 
-    def write(self, action: str, **details: str | int | None) -> None:
-        """Append one line: now, the action, and those details that are not None."""
+    def write(self, action: str, *, durable: bool = False, **details: str | int | None) -> None:
+        """Append one line: now, the action, and those details that are not None.
+
+        Args:
+            action: what was done or refused.
+            durable: the line is flushed to the disk, or this raises.
+            details: what else is known.
+
+        Raises:
+            AuditError: a line that must be durable is not.
+        """
         entry: dict[str, Any] = {
             "at": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "action": action,
             **{name: value for name, value in details.items() if value is not None},
         }
-        line = json.dumps(entry, ensure_ascii=True).encode() + b"\n"
         try:
-            if self._size + len(line) > self._limit:
-                self._rotate()
-            # One write to a file opened for appending: lines of two processes do not mix.
-            os.write(self._file, line)
-            self._size += len(line)
+            self._append(json.dumps(entry, ensure_ascii=True).encode() + b"\n", flush=durable)
         except OSError as error:
             self.lost += 1
+            fault = AuditError(
+                f"the audit log cannot be written ({error.strerror}): check the state directory's "
+                "disk"
+            )
             if not self._failing:
-                log.error("audit log cannot be written", error=error.strerror)
+                self._report(fault)
             self._failing = True
+            if durable:
+                raise fault from None
             return
         if self._failing:
             log.info("audit log can be written again", lost=self.lost)
         self._failing = False
 
+    def require(self) -> None:
+        """Raise :class:`AuditError` while it cannot be written, before anything is changed."""
+        if self._failing:
+            self.write("audit log was out of reach", durable=True, lost=self.lost)
+
     def close(self) -> None:
         """Close the file."""
-        os.close(self._file)
+        if self._file is not None:
+            os.close(self._file)
+        self._file = None
 
-    def _open(self) -> None:
-        self._file = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-        self._size = os.fstat(self._file).st_size
+    def _append(self, line: bytes, *, flush: bool) -> None:
+        with self._lock:
+            file = self._opened()
+            if self._size + len(line) > self._limit:
+                self.close()
+                self._number()
+                file = self._opened()
+            # Half a line, of a cut or a full disk, must not spoil the next one.
+            line = b"\n" + line if self._torn else line
+            # One write to a file opened for appending: lines of two processes do not mix.
+            written = os.write(file, line)
+            self._size += written
+            self._torn = written < len(line)
+            if self._torn:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            flushed = os.dup(file) if flush else None
+        # Nobody waits for the disk who need not: another thread may go on with the file.
+        if flushed is not None:
+            with os.fdopen(flushed) as held:
+                os.fsync(held.fileno())
 
-    def _rotate(self) -> None:
+    def _opened(self) -> int:
+        if self._file is not None and os.fstat(self._file).st_nlink == 0:
+            self.close()  # somebody removed it
+        if self._file is None:
+            self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
+            self._size = os.fstat(self._file).st_size
+            self._torn = self._size > 0 and os.pread(self._file, 1, self._size - 1) != b"\n"
+            if self._size == 0:
+                sync_folder(self._path.parent)
+        return self._file
+
+    def _number(self) -> None:
         for number in range(self._kept, 0, -1):
             older = _numbered(self._path, number - 1)
             if older.exists():
                 older.replace(_numbered(self._path, number))
-        os.close(self._file)
-        self._open()
 
 
 def read_audit(path: Path) -> list[dict[str, Any]]:
     """Return what the file and the full ones before it say, the oldest first.
+
+    A line that is damaged is an entry that says so.
 
     Raises:
         StartError: one of them cannot be read.
@@ -101,11 +148,21 @@ def read_audit(path: Path) -> list[dict[str, Any]]:
     try:
         for each in range(number, -1, -1):
             file = _numbered(path, each)
-            lines = file.read_text().splitlines() if file.exists() else []
-            entries += [json.loads(line) for line in lines if line.endswith("}")]
-    except (OSError, ValueError) as error:
-        raise StartError(f"{path} cannot be read ({error}): check it") from None
+            lines = file.read_bytes().split(b"\n") if file.exists() else []
+            entries += [_entry(line, file.name) for line in lines if line]
+    except OSError as error:
+        raise StartError(f"{path} cannot be read ({error.strerror}): check it") from None
     return entries
+
+
+def _entry(line: bytes, name: str) -> dict[str, Any]:
+    try:
+        found = json.loads(line)
+    except ValueError:
+        found = None
+    if isinstance(found, dict) and {"at", "action"} <= found.keys():
+        return found
+    return {"at": "", "action": "a line that is damaged", "file": name}
 
 
 def _numbered(path: Path, number: int) -> Path:

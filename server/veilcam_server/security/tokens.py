@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import math
 import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -27,6 +27,8 @@ from veilcam_server.system.state_file import (
 
 KEPT = 90 * 86_400.0
 """How long a token that was revoked, or has expired, stays on the list [s]."""
+_PAUSE = 60.0
+"""Before the day of a use is written again, where that failed [s]."""
 _TOKEN = re.compile(r"Bearer vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
 
 
@@ -117,6 +119,7 @@ class TokenStore:
                 f"{' '.join(sorted(unknown))}: move it away and make the tokens again"
             )
         self._seen, self._since = held.seen, monotonic()
+        self._note_from = -math.inf
 
     def create(self, label: str, scopes: tuple[Scope, ...], lifetime: float | None) -> NewToken:
         """Make a token.
@@ -215,7 +218,7 @@ class TokenStore:
 
     def _note_use(self, row: _Row, now: float) -> None:
         today = _datetime(now).strftime("%Y-%m-%d")
-        if row.used == today:
+        if row.used == today or self._monotonic() < self._note_from:
             return
 
         def note(held: _Tokens) -> _Tokens:
@@ -225,9 +228,10 @@ class TokenStore:
             return held.model_copy(update={"tokens": tuple(rows.values())})
 
         # Once a day for each token; that it cannot be written is no reason to refuse a request.
-        with suppress(TokenStoreError):
+        try:
             self._change(note)
-        self._known[row.id] = row.model_copy(update={"used": today})
+        except TokenStoreError:
+            self._note_from = self._monotonic() + _PAUSE
 
     def _now(self) -> float:
         """The wall clock, but never less than it was plus the time since then."""

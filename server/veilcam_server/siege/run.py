@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from veilcam_server.errors import StartError
-from veilcam_server.siege import damage, faults, pages, starving
+from veilcam_server.siege import damage, faults, kill, pages, starving
 from veilcam_server.siege.daemon import Launcher
 from veilcam_server.siege.ground import Extent, Ground, Judgement, Run
 
@@ -28,8 +28,13 @@ ROWS: Mapping[str, Run] = {
     "disk-later": faults.full_later,
     "log": faults.full_log,
     "clock": faults.clock_back,
+    "device": faults.device_gone,
+    "kill": kill.killed,
 }
 """By name, in the order in which they are run."""
+
+MEASURES = ("siege_status_p99_ms", "siege_log_bytes_per_s", "siege_rss_growth_mb")
+"""Figures that are no counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +81,10 @@ async def _run(row: Run, ground: Ground, judgement: Judgement) -> None:
 
 
 def figures_of(verdicts: Sequence[Verdict]) -> dict[str, float]:
-    """All figures by name; of one that several rows have, the worst."""
+    """All figures by name: of a measure the worst, of what is counted the sum."""
     found: dict[str, float] = {}
     for verdict in verdicts:
         for name, value in verdict.judgement.figures.items():
-            found[name] = max(value, found.get(name, value))
+            before = found.get(name, 0.0)
+            found[name] = max(before, value) if name in MEASURES else before + value
     return found

@@ -36,7 +36,7 @@ log = structlog.get_logger()
 
 def log_fault(error: ProblemError) -> None:
     """Write a fault to the log, where nobody else takes it."""
-    log.warning("fault", code=error.code, detail=str(error))
+    log.warning("fault", code=error.code, detail=str(error), remedy=error.remedy)
 
 
 @dataclass(frozen=True, slots=True)

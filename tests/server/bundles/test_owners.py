@@ -42,6 +42,7 @@ pytestmark = pytest.mark.anyio
 
 KEY, OTHER = (Ed25519PrivateKey.from_private_bytes(bytes([n]) * 32) for n in (1, 2))
 OWNER, STRANGER = (OwnerKey(key.public_key().public_bytes_raw()) for key in (KEY, OTHER))
+BINARY = {"Content-Type": BUNDLE_MEDIA_TYPE}
 OWNERS = Owners(frozenset((OWNER,)))
 
 Make = Callable[..., bytes]
@@ -74,9 +75,7 @@ class Api:
 
     async def install(self, data: bytes) -> str:
         """Digest, or the code of the refusal."""
-        answer = await self._client.post(
-            "/v1/bundles", content=data, headers={"Content-Type": BUNDLE_MEDIA_TYPE}
-        )
+        answer = await self._client.post("/v1/bundles", content=data, headers=BINARY)
         told = answer.json()
         return str(told["digest" if answer.status_code == 201 else "code"])
 
@@ -110,11 +109,7 @@ async def test_only_owners_bundles_are_taken_in(running: Running, bench: Bench, 
         status = (await client.get("/v1/status")).json()
         assert status["bundle"]["signed_by"] == OWNER.short
         assert status["bundle"]["version"] == 3
-        refused = await client.post(
-            "/v1/bundles",
-            content=make(4, OTHER),
-            headers={"Content-Type": BUNDLE_MEDIA_TYPE},
-        )
+        refused = await client.post("/v1/bundles", content=make(4, OTHER), headers=BINARY)
         assert refused.status_code == 403
         assert refused.json()["detail"] == (
             f"this bundle is signed by {STRANGER.short}: "

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.server.damage import DAMAGES
 
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
@@ -16,16 +18,17 @@ from veilcam_server.calibration.loading import open_calibration, settle_time
 from veilcam_server.calibration.record import (
     KEY_NAME,
     RECORD_NAME,
+    RecordFile,
     SigningKey,
+    _Seed,
     imperfections_of,
-    read_record,
     sign_record,
     write_record,
 )
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.devices.base import Device, Exposure
 from veilcam_server.devices.corrected import CalibratedSensor, calibrated
-from veilcam_server.errors import CalibrationError, StartError
+from veilcam_server.errors import CalibrationError, ProblemError, StartError
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
 
@@ -75,10 +78,12 @@ def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
     path = tmp_path / RECORD_NAME
     record = make_record()
     signed = written(path, record, key)
-    assert read_record(path, SigningKey.open(tmp_path)) == signed
+    assert RecordFile(path).read() == signed
     assert signed.record == record
-    assert path.stat().st_mode & 0o777 == 0o600
-    assert {each.name for each in tmp_path.iterdir()} == {RECORD_NAME, KEY_NAME}
+    assert {each.name for each in tmp_path.iterdir()} == {
+        f"{name}{end}" for name in (RECORD_NAME, KEY_NAME) for end in ("", ".copy", ".lock")
+    }
+    assert all(each.stat().st_mode & 0o777 == 0o600 for each in tmp_path.iterdir())
     found = imperfections_of(record)
     assert (found.shift_y, found.shift_x, found.rotation) == (1.1e-5, -2e-5, 1e-3)
     assert (found.distance_error, found.gamma, found.contrast_floor) == (5e-5, 1.3, 0.05)
@@ -88,12 +93,35 @@ def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
 def test_the_key_is_its_owner_s_alone(tmp_path: Path, key: SigningKey) -> None:
     path = tmp_path / KEY_NAME
     assert path.stat().st_mode & 0o777 == 0o600
-    assert path.read_text().strip() not in repr(key)
+    seed = json.loads(path.read_text().splitlines()[1])["seed"]
+    assert seed not in repr(key)
+    assert seed not in repr(_Seed(seed=seed))
     assert SigningKey.open(tmp_path, create=True).public == key.public
-    path.write_text("no key\n")
-    with pytest.raises(CalibrationError, match="is no key") as caught:
-        SigningKey.open(tmp_path)
-    assert "no key\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_key_is_put_right_and_a_lost_one_is_told(
+    tmp_path: Path, key: SigningKey, damage: Callable[[Path], None]
+) -> None:
+    faults: list[ProblemError] = []
+    damage(tmp_path / KEY_NAME)
+    assert SigningKey.open(tmp_path, report=faults.append).public == key.public
+    assert [fault.code for fault in faults] == ["state_damaged"]
+    faults.clear()
+    for name in (KEY_NAME, f"{KEY_NAME}.copy"):
+        damage(tmp_path / name)
+    with pytest.raises(CalibrationError, match=r"there is no key .* run 'veilcamd calibrate'"):
+        SigningKey.open(tmp_path, report=faults.append)
+    assert [fault.code for fault in faults] == ["state_lost"]
+    assert "what it signed cannot be checked; run 'veilcamd calibrate' again" in str(faults[0])
+    assert SigningKey.open(tmp_path, create=True).public != key.public
+
+
+def test_a_key_of_another_version_is_refused(tmp_path: Path, key: SigningKey) -> None:
+    (tmp_path / KEY_NAME).unlink()
+    (tmp_path / "calibration-key").touch()
+    with pytest.raises(CalibrationError, match=r"key is of an earlier version: remove it and cali"):
+        SigningKey.open(tmp_path, create=True)
 
 
 @pytest.mark.parametrize(
@@ -116,31 +144,38 @@ def test_a_record_that_was_changed_is_refused(
     for name in where[:-1]:
         place = place[name]
     place[where[-1]] = value
-    path.write_text(json.dumps(contents))
-    with pytest.raises(CalibrationError, match="was changed after it was signed: run 'veilcamd"):
-        read_record(path, key)
+    for name in (RECORD_NAME, f"{RECORD_NAME}.copy"):
+        path.with_name(name).write_text(json.dumps(contents))
+    assert RecordFile(path).read() is None
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"record": 1}', "x" * 2_000_000, "\x00\xff"])
-def test_what_is_no_record_is_refused(tmp_path: Path, key: SigningKey, text: str) -> None:
+def test_what_is_no_record_is_none(tmp_path: Path, key: SigningKey, text: str) -> None:
     path = tmp_path / RECORD_NAME
     path.write_text(text)
-    with pytest.raises(CalibrationError, match=r"calibration.*run 'veilcamd calibrate' again"):
-        read_record(path, key)
+    faults: list[ProblemError] = []
+    assert RecordFile(path, faults.append).read() is None
+    assert "calibration.json is damaged" in str(faults[0])
+    assert "the camera is taken as it was drawn; run 'veilcamd calibrate' again" in str(faults[0])
 
 
-def test_a_record_of_another_version_or_key_is_refused(tmp_path: Path, key: SigningKey) -> None:
+def test_a_record_alone_is_read_where_it_lies(tmp_path: Path, key: SigningKey) -> None:
+    """As one that was made elsewhere is, for ``--calibration``."""
+    signed = written(tmp_path / RECORD_NAME, make_record(), key)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (tmp_path / RECORD_NAME).rename(alone / "given.json")
+    assert RecordFile(alone / "given.json").read() == signed
+    assert [path.name for path in alone.iterdir()] == ["given.json"]
+
+
+def test_the_later_record_is_the_one_that_counts(tmp_path: Path, key: SigningKey) -> None:
     path = tmp_path / RECORD_NAME
     written(path, make_record(), key)
-    other = tmp_path / "other"
-    other.mkdir()
-    with pytest.raises(CalibrationError, match="signed by another daemon"):
-        read_record(path, SigningKey.open(other, create=True))
-    path.write_text(path.read_text().replace('"version": 2', '"version": 3'))
-    with pytest.raises(CalibrationError, match="version"):
-        read_record(path, key)
-    with pytest.raises(CalibrationError, match="No such file"):
-        read_record(tmp_path / "missing.json", key)
+    before = path.read_bytes()
+    later = written(path, make_record(taken_at=datetime(2026, 1, 2, 3, 4, 6, tzinfo=UTC)), key)
+    path.write_bytes(before)
+    assert RecordFile(path).read() == later
 
 
 def test_an_unwritable_place_is_said(tmp_path: Path, key: SigningKey) -> None:
@@ -167,10 +202,45 @@ def test_the_daemon_takes_the_record_in_its_state_directory(
     signed = written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
     assert open_calibration(settings_for(tmp_path), bundle) == signed
     elsewhere = tmp_path / "elsewhere.json"
-    with pytest.raises(StartError, match="cannot be read"):
+    with pytest.raises(StartError, match=r"elsewhere\.json holds no calibration that is whole"):
         open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle)
     other = written(elsewhere, make_record(geometry=geometry_of(bundle), drift=0.01), key)
     assert open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle) == other
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_record_is_put_right_and_a_lost_one_refuses_no_start(
+    tmp_path: Path, key: SigningKey, bundle: Bundle, damage: Callable[[Path], None]
+) -> None:
+    faults: list[ProblemError] = []
+    signed = written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
+    damage(tmp_path / RECORD_NAME)
+    assert open_calibration(settings_for(tmp_path), bundle, faults.append) == signed
+    assert [fault.code for fault in faults] == ["state_damaged"]
+    faults.clear()
+    for name in (RECORD_NAME, f"{RECORD_NAME}.copy"):
+        damage(tmp_path / name)
+    assert open_calibration(settings_for(tmp_path), bundle, faults.append) is None
+    assert [fault.code for fault in faults] == ["state_lost"]
+
+
+def test_a_record_without_its_key_is_told_and_not_used(
+    tmp_path: Path, key: SigningKey, bundle: Bundle
+) -> None:
+    faults: list[ProblemError] = []
+    written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
+    for name in (KEY_NAME, f"{KEY_NAME}.copy"):
+        (tmp_path / name).write_bytes(b"")
+    assert open_calibration(settings_for(tmp_path), bundle, faults.append) is None
+    assert [fault.code for fault in faults] == ["state_lost", "calibration_impossible"]
+    SigningKey.open(tmp_path, create=True)
+    faults.clear()
+    assert open_calibration(settings_for(tmp_path), bundle, faults.append) is None
+    assert "calibration.json was signed by another daemon: run 'veilcamd" in str(faults[0])
+    # One that was named must be the one that is used.
+    named = settings_for(tmp_path, calibration=tmp_path / RECORD_NAME)
+    with pytest.raises(StartError, match="was signed by another daemon"):
+        open_calibration(named, bundle)
 
 
 @pytest.mark.parametrize(

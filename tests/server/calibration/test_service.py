@@ -295,10 +295,10 @@ async def test_a_key_that_cannot_be_made_is_found_out_at_once(
     running: Running, bench: Bench, service: Measuring
 ) -> None:
     async with running() as client:
-        (bench.state_dir / "calibration-key").write_text("no key")
+        (bench.state_dir / "calibration-key.json.lock").mkdir()
         answer = await start(client)
         assert (answer.status_code, answer.json()["code"]) == (409, "calibration_impossible")
-        assert "is no key" in answer.json()["detail"]
+        assert "calibration-key.json cannot be used (Is a directory)" in answer.json()["detail"]
         assert await state(client) == "ready"
 
 

@@ -12,7 +12,7 @@ import pytest
 from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import SigningKey, read_record
+from veilcam_server.calibration.record import RecordFile
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import dark, white
 from veilcam_server.devices.base import Device
@@ -94,4 +94,4 @@ def test_a_record_is_kept_where_the_daemon_looks(bundle: Bundle, tmp_path: Path)
         service.sign(make_record())
     signed = service.sign(make_record(geometry=geometry_of(bundle)))
     service.write(signed)
-    assert read_record(path, SigningKey.open(tmp_path)) == signed
+    assert RecordFile(path).read() == signed

@@ -24,7 +24,7 @@ from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.loading import open_calibration
 from veilcam_server.calibration.procedure import Calibrated
-from veilcam_server.calibration.record import SigningKey, imperfections_of, read_record
+from veilcam_server.calibration.record import RecordFile, imperfections_of
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import CalibrationScene, dark, lamp, white
@@ -81,7 +81,8 @@ def test_the_command_keeps_what_was_found(
     for words in ("shift along y [um]", "drifted by", str(state / "calibration.json")):
         assert words in result.output
     assert (state / "calibration.png").read_bytes().startswith(b"\x89PNG")
-    signed = read_record(state / "calibration.json", SigningKey.open(state))
+    signed = RecordFile(state / "calibration.json").read()
+    assert signed is not None
     assert signed.record.gain == found.record.gain
     assert read_frame(frame).imperfections == imperfections_of(signed.record)
     settings = settings_for(state, bundle=fresh_file, settle=0.02, exposure=0.001)
@@ -102,7 +103,9 @@ def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Pa
     assert "no such file" in refused(*state, "--bundle", "missing.veilcam")
     assert "--frame is for fresh masks" in refused(*state, "--frame", str(tmp_path / "frame"))
     (tmp_path / "calibration-key").write_text("")
-    assert "is no key" in refused(*state, "--bundle", str(fresh_file))
+    assert "calibration-key is of an earlier version" in refused(
+        *state, "--bundle", str(fresh_file)
+    )
     assert set(tmp_path.iterdir()) - before == {tmp_path / "calibration-key"}
 
 

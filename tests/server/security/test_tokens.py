@@ -216,14 +216,29 @@ def test_a_disk_that_takes_nothing_refuses_no_request(
 ) -> None:
     made = make(store)
     before = (tmp_path / "state" / "tokens.json").read_bytes()
+    tried: list[object] = []
+
+    def fail(update: object) -> None:
+        tried.append(update)
+        full(update)
+
     with monkeypatch.context() as patch:
-        patch.setattr(store._file, "change", full)
-        assert who(store, made.secret).id == made.id
+        patch.setattr(store._file, "change", fail)
+        for _ in range(3):
+            assert who(store, made.secret).id == made.id
+        assert len(tried) == 1
+        # What is not on the disk is not told.
+        assert store.tokens()[0].last_used_on is None
         for change in (make, lambda store: store.revoke(made.id)):
             with pytest.raises(TokenStoreError, match=r"written \(No space left .*: check the"):
                 change(store)
     assert (tmp_path / "state" / "tokens.json").read_bytes() == before
-    assert who(store, made.secret).id == made.id
+    clock.sleep(59.5)
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on is None
+    clock.sleep(0.5)
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on == "2027-01-15"
 
 
 def test_tokens_of_an_earlier_version_are_refused_in_one_line(tmp_path: Path) -> None:

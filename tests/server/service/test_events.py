@@ -123,7 +123,7 @@ async def test_the_service_tells_what_it_does(bench: Bench) -> None:
         await asyncio.sleep(0.01)
         result = await service.classify(include_embedding=False)
         await service.rotate()
-        service.set_policy(service.rotation().policy)
+        await service.set_policy(service.rotation().policy)
         heard = await hearing
     assert [event.kind for event in heard] == ["capture", "classification", "mask", "rotation"]
     numbers = [int(event.id.partition("-")[2]) for event in heard]

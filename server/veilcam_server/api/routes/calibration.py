@@ -10,7 +10,7 @@ from veilcam_client.wire.calibration import (
     CalibrationStatus,
     SceneConfirmation,
 )
-from veilcam_server.api.dependencies import BODY, OnceDep, ServiceDep, problems, unleased
+from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.scopes import requires
 
 router = APIRouter(prefix="/v1/calibration", redirect_slashes=False)
@@ -31,7 +31,9 @@ async def calibration(service: ServiceDep) -> CalibrationStatus:
     "",
     status_code=202,
     dependencies=_CALIBRATES,
-    responses=problems(*BODY, "leased", "calibrating", "calibration_impossible", "not_ready"),
+    responses=problems(
+        *BODY, *CHANGE, "leased", "calibrating", "calibration_impossible", "not_ready"
+    ),
 )
 async def start(
     service: ServiceDep, once: OnceDep, question: CalibrationRequest | None = None
@@ -47,7 +49,7 @@ async def start(
 @router.post(
     "/scene",
     dependencies=_CALIBRATES,
-    responses=problems(*BODY, "leased", "not_calibrating", "scene_not_wanted"),
+    responses=problems(*BODY, *CHANGE, "leased", "not_calibrating", "scene_not_wanted"),
 )
 async def confirm(
     service: ServiceDep, once: OnceDep, question: SceneConfirmation
@@ -63,7 +65,7 @@ async def confirm(
 @router.delete(
     "",
     dependencies=_CALIBRATES,
-    responses=problems("invalid_request", "leased", "not_calibrating"),
+    responses=problems(*CHANGE, "invalid_request", "leased", "not_calibrating"),
 )
 async def cancel(service: ServiceDep) -> CalibrationRun:
     """End the calibration that is under way; answered once the camera is back."""

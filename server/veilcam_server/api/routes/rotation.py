@@ -5,7 +5,15 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_server.api.dependencies import BODY, DEVICE, OnceDep, ServiceDep, problems, unleased
+from veilcam_server.api.dependencies import (
+    BODY,
+    CHANGE,
+    DEVICE,
+    OnceDep,
+    ServiceDep,
+    problems,
+    unleased,
+)
 from veilcam_server.api.scopes import requires
 
 router = APIRouter(prefix="/v1/rotation", redirect_slashes=False)
@@ -20,11 +28,13 @@ async def rotation(service: ServiceDep) -> Rotation:
 @router.put(
     "",
     dependencies=[requires("mask:rotate"), unleased()],
-    responses=problems(*BODY, "leased", "rotation_impossible", "replaying"),
+    responses=problems(
+        *BODY, *CHANGE, "leased", "rotation_impossible", "rotation_not_stored", "replaying"
+    ),
 )
 async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
-    """Change when masks change: off, every N seconds, or every N captures."""
-    return service.set_policy(policy)
+    """Change when masks change, also after a restart: off, every N seconds, or N captures."""
+    return await service.set_policy(policy)
 
 
 @router.post(

@@ -1,0 +1,129 @@
+"""A daemon that withstands nothing: it shows that every row of a siege can fail."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sys
+import threading
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from veilcam_server.errors import StartError
+from veilcam_server.settings import Settings
+
+NAME = f"{__name__}:serve"
+STREAMS = 3
+"""Event streams that are open at most, whoever opened them."""
+
+
+class Careless(ThreadingHTTPServer):
+    """Keeps everything in memory, counts epochs from 0, and stops rotating when a disk is full."""
+
+    daemon_threads = True
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.settings, self.uploads = settings, threading.Lock()
+        self.epoch = self.captures = self.streams = 0
+        self.policy: Any = {"mode": "off"}
+        self.bundles, self.tokens = {"0" * 64: True}, dict[str, None]()
+        threading.Thread(target=self._rotate, daemon=True).start()
+
+    def _rotate(self) -> None:
+        while True:
+            time.sleep(0.1)
+            self.epoch += 1
+            (self.settings.state_dir / f"epoch-{self.epoch}").write_bytes(bytes(4096))
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Does what it is told, by whomever."""
+
+    server: Careless
+
+    def do_GET(self) -> None:
+        name = self.path.removeprefix("/v1/")
+        if name == "events":
+            self._stream()
+            return
+        rotation = {"policy": self.server.policy, "epoch": str(self.server.epoch)}
+        answers: dict[str, Any] = {
+            "status": {"state": "ready", "captures": self.server.captures, "rotation": rotation},
+            "rotation": rotation,
+            "diagnostics": {"faults": []},
+            "lease": {"held": False},
+            "calibration": {"signed": None},
+            "bundles": {
+                "bundles": [
+                    {"digest": digest, "active": active, "bundle": {}, "configured": digest < "1"}
+                    for digest, active in self.server.bundles.items()
+                ]
+            },
+            "tokens": {"tokens": [{"id": name, "revoked_at": None} for name in self.server.tokens]},
+        }
+        self._answer(200 if name in answers else 404, answers.get(name))
+
+    def do_POST(self) -> None:
+        length = int(self.headers.get("Content-Length", 0))
+        with self.server.uploads:
+            self.rfile.read(length)
+        digest = secrets.token_hex(32)
+        if self.path == "/v1/bundles":
+            self.server.bundles[digest] = False
+        elif self.path.endswith("activate"):
+            for name in self.server.bundles:
+                self.server.bundles[name] = name in self.path
+        elif self.path == "/v1/tokens":
+            self.server.tokens[digest] = None
+        else:
+            self.server.captures += 1
+        created = self.path in ("/v1/bundles", "/v1/tokens")
+        self._answer(201 if created else 200, {"id": digest, "digest": digest})
+
+    def do_PUT(self) -> None:
+        self.server.policy = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        self._answer(200, {})
+
+    def do_DELETE(self) -> None:
+        self._answer(200, {})
+
+    def log_message(self, *_: Any) -> None:
+        sys.stderr.write(f"{self.path}\n")
+
+    def _stream(self) -> None:
+        if self.server.streams >= STREAMS:
+            self._answer(429, {})
+            return
+        self.server.streams += 1
+        self.send_response(200)
+        self.end_headers()
+        try:
+            told = self.server.epoch
+            while True:
+                self.wfile.write(b"event: capture\n\n")
+                for epoch in range(told + 1, self.server.epoch + 1):
+                    data = f'{{"kind":"mask","epoch":"{epoch}"}}'
+                    self.wfile.write(f"event: mask\ndata: {data}\n\n".encode())
+                told = self.server.epoch
+                time.sleep(0.1)
+        except OSError:
+            self.server.streams -= 1
+
+    def _answer(self, status: int, body: Any) -> None:
+        self.send_response(status)
+        self.end_headers()
+        self.wfile.write(json.dumps(body).encode())
+
+
+def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
+    """Serve until killed."""
+    settings.state_dir.mkdir(parents=True, exist_ok=True)
+    for path in settings.state_dir.iterdir():
+        if path.stat().st_size == 0 and path.name.startswith("tokens"):
+            raise StartError(f"{path} is empty")
+    with Careless(settings) as server:
+        on_listening(f"http://127.0.0.1:{server.server_port}")
+        server.serve_forever()
