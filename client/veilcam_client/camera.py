@@ -20,9 +20,9 @@ from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene, picture_bytes
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
 from veilcam_client.wire.status import Status
-from veilcam_client.wire.tokens import NewToken, Scope, Token
+from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
 
 DEFAULT_URL = "http://127.0.0.1:8787"
 
@@ -152,9 +152,14 @@ class Camera:
         """Versions, settings, and the last states and faults of the daemon."""
         return self._transport.send(calls.DIAGNOSTICS)
 
-    def tokens(self) -> tuple[Token, ...]:
-        """All tokens, revoked and expired ones included."""
-        return self._transport.send(calls.TOKENS).tokens
+    def tokens(self, *, limit: int = TOKENS_AT_ONCE, after: str | None = None) -> Tokens:
+        """Return tokens, the oldest first, revoked and expired ones included.
+
+        Args:
+            limit: so many at most.
+            after: those that follow the token of this id, as ``next`` of an answer names it.
+        """
+        return self._transport.send(calls.tokens(limit, after))
 
     def create_token(
         self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
@@ -176,6 +181,14 @@ class Camera:
         if picture is None:
             return self._transport.send(calls.TAKE_SCENE_AWAY)
         return self._transport.send(calls.hold_scene(picture_bytes(picture)))
+
+    def set_faults(self, faults: Faults) -> Faults:
+        """Break a simulated camera that allows it; ``Faults()`` mends it.
+
+        Returns:
+            What is wrong with it from now on.
+        """
+        return self._transport.send(calls.set_faults(faults))
 
     def bundles(self) -> tuple[InstalledBundle, ...]:
         """All bundles; one of them is ``active``."""

@@ -30,20 +30,16 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.camera.self_test import OpticalSelfTest
-from veilcam_server.devices.errors import DeviceError, SensorError, SensorLostError
+from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import open_device
 from veilcam_server.errors import (
     BundleOlderError,
     BundleRevealsError,
     BundleUnfitError,
     BundleUntrustedError,
-    EpochError,
-    FenceError,
     ProblemError,
     RotationImpossibleError,
-    SelfTestError,
     StartError,
-    StoppedError,
 )
 from veilcam_server.gate.server import Gate, GateServer, open_gate
 from veilcam_server.security.admission import open_admission
@@ -53,6 +49,7 @@ from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
+from veilcam_server.system.logs import log_defect
 from veilcam_server.system.systemd import notify
 from veilcam_training.bundle import BundleError, read_bundle
 
@@ -107,8 +104,7 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
-        *(BundleRevealsError, DeviceError, EpochError),
-        RotationImpossibleError,
+        *(BundleRevealsError, DeviceError, RotationImpossibleError),
     ) as error:
         raise StartError(str(error)) from error
     note_start(store, opener, keys, faults.append)
@@ -127,6 +123,7 @@ def build_service(settings: Settings) -> Service:
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        break_device=device.set_faults if settings.scene_api else None,
         faults=faults,
         policies=policies,
     )
@@ -135,19 +132,20 @@ def build_service(settings: Settings) -> Service:
 def _begin(camera: MaskedCamera) -> None:
     """Test the panel and show the first mask.
 
-    A test that is not passed is no reason to end: in a dark room nothing can be told before there
-    is light. The state says why no capture is taken, and the test is tried again.
+    What stands in the way of that is no reason to end: in a dark room nothing can be told before
+    there is light, and a cable can be put back. The state says why no capture is taken, and it is
+    tried again.
     """
     try:
         camera.rotate()
-    except SensorLostError:
-        raise
-    except (SelfTestError, SensorError, FenceError) as error:
-        log.warning("no capture yet", reason=str(error))
+    except ProblemError as error:
+        log.warning("no capture yet", reason=str(error), remedy=error.remedy)
+    except Exception as error:
+        log_defect(error, during="first self test")
 
 
 class _Server(GateServer):
-    """Says when it listens, ends when the device is lost, and event streams before connections."""
+    """Says when it listens, and ends event streams before connections."""
 
     def __init__(
         self,
@@ -163,9 +161,6 @@ class _Server(GateServer):
         await super().startup(sockets)
         if self.started:
             self._on_listening()
-
-    async def on_tick(self, counter: int) -> bool:
-        return await super().on_tick(counter) or self._service.lost is not None
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         notify("STOPPING=1")
@@ -227,6 +222,8 @@ def _serve(
                 # An upgrade is asked like anything else, and refused by the application.
                 ws="none",
                 server_header=False,
+                # Whoever is on this machine could be anybody by naming another address.
+                proxy_headers=False,
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )
@@ -240,8 +237,6 @@ def _serve(
             if settings.auth == "none":
                 log.warning("no tokens wanted: whoever reaches this daemon may use it", urls=urls)
             server.run([listener.socket for listener in listeners])
-            if service.lost is not None:
-                raise StoppedError(str(service.lost))
     finally:
         service.stop()
 

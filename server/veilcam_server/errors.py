@@ -59,10 +59,6 @@ class StartError(Exception):
     """The daemon cannot start; one line that says what to do."""
 
 
-class StoppedError(Exception):
-    """The daemon cannot go on and ended; one line that says what to do."""
-
-
 class StateDamagedError(
     ProblemError,
     code="state_damaged",
@@ -328,7 +324,7 @@ class SceneApiOffError(
     code="scene_api_off",
     status=409,
     title="No scenes are held up by program",
-    detail="this daemon takes no scenes: start it with --simulate --scene-api",
+    detail="this daemon takes no scenes and no faults: start it with --simulate --scene-api",
 ):
     """Scenes are not held up by program before this camera."""
 

@@ -114,7 +114,7 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
     ("POST", "/v1/lease"): {**LEASE, "secret": "5ec2e7"},
     ("DELETE", "/v1/lease"): {"held": False, "owner": None, "expires_in_s": None, "mine": False},
     ("GET", "/v1/diagnostics"): DIAGNOSTICS,
-    ("GET", "/v1/tokens"): {"tokens": [TOKEN]},
+    ("GET", "/v1/tokens"): {"tokens": [TOKEN], "next": None},
     ("POST", "/v1/tokens"): {**TOKEN, "secret": SECRET},
     ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": "2026-01-04T00:00:00Z"},
     ("GET", "/v1/status"): STATUS,
@@ -182,7 +182,12 @@ def make_problem() -> Problem:
 
 @pytest.fixture
 def answers() -> dict[str, Any]:
-    return {"status": STATUS, "capture": CAPTURE, "classification": CLASSIFICATION}
+    return {
+        "status": STATUS,
+        "capture": CAPTURE,
+        "classification": CLASSIFICATION,
+        "token": TOKEN,
+    }
 
 
 @pytest.fixture

@@ -56,6 +56,18 @@ def test_the_sandbox_leaves_little_exposed(units: Path) -> None:
     assert analyze("security", "--offline=true", "--threshold=10", service).returncode != 0
 
 
+def test_a_daemon_that_fails_is_started_again_for_ever() -> None:
+    unit = (DEPLOY / "veilcamd.service").read_text()
+    given = dict(re.findall(r"(?m)^(\w+)=(.*)$", unit))
+    assert (given["Restart"], given["StartLimitIntervalSec"]) == ("always", "0")
+    assert float(given["RestartSec"]) >= 5
+    # Debian 12 has systemd 252, which knows neither.
+    assert not {"RestartSteps", "RestartMaxDelaySec"} & set(given)
+    # Nor does the socket give up, however often it starts a daemon that ends.
+    socket = (DEPLOY / "veilcamd.socket").read_text()
+    assert "\nTriggerLimitIntervalSec=0\n" in socket
+
+
 def test_no_path_of_its_own_slips_through_the_rule_for_everything() -> None:
     # systemd leaves such a path out of what it does to /: that it is read-only, or runs nothing.
     unit = (DEPLOY / "veilcamd.service").read_text()

@@ -136,7 +136,8 @@ class Fuzz:
             for path, operations in self._document["paths"].items():
                 url = self._url + re.sub(r"\{\w+\}", "0", path)
                 for method in PROBES:
-                    if method.lower() not in operations:
+                    # HEAD is GET without a body.
+                    if {"HEAD": "get"}.get(method, method.lower()) not in operations:
                         self._send(name, method, None, {"url": url})
 
     def _send(self, name: str, method: str, path: str | None, request: dict[str, Any]) -> None:
@@ -178,7 +179,7 @@ class Fuzz:
         documented = self._document["paths"][path][method.lower()]["responses"]
         if str(answer.status_code) not in documented:
             return "a status that is not documented"
-        offered = documented[str(answer.status_code)]["content"]
+        offered = documented[str(answer.status_code)].get("content", {"": {}})
         if media_type not in offered:
             return f"media type {media_type!r}"
         if not media_type.endswith("json"):

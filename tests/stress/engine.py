@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,7 @@ from veilcam_server.devices import Device
 from veilcam_server.devices.base import Levels, Measurement, Shown
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
 from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
@@ -189,8 +192,20 @@ class Rig:
         tell: Callable[[Levels], None] = lambda _: None,
     ) -> None:
         panel = PanelEmulator(TABS["green"], crystal=CRYSTAL, reset_time=0.0)
+        # Random faults come in a row, too, and nobody waits here for another attempt.
+        unhurried = itertools.count(0.0, 100.0).__next__
         self.bus, self.frames = BrokenBus(panel), CameraFaults()
-        display = ST7735R(self.bus, panel, camera=CAMERA, tab=TABS["green"], sleep=lambda _: None)
+        display = ReopeningDisplay(
+            "ST7735R",
+            partial(
+                ST7735R,
+                *(self.bus, panel),
+                camera=CAMERA,
+                tab=TABS["green"],
+                sleep=lambda _: None,
+            ),
+            clock=unhurried,
+        )
         show = display.show
 
         standing = b""
@@ -217,14 +232,17 @@ class Rig:
             seed=0,
             began_at=0.0,
         )
-        sensor = IMX477(
-            lambda: FakePicamera2(light, mode=MODE, faults=self.frames),
-            shape=EMBEDDING.shape,
-            mode=MODE,
-            exposures=ExposureRange(0.0),
-            full_scale=1.1,
-            # Random faults come in a row, too; restarts are what the other half of this is for.
-            failures=1000,
+        sensor = ReopeningSensor(
+            "IMX477",
+            1.1,
+            lambda: IMX477(
+                lambda: FakePicamera2(light, mode=MODE, faults=self.frames),
+                shape=EMBEDDING.shape,
+                mode=MODE,
+                exposures=ExposureRange(0.0),
+                full_scale=1.1,
+            ),
+            clock=unhurried,
         )
         self.disk = FullDisk(directory, now)
         self.camera = MaskedCamera(

@@ -1,5 +1,6 @@
 """``veilcam token``: the tokens of a daemon, over its API."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -16,7 +17,7 @@ from veilcam_client.cli.terminal import (
     fail,
     show,
 )
-from veilcam_client.wire.tokens import SCOPES, TokenRequest
+from veilcam_client.wire.tokens import SCOPES, TOKENS_AT_ONCE, TokenRequest
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -62,11 +63,27 @@ def create(
 
 @app.command("list")
 def list_tokens(
-    *, url: UrlOption = DEFAULT_URL, timeout: TimeoutOption = 30.0, json: JsonOption = False
+    *,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Print so many at most, the oldest first.")
+    ] = None,
+    after: Annotated[
+        str | None, typer.Option(metavar="ID", help="Print those that are newer than this one.")
+    ] = None,
+    url: UrlOption = DEFAULT_URL,
+    timeout: TimeoutOption = 30.0,
+    json: JsonOption = False,
 ) -> None:
-    """Print all tokens without their secrets."""
-    for token in ask(url, timeout, Camera.tokens):
-        show(token, token_in_words, json=json)
+    """Print all tokens, or some, without their secrets."""
+    left = float("inf") if limit is None else limit
+    while left > 0:
+        wanted = int(min(left, TOKENS_AT_ONCE))
+        answer = ask(url, timeout, partial(Camera.tokens, limit=wanted, after=after))
+        for token in answer.tokens:
+            show(token, token_in_words, json=json)
+        if answer.next is None:
+            return
+        after, left = answer.next, left - wanted
 
 
 @app.command()

@@ -23,7 +23,7 @@ from veilcam_client.wire.captures import Capture, Classification, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene, picture_media_type
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_media_type
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
@@ -65,7 +65,6 @@ ROTATION = Call("GET", "/v1/rotation", Rotation)
 ROTATE = Call("POST", "/v1/rotation/advance", Rotation, once=True)
 LEASE_STATE = Call("GET", "/v1/lease", Lease)
 DIAGNOSTICS = Call("GET", "/v1/diagnostics", Diagnostics)
-TOKENS = Call("GET", "/v1/tokens", Tokens)
 TAKE_SCENE_AWAY = Call("DELETE", "/v1/simulation/scene", HeldScene)
 BUNDLES = Call("GET", "/v1/bundles", InstalledBundles)
 
@@ -105,6 +104,12 @@ def release_lease(force: bool = False) -> Call[Lease]:
     return Call("DELETE", "/v1/lease?force=true" if force else "/v1/lease", Lease)
 
 
+def tokens(limit: int, after: str | None) -> Call[Tokens]:
+    """GET /v1/tokens."""
+    start = "" if after is None else f"&after={quote(after, safe='')}"
+    return Call("GET", f"/v1/tokens?limit={limit}{start}", Tokens)
+
+
 def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Call[NewToken]:
     """POST /v1/tokens."""
     body = TokenRequest(label=label, scopes=tuple(scopes), seconds=seconds)
@@ -120,6 +125,11 @@ def hold_scene(picture: bytes) -> Call[HeldScene]:
     """PUT /v1/simulation/scene; raises ValueError for bytes that are no picture."""
     media_type = picture_media_type(picture)
     return Call("PUT", "/v1/simulation/scene", HeldScene, picture, media_type=media_type)
+
+
+def set_faults(faults: Faults) -> Call[Faults]:
+    """PUT /v1/simulation/faults."""
+    return Call("PUT", "/v1/simulation/faults", Faults, faults)
 
 
 def install_bundle(bundle: bytes) -> Call[InstalledBundle]:

@@ -68,6 +68,8 @@ class Rotation(Answer):
     policy: RotationPolicy
     epoch: str | None
     """None while no mask is shown."""
+    epoch_age_s: float | None = None
+    """How long it has been shown [s]."""
     captures: int
     """Taken under this epoch so far."""
     preparation: Preparation
@@ -76,6 +78,7 @@ class Rotation(Answer):
 EXAMPLE_ROTATION = Rotation(
     policy=EveryCaptures(captures=10),
     epoch=EXAMPLE_EPOCH,
+    epoch_age_s=12.5,
     captures=3,
     preparation=Preparation(ready=True, prepared=12, last_s=0.03, late=0, reused=0),
 )

@@ -23,6 +23,10 @@ Scope = Literal[
 ]
 """One thing that a token allows. None contains another."""
 SCOPES: tuple[Scope, ...] = get_args(Scope)
+TOKENS_AT_ONCE = 100
+"""In one answer, unless another number is asked for."""
+MOST_TOKENS = 1000
+"""That one answer may have."""
 
 
 class TokenRequest(Question):
@@ -55,9 +59,11 @@ class NewToken(Token):
 
 
 class Tokens(Answer):
-    """Every token, the oldest first, revoked and expired ones included."""
+    """Tokens, the oldest first, revoked and expired ones included."""
 
     tokens: tuple[Token, ...]
+    next: str | None = None
+    """``after`` of the request for those that follow; None: there are no more."""
 
 
 _TOKEN = Token(
@@ -73,5 +79,5 @@ EXAMPLES = (
     TokenRequest(label="lamp", scopes=("classify", "read:status"), seconds=86_400),
     _TOKEN,
     NewToken(**_TOKEN.model_dump(), secret="vc_0123456789ab_" + "0f" * 32),
-    Tokens(tokens=(_TOKEN,)),
+    Tokens(tokens=(_TOKEN,), next="0123456789ab"),
 )

@@ -11,6 +11,7 @@ from veilcam_client import __version__
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api import problems
+from veilcam_server.api.head import HeadRequests
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.middleware import Body, RequestContext
 from veilcam_server.api.routes import (
@@ -20,7 +21,7 @@ from veilcam_server.api.routes import (
     diagnostics,
     events,
     lease,
-    page,
+    public,
     rotation,
     simulation,
     tokens,
@@ -39,7 +40,7 @@ _PASSING = (
 it, and its line may be lost where the power is."""
 _ROUTES = (
     *(captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation),
-    page,
+    public,
 )
 
 
@@ -87,11 +88,12 @@ def create_app(
     app.state.metrics = metrics = Metrics(service, admission.audit, connections)
     for routes in _ROUTES:
         app.include_router(routes.router)
+    app.add_middleware(HeadRequests)
     app.add_middleware(
         RequestContext,
         admission=admission,
         metrics=metrics,
-        open_paths=(page.PATH,),
+        open_paths=public.PATHS,
         passing=_PASSING,
         body=Body(MAX_BODY),
         uploads={

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator
 from typing import get_args
 
 from prometheus_client import CollectorRegistry, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
@@ -40,7 +41,7 @@ class Metrics:
     ) -> None:
         self._registry = CollectorRegistry()
         self._seconds = Histogram(
-            "veilcam_request_seconds",
+            "veilcam_http_request_duration_seconds",
             "Time from a request to the start of its answer.",
             ("method", "route", "status"),
             registry=self._registry,
@@ -73,6 +74,16 @@ class _Daemon(Collector):
 
     def collect(self) -> Iterator[Metric]:
         status, history = self._service.status(), self._service.history
+        yield InfoMetricFamily(
+            "veilcam_build",
+            "What runs, in labels; the value is 1.",
+            {"version": status.version, "python_version": platform.python_version()},
+        )
+        age = status.rotation.epoch_age_s
+        if age is not None:
+            yield GaugeMetricFamily(
+                "veilcam_epoch_age_seconds", "Time since the present mask was shown.", value=age
+            )
         for kind, (name, what) in _EVENTS.items():
             yield CounterMetricFamily(name, what, value=history.events[kind])
         faults = CounterMetricFamily("veilcam_faults", "Failures.", labels=("code",))
@@ -84,10 +95,12 @@ class _Daemon(Collector):
             states.add_metric((state,), float(state == status.state))
         yield states
         yield GaugeMetricFamily(
-            "veilcam_queue_waiting", "Captures that wait.", value=status.queue.waiting
+            "veilcam_queued_captures", "Captures that wait.", value=status.queue.waiting
         )
         lost = 0 if self._audit is None else self._audit.lost
-        yield CounterMetricFamily("veilcam_audit_lost", "Audit lines not written.", value=lost)
+        yield CounterMetricFamily(
+            "veilcam_audit_lines_lost", "Audit lines not written.", value=lost
+        )
 
 
 class _Gate(Collector):
@@ -96,7 +109,7 @@ class _Gate(Collector):
 
     def collect(self) -> Iterator[Metric]:
         yield GaugeMetricFamily(
-            "veilcam_connections", "Connections that are open.", value=len(self._connections)
+            "veilcam_open_connections", "Connections that are open.", value=len(self._connections)
         )
         dropped = CounterMetricFamily(
             "veilcam_connections_dropped", "Connections that the gate ended.", labels=("reason",)

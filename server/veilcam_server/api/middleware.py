@@ -56,7 +56,8 @@ class Body:
         A page of another site can make a browser send text and forms without asking first; none of
         these types is among them (https://fetch.spec.whatwg.org/#cors-safelisted-request-header).
         """
-        empty = "transfer-encoding" not in headers and headers.get("content-length", "0") == "0"
+        length = headers.get("content-length", "").strip("0")
+        empty = not length and "transfer-encoding" not in headers
         given = headers.get("content-type", "").partition(";")[0].strip().lower()
         if (self.required or not empty) and given not in self.media_types:
             raise UnsupportedMediaTypeError(self.media_types)
@@ -157,6 +158,9 @@ class RequestContext:
                 fields = MutableHeaders(scope=message)
                 fields["X-Request-Id"] = state["request_id"]
                 fields.update(self._headers)
+                # What has a tag may be kept, and says so itself.
+                if "ETag" not in fields:
+                    fields["Cache-Control"] = "no-store"
                 await self._audit(scope, answer.status, _peer(scope))
                 self._metrics.observe(*_names(scope), answer.status, time.monotonic() - begun)
             await send(message)
@@ -187,7 +191,8 @@ class RequestContext:
         """
         path, state = scope["path"], scope["state"]
         only_read = scope["method"] in ("GET", "HEAD") and path != "/v1/events"
-        if only_read and status < 400:
+        # A monitor that is told 'no' is not refused.
+        if only_read and state["problem"] is None:
             return
         durable = status < 400 and self._is_change(scope)
         note = partial(
@@ -215,7 +220,6 @@ def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
     """
     framing = " ".join(frame_ancestors) or "'none'"
     return {
-        "Cache-Control": "no-store",
         "Content-Security-Policy": (
             f"default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors {framing}"
         ),
@@ -249,4 +253,6 @@ def _names(scope: Scope) -> tuple[str, str]:
     route = scope.get("route")
     if not isinstance(route, Route):
         return "other", "none"
-    return scope["method"] if scope["method"] in (route.methods or ()) else "other", route.path
+    # HEAD is answered wherever GET is.
+    method, known = scope["method"], route.methods or set()
+    return method if {method, {"HEAD": "GET"}.get(method)} & known else "other", route.path

@@ -23,12 +23,11 @@ from veilcam_client.wire import (
     tokens,
 )
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
-from veilcam_server.api import metrics, page
+from veilcam_server.api import metrics
 from veilcam_server.api.problems import example_of
 
 _EVENT = events.EXAMPLE
 _TEXTS = {
-    "text/html": page.TEXT,
     "text/plain": metrics.EXAMPLE,
     "text/event-stream": (
         f"event: {_EVENT.kind}\nid: {_EVENT.id}\ndata: {_EVENT.model_dump_json()}\n\n"
@@ -76,8 +75,8 @@ def _add_examples(operation: dict[str, Any]) -> None:
         for media_type, content in body.get("content", {}).items():
             if media_type == PROBLEM_MEDIA_TYPE:
                 examples = {code: example_of(code) for code in body["description"].split(", ")}
-            elif media_type in _TEXTS:
-                content["example"] = _TEXTS[media_type]
+            elif media_type.startswith("text/"):
+                content.setdefault("example", _TEXTS.get(media_type))
                 continue
             else:
                 examples = {

@@ -162,7 +162,10 @@ async def _on_http(request: Request, error: HTTPException) -> Response:
     detail = str(error.detail)
     if detail == HTTPStatus(error.status_code).phrase:
         detail = f"{request.method} {request.url.path}: {kind.title.lower()}"
-    return problem_response(request.scope, kind, detail, headers=error.headers)
+    headers = dict(error.headers or {})
+    if "GET" in headers.get("Allow", ""):
+        headers["Allow"] += ", HEAD"
+    return problem_response(request.scope, kind, detail, headers=headers)
 
 
 async def _on_invalid(request: Request, error: RequestValidationError) -> Response:

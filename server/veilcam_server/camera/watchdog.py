@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from veilcam_server.devices.base import Device, Display, Exposure, Levels, Sensor, Shown
+from veilcam_server.devices.errors import SensorHungError
 
 
 class Health:
@@ -26,6 +27,8 @@ class Health:
     def __init__(self, longest: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._longest, self._clock = longest, clock
         self._begun: dict[object, float] = {}
+        self.hung = False
+        """Whether the sensor's driver said so last."""
         self._lock = threading.Lock()
 
     @contextmanager
@@ -41,10 +44,12 @@ class Health:
                 del self._begun[action]
 
     def healthy(self) -> bool:
-        """Whether nothing that was asked of the device takes longer than it may."""
+        """Whether nothing hangs, or takes longer than it may."""
         now = self._clock()
         with self._lock:
-            return all(now - begun <= self._longest for begun in self._begun.values())
+            return not self.hung and all(
+                now - begun <= self._longest for begun in self._begun.values()
+            )
 
 
 def stamped(device: Device, health: Health) -> Device:
@@ -84,8 +89,14 @@ class _StampedSensor:
         self.name, self.full_scale = sensor.name, sensor.full_scale
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
-        with self._health.action():
-            return self._sensor.capture(not_before, timeout)
+        try:
+            with self._health.action():
+                exposure = self._sensor.capture(not_before, timeout)
+        except SensorHungError:
+            self._health.hung = True
+            raise
+        self._health.hung = False
+        return exposure
 
     def close(self) -> None:
         with self._health.action():

@@ -8,7 +8,7 @@ from pathlib import Path
 from veilcam_server.cli.options import options_of
 from veilcam_server.cli.terminal import fail
 from veilcam_server.demo_data import Digits, load_digits
-from veilcam_server.errors import StartError, StoppedError
+from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.system import logs
 
@@ -28,7 +28,7 @@ def serve(settings: Settings) -> None:
         if simulated and not settings.scenes and not settings.scene_file.exists():
             set_scene(settings.scene_file, load_digits(), 0)
         run(settings, _say)
-    except (StartError, StoppedError) as error:
+    except StartError as error:
         fail(str(error))
     except KeyboardInterrupt:
         pass

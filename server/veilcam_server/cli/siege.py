@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from veilcam_server.cli.terminal import fail
+from veilcam_server.system import logs
 
 if TYPE_CHECKING:
     from veilcam_server.siege.run import Verdict
@@ -42,6 +43,7 @@ def siege(
     from veilcam_server.siege.ground import SHORT, Extent  # noqa: PLC0415
     from veilcam_server.siege.run import ROWS, besiege, figures_of  # noqa: PLC0415
 
+    logs.configure("error")  # of this process; daemons have logs of their own
     unknown = set(only or ()) - set(ROWS)
     if unknown:
         fail(f"--only {min(unknown)}: rows are {', '.join(ROWS)}")
@@ -77,6 +79,7 @@ def _summary(verdict: Verdict) -> dict[str, object]:
         "seconds": round(verdict.seconds, 1),
         "found": judgement.found,
         "missed": judgement.missed,
+        "untried": judgement.untried,
     }
 
 
@@ -86,6 +89,8 @@ def _table(verdicts: Sequence[Verdict]) -> Table:
         judgement = verdict.judgement
         sign, style = _SIGNS[judgement.outcome]
         table.add_row(Text(sign, style), verdict.row, Text(f"{verdict.seconds:.0f} s"), "")
+        if judgement.untried is not None:
+            table.add_row("", "", "", Text(judgement.untried, style))
         for part in judgement.found:
             table.add_row("", "", "", Text(part, "bold red" if part in judgement.missed else ""))
     return table

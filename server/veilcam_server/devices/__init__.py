@@ -12,7 +12,7 @@ from veilcam_server.devices.errors import (
     DeviceMissingError,
     DisplayError,
     SensorError,
-    SensorLostError,
+    SensorHungError,
     SensorTimeoutError,
 )
 from veilcam_server.devices.simulated.scenes import Scenes
@@ -27,7 +27,7 @@ __all__ = [
     "Scenes",
     "Sensor",
     "SensorError",
-    "SensorLostError",
+    "SensorHungError",
     "SensorTimeoutError",
     "Shown",
 ]

@@ -6,6 +6,7 @@ Whatever stands behind it, simulated or real, keeps to these two protocols. All 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -13,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.simulation import Faults
 from veilcam_server.devices.simulated.scenes import Scenes
 
 Levels = npt.NDArray[np.uint8]
@@ -42,16 +44,8 @@ class Exposure:
     """How long each row collected light [s]: it may change from one measurement to the next."""
 
 
-class Display(Protocol):
-    """A panel in front of the sensor."""
-
-    @property
-    def name(self) -> str:
-        """What it is, e.g. ``ST7735R``."""
-
-    @property
-    def resets(self) -> int:
-        """How often it was set up: what a self test found holds until it is set up anew."""
+class OpenDisplay(Protocol):
+    """A panel that was set up. After an error it must be closed, and opened again."""
 
     def show(self, levels: Levels) -> Shown:
         """Write a mask and return once its last byte is out.
@@ -74,6 +68,18 @@ class Display(Protocol):
         """Let go of the bus; the panel goes on showing what it shows."""
 
 
+class Display(OpenDisplay, Protocol):
+    """A panel in front of the sensor, which is set up anew after an error."""
+
+    @property
+    def name(self) -> str:
+        """What it is, e.g. ``ST7735R``."""
+
+    @property
+    def resets(self) -> int:
+        """How often it was found that it must be set up anew: a self test holds until then."""
+
+
 class Sensor(Protocol):
     """A camera without a lens."""
 
@@ -94,11 +100,17 @@ class Sensor(Protocol):
 
         Raises:
             SensorTimeoutError: no measurement in time.
-            SensorError: no measurement.
+            LightError: the light is at fault.
+            SensorError: no measurement. One that was started once must now be closed, and started
+                again.
         """
 
     def close(self) -> None:
-        """Stop the sensor."""
+        """Stop the sensor; twice does no harm.
+
+        Raises:
+            SensorHungError: it does not end.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +122,8 @@ class Device:
     simulated: bool
     scenes: Scenes | None = None
     """In front of a simulated one."""
+    set_faults: Callable[[Faults], None] | None = None
+    """Breaks and mends a simulated one."""
 
     def close(self) -> None:
         """End safely: stop the sensor, show opaque, let go of both. The display stays on.

@@ -12,8 +12,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.simulation import PanelFaults, SensorFaults
 from veilcam_optics.camera.geometry import Camera
-from veilcam_server.devices.base import Display, Levels, Sensor
+from veilcam_server.devices.base import Levels, OpenDisplay, Sensor
 from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.settings import Settings, Wiring
 
@@ -23,6 +24,9 @@ RawLight = Callable[[float, float], Raw]
 
 class EmulatedPanel(Protocol):
     """What a simulated camera looks through; arrays have the shape of the whole panel."""
+
+    faults: PanelFaults
+    """What is wrong with it."""
 
     def framebuffer(self) -> Levels:
         """Return the levels that the panel was asked to show."""
@@ -39,8 +43,8 @@ class EmulateDisplay(Protocol):
 
     def __call__(
         self, camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
-    ) -> tuple[Display, EmulatedPanel]:
-        """Return the panel from both sides.
+    ) -> tuple[Callable[[], OpenDisplay], EmulatedPanel]:
+        """Return what sets the panel up, and the panel as it is looked through.
 
         Args:
             camera: whose window is the mask.
@@ -63,8 +67,8 @@ class EmulateSensor(Protocol):
         full_scale: float,
         clock: Callable[[], float],
         sleep: Callable[[float], None],
-    ) -> Sensor:
-        """Return the sensor.
+    ) -> tuple[Callable[[], Sensor], Callable[[SensorFaults], None]]:
+        """Return what starts the sensor, and what breaks and mends it.
 
         Args:
             light: gives raw frames.
@@ -83,8 +87,10 @@ class DisplayDriver:
 
     name: str
     """As settings and the API have it."""
-    open: Callable[[Wiring, Camera], Display]
+    open: Callable[[Wiring, Camera], OpenDisplay]
     """Opens it, opaque, for the camera whose window is the mask; raises :class:`DeviceError`."""
+    check: Callable[[Camera], None] = lambda _: None
+    """Refuses a camera with another panel; raises :class:`DisplayError`."""
     emulate: EmulateDisplay | None = None
     packages: tuple[str, ...] = ()
     """To import when it is opened."""

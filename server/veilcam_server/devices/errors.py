@@ -51,5 +51,5 @@ class LightError(SensorError, remedy="adjust_light"):
     """There is too much light, or nothing that it could come from."""
 
 
-class SensorLostError(SensorError):
-    """The sensor failed again and again: only a restart of the daemon may help."""
+class SensorHungError(SensorError, remedy="restart"):
+    """The sensor's driver does not let go of it: only another process may have it."""

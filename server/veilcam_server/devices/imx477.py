@@ -19,16 +19,17 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.base import Exposure, Measurement
+from veilcam_client.wire.simulation import SensorFaults
+from veilcam_server.devices.base import Exposure, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
     DeviceError,
     LightError,
     SensorError,
-    SensorLostError,
+    SensorHungError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.picamera import Picamera, open_picamera2
+from veilcam_server.devices.picamera import Picamera, open_picamera2, opened
 from veilcam_server.devices.raw import GAIN, Binning, Frame, RawFormat, SensorMode
 from veilcam_server.settings import Settings
 
@@ -72,12 +73,11 @@ class IMX477:
     """A camera whose raw frames are binned and dropped. Constructing one opens it.
 
     Args:
-        open_camera: opens the camera; called again when it has failed.
+        open_camera: opens the camera.
         shape: of the embedding.
         mode: pinned; another one is refused.
         exposures: fixed or bounded; the gain is always 1.
         full_scale: measurement of saturated pixels at the exposure to begin with.
-        failures: in a row, after which the camera counts as lost.
         clock: monotonic time [s].
 
     Raises:
@@ -95,19 +95,17 @@ class IMX477:
         mode: SensorMode = HALF,
         exposures: ExposureRange = ExposureRange(),
         full_scale: float = 1.0,
-        failures: int = 3,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._open_camera, self._mode, self._exposures = open_camera, mode, exposures
-        self._most_failures, self._clock = failures, clock
+        self._mode, self._exposures, self._clock = mode, exposures, clock
         self.full_scale = full_scale
         """Measurement of saturated pixels at the exposure to begin with."""
         self._binning = Binning((mode.rows, mode.columns), shape)
         self._asked = exposures.start
-        self._failures = 0
         self._last_stamp = -1
-        self._camera: Picamera | None = None
         self._format: RawFormat
+        self._closing: threading.Thread | None = None
+        self._camera = open_camera()
         self._start()
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
@@ -118,21 +116,22 @@ class IMX477:
         """
         deadline = max(not_before, self._clock()) + timeout
         try:
-            return self._capture(self._camera or self._reopen(), not_before, deadline)
-        except _Failure as failure:
-            self._recover()
-            raise failure.error from None
+            return self._capture(self._camera, not_before, deadline)
         except SensorError:
             raise
         except Exception as error:  # picamera2 raises whatever it likes
-            self._recover()
             raise SensorError(
-                f"the camera failed ({type(error).__name__}) and was closed: try again"
+                f"the camera failed ({type(error).__name__}): it is opened again"
             ) from None
 
     def close(self) -> None:
         """Stop the camera."""
-        self._let_go()
+        if self._closing is None:
+            self._closing = threading.Thread(target=self._close, daemon=True)
+            self._closing.start()
+            self._closing.join(_CLOSING)
+        if self._closing.is_alive():
+            raise SensorHungError("the camera hangs while it is closed: start the daemon again")
 
     def _capture(self, camera: Picamera, not_before: float, deadline: float) -> Exposure:
         # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
@@ -147,7 +146,7 @@ class IMX477:
                 with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
                     frame = Frame.of(request.get_metadata())
                     if frame.stamp <= self._last_stamp:
-                        raise _Failure(SensorError("the camera gave the same frame again"))
+                        raise SensorError("the camera gave the same frame again")
                     self._last_stamp = frame.stamp
                     unfit = frame.unfit(fence, self._asked, self._mode.line_time)
                     if unfit:
@@ -155,8 +154,8 @@ class IMX477:
                     raw = self._format.pixels(request, self._mode)
             except TimeoutError:
                 reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
-                raise _Failure(
-                    SensorTimeoutError(f"the camera was closed, as {reason} in time: try again")
+                raise SensorTimeoutError(
+                    f"the camera is opened again, as {reason} in time: try again"
                 ) from None
             # From here on the camera has its buffer back, and `raw` is the only copy.
             try:
@@ -164,7 +163,6 @@ class IMX477:
                 saturated = float((raw >= self._format.white).mean())
             finally:
                 raw.fill(0)
-            self._failures = 0
             share = (values - self._format.black) / (self._format.white - self._format.black)
             if saturated > _SATURATED:
                 unfit = self._shorten(camera)
@@ -217,10 +215,9 @@ class IMX477:
             "FrameDurationLimits": (frame, frame),
         }
 
-    def _start(self) -> Picamera:
-        """Open, pin the mode, read back what was given, and start."""
-        camera = self._open_camera()
-        self._camera, self._last_stamp = camera, -1
+    def _start(self) -> None:
+        """Pin the mode, read back what was given, and start."""
+        camera = self._camera
         try:
             sensor = {"output_size": self._mode.size, "bit_depth": self._mode.bit_depth}
             camera.configure(
@@ -245,56 +242,21 @@ class IMX477:
             camera.set_controls(self._controls())
             camera.start()
         except BaseException as error:
-            self._let_go()
+            with suppress(SensorHungError):
+                self.close()
             if isinstance(error, DeviceError) or not isinstance(error, Exception):
                 raise
             raise SensorError(  # picamera2 raises whatever it likes
                 f"the camera cannot be set up ({type(error).__name__}): use a Raspberry Pi HQ "
                 "camera, and see rpicam-hello --list-cameras"
             ) from None
-        return camera
 
-    def _reopen(self) -> Picamera:
-        try:
-            return self._start()
-        except SensorError as error:
-            raise _Failure(error) from None
-        except DeviceError as error:
-            raise _Failure(SensorError(str(error))) from None
-
-    def _recover(self) -> None:
-        """After a failure: cancel and close. The next capture opens the camera again."""
-        self._failures += 1
-        let_go = self._let_go()
-        if not let_go or self._failures >= self._most_failures:
-            raise SensorLostError(
-                f"the camera failed {self._failures} times in a row: check its cable and restart"
-            ) from None
-
-    def _let_go(self) -> bool:
-        """Close the camera; false if that did not end in time."""
-        camera, self._camera = self._camera, None
-        if camera is None:
-            return True
-
-        def close() -> None:
-            # Not stop(): that waits for picamera2's own thread, for ever if it has died. close()
-            # ends that thread first, and then stops the camera by itself.
-            for step in (camera.cancel_all_and_flush, camera.close):
-                with suppress(Exception):
-                    step()
-
-        closing = threading.Thread(target=close, daemon=True)
-        closing.start()
-        closing.join(_CLOSING)
-        return not closing.is_alive()
-
-
-class _Failure(Exception):  # noqa: N818 - carries an error
-    """The camera is not to be trusted any more until it was opened again."""
-
-    def __init__(self, error: SensorError) -> None:
-        self.error = error
+    def _close(self) -> None:
+        # Not stop(): that waits for picamera2's own thread, for ever if it has died. close() ends
+        # that thread first, and then stops the camera by itself.
+        for step in (self._camera.cancel_all_and_flush, self._camera.close):
+            with suppress(Exception):
+                step()
 
 
 def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:
@@ -314,18 +276,25 @@ def _emulate(
     full_scale: float,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
-) -> IMX477:
+) -> tuple[Callable[[], Sensor], Callable[[SensorFaults], None]]:
     # Imported late: no real sensor needs it.
-    from veilcam_server.devices.simulated.picamera import FakePicamera2  # noqa: PLC0415
+    from veilcam_server.devices.simulated.picamera import (  # noqa: PLC0415
+        CameraFaults,
+        FakePicamera2,
+    )
 
-    return IMX477(
-        lambda: FakePicamera2(light, mode=mode, clock=clock, sleep=sleep),
+    faults = CameraFaults()
+    make = partial(FakePicamera2, light, mode=mode, faults=faults, clock=clock, sleep=sleep)
+    start = partial(
+        IMX477,
+        lambda: opened(make, 0),
         shape=shape,
         mode=mode,
         exposures=ExposureRange(exposure),
         full_scale=full_scale,
         clock=clock,
     )
+    return start, faults.switch
 
 
 DRIVER: Final = SensorDriver(

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
+from functools import partial
 from typing import TypeVar
+
+import structlog
 
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.devices import imx477, st7735r
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
-from veilcam_server.devices.errors import DeviceMissingError
+from veilcam_server.devices.errors import DeviceMissingError, DisplayError
+from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
 from veilcam_server.devices.simulated.imperfections import read_imperfections
 from veilcam_server.devices.simulated.panel import REFRESH
@@ -33,6 +36,11 @@ SENSORS = {
     )
 }
 
+SHARE = 1.0
+"""What saturated pixels of a real sensor give before it is calibrated: shares of saturation."""
+
+log = structlog.get_logger()
+
 _Driver = TypeVar("_Driver", DisplayDriver, SensorDriver)
 
 
@@ -45,10 +53,11 @@ def drivers(wiring: Wiring) -> tuple[DisplayDriver, SensorDriver]:
 
 
 def open_device(settings: Settings, bundle: Bundle) -> Device:
-    """Return the device that the settings name; its panel is opaque.
+    """Return the device that the settings name; it is opened when it is needed.
 
     Raises:
-        DeviceError: it is not there, or there is nothing in front of a simulated one.
+        DeviceError: there can be none as the settings say, or nothing is in front of a simulated
+            one.
         StartError: how the simulated one was built cannot be read.
     """
     display, sensor = drivers(settings)
@@ -59,13 +68,24 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
             raise DeviceMissingError(
                 f"the panel is not known: give --{name.replace('_', '-')} {what}, or use --simulate"
             )
-    with ExitStack() as undo:
-        # The panel first: it is opaque before there is anybody to see through it.
-        panel = display.open(settings, bundle.camera)
-        undo.callback(panel.close)
-        device = Device(panel, sensor.open(settings, bundle.embedding.shape), simulated=False)
-        undo.pop_all()
-    return device
+    display.check(bundle.camera)
+    _check_clock(settings, display.fastest)
+    return Device(
+        ReopeningDisplay(display.name, partial(display.open, settings, bundle.camera)),
+        ReopeningSensor(sensor.name, SHARE, partial(sensor.open, settings, bundle.embedding.shape)),
+        simulated=False,
+    )
+
+
+def _check_clock(wiring: Wiring, fastest: int | None) -> None:
+    if fastest is None or wiring.spi_hz <= fastest:
+        return
+    if not wiring.allow_fast_spi:
+        raise DisplayError(
+            f"a bus clock of {wiring.spi_hz} Hz is too fast for the panel: "
+            f"use --spi-hz {fastest} or less, or --allow-fast-spi"
+        )
+    log.warning("fast panel bus", speed=wiring.spi_hz, most=fastest)
 
 
 def _named(kind: str, name: str, known: Mapping[str, _Driver]) -> _Driver:

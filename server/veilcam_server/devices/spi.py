@@ -7,16 +7,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-import structlog
-
-from veilcam_server.devices.errors import DeviceMissingError, DisplayError
+from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.extras import import_extra
 from veilcam_server.settings import Wiring
 
 GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
 """Labels of the chip with the header's lines: Raspberry Pi 5, and 4."""
-
-log = structlog.get_logger()
 
 
 class Spi(Protocol):
@@ -53,26 +49,16 @@ class LinuxSpi:
         self._device = device
 
     @classmethod
-    def open(cls, path: str, speed: int, *, fastest: int, allow_fast: bool = False) -> Self:
+    def open(cls, path: str, speed: int) -> Self:
         """Open a bus.
 
         Args:
             path: of the device node, e.g. ``/dev/spidev0.0``.
             speed: clock of the bus [Hz]; the kernel rounds it down to what the chip can do.
-            fastest: clock that the panel's data sheet allows [Hz].
-            allow_fast: whether the clock may be faster than that.
 
         Raises:
             DeviceMissingError: no such node, no right to open it, or no spidev to import.
-            DisplayError: the clock is faster than the panel allows.
         """
-        if speed > fastest:
-            if not allow_fast:
-                raise DisplayError(
-                    f"a bus clock of {speed} Hz is too fast for the panel: "
-                    f"use --spi-hz {fastest} or less, or --allow-fast-spi"
-                )
-            log.warning("fast panel bus", speed=speed, most=fastest)
         device = import_extra("spidev").SpiDev()
         try:
             device.open_path(path)
@@ -145,21 +131,17 @@ class LinuxLines:
 
 
 @contextmanager
-def open_bus(wiring: Wiring, fastest: int) -> Iterator[tuple[LinuxSpi, LinuxLines]]:
+def open_bus(wiring: Wiring) -> Iterator[tuple[LinuxSpi, LinuxLines]]:
     """Open the bus and the lines of a panel as they are wired; closed again if the block raises.
 
     Args:
         wiring: which ones, and how fast.
-        fastest: clock of the bus that the panel's data sheet allows [Hz].
 
     Raises:
         DeviceMissingError: the bus or a line is not there.
-        DisplayError: the clock is faster than the panel allows.
     """
     with ExitStack() as undo:
-        spi = LinuxSpi.open(
-            str(wiring.spi), wiring.spi_hz, fastest=fastest, allow_fast=wiring.allow_fast_spi
-        )
+        spi = LinuxSpi.open(str(wiring.spi), wiring.spi_hz)
         undo.callback(spi.close)
         lines = LinuxLines.open(wiring.gpio_chip, data=wiring.data_line, reset=wiring.reset_line)
         undo.callback(lines.close)

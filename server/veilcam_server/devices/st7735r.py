@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_server.devices.base import Display, Levels, Shown
+from veilcam_server.devices.base import Levels, OpenDisplay, Shown
 from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.spi import Lines, Spi, open_bus
@@ -79,10 +80,8 @@ class ST7735R:
         clock: monotonic time [s].
 
     Raises:
-        DisplayError: the camera's panel is another one, or the bus failed.
+        DisplayError: the bus failed.
     """
-
-    name = "ST7735R"
 
     def __init__(
         self,
@@ -95,13 +94,6 @@ class ST7735R:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         panel, window = camera.panel, camera.window
-        if (panel.rows, panel.columns) != (PIXEL_COLUMNS * COLOURS, PIXEL_ROWS) or (
-            panel.levels != 64 or panel.filter_cycle not in ((), (0, 1, 2))
-        ):
-            raise DisplayError(
-                "the bundle is for another panel than an ST7735R: use one for 384 x 160 sub-pixels "
-                "of 64 levels, with the colours R, G, B"
-            )
         self._spi, self._lines, self._tab = spi, lines, tab
         self._sleep, self._clock = sleep, clock
         self._shape, self._levels = camera.mask_shape, panel.levels
@@ -114,9 +106,6 @@ class ST7735R:
         self._pixels = np.zeros((window.columns, (last - first + 1) * COLOURS), np.uint8)
         lead = window.first_row - first * COLOURS
         self._window: npt.NDArray[np.uint8] = self._pixels[:, lead : lead + window.rows]
-        self._ready = False
-        self.resets = 0
-        """How often the panel was set up."""
         with self._bus():
             self._initialise()
 
@@ -127,7 +116,6 @@ class ST7735R:
         if int(levels.max()) >= self._levels:
             raise DisplayError(f"the panel takes levels 0 to {self._levels - 1}")
         with self._bus():
-            self._require_ready()
             np.left_shift(levels.T, _BITS, out=self._window)
             self._address(self._columns, self._rows)
             self._send(_Command(_RAMWR))
@@ -137,7 +125,6 @@ class ST7735R:
     def blank(self) -> None:
         """Make all visible pixels opaque, not the window alone."""
         with self._bus():
-            self._require_ready()
             self._blank()
 
     def close(self) -> None:
@@ -150,28 +137,18 @@ class ST7735R:
 
     @contextmanager
     def _bus(self) -> Iterator[None]:
-        """Whatever goes wrong on the bus is one error, after which the panel is set up anew."""
+        """Whatever goes wrong on the bus is one error."""
         try:
             yield
         except OSError as error:
-            self._ready = False
             raise DisplayError(
                 f"the panel's bus failed ({error.strerror or type(error).__name__}): "
                 "check its wiring and power"
             ) from None
-        except BaseException:
-            self._ready = False
-            raise
         finally:
             self._pixels.fill(0)
 
-    def _require_ready(self) -> None:
-        # After a failed write the panel may have been without power and hence be transparent.
-        if not self._ready:
-            self._initialise()
-
     def _initialise(self) -> None:
-        self.resets += 1
         self._lines.reset(True)
         self._sleep(1e-4)
         self._lines.reset(False)
@@ -186,7 +163,6 @@ class ST7735R:
         # The memory holds chance after power-up: opaque comes before the display is on.
         self._blank()
         self._send(_Command(0x29, wait=0.100))  # DISPON
-        self._ready = True
 
     def _blank(self) -> None:
         self._address((0, PIXEL_COLUMNS - 1), (0, PIXEL_ROWS - 1))
@@ -213,15 +189,27 @@ class ST7735R:
             self._sleep(command.wait)
 
 
+def check(camera: Camera) -> None:
+    """Raise :class:`DisplayError` for a camera with another panel."""
+    panel = camera.panel
+    if (panel.rows, panel.columns) != (PIXEL_COLUMNS * COLOURS, PIXEL_ROWS) or (
+        panel.levels != 64 or panel.filter_cycle not in ((), (0, 1, 2))
+    ):
+        raise DisplayError(
+            "the bundle is for another panel than an ST7735R: use one for 384 x 160 sub-pixels "
+            "of 64 levels, with the colours R, G, B"
+        )
+
+
 def _open(wiring: Wiring, camera: Camera) -> ST7735R:
     assert wiring.panel_tab is not None  # noqa: S101 - the panel needs it
-    with open_bus(wiring, MOST_PER_SECOND) as (spi, lines):
+    with open_bus(wiring) as (spi, lines):
         return ST7735R(spi, lines, camera=camera, tab=TABS[wiring.panel_tab])
 
 
 def _emulate(
     camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
-) -> tuple[Display, EmulatedPanel]:
+) -> tuple[Callable[[], OpenDisplay], EmulatedPanel]:
     # Imported late: no real panel needs it.
     from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator  # noqa: PLC0415
 
@@ -232,15 +220,21 @@ def _emulate(
         reset_time=0.0,
         clock=clock,
     )
-    display = ST7735R(
-        emulator, emulator, camera=camera, tab=emulator.tab, sleep=lambda _: None, clock=clock
+    open_display = partial(
+        ST7735R,
+        *(emulator, emulator),
+        camera=camera,
+        tab=emulator.tab,
+        sleep=lambda _: None,
+        clock=clock,
     )
-    return display, emulator
+    return open_display, emulator
 
 
 DRIVER: Final = DisplayDriver(
-    name=ST7735R.name,
+    name="ST7735R",
     open=_open,
+    check=check,
     emulate=_emulate,
     packages=("spidev", "gpiod"),
     needs={"panel_tab": "red, black or green, the colour of the tab on its film (docs/device.md)"},

@@ -13,7 +13,6 @@ from typing import TypeVar
 
 from veilcam_client.wire.events import Fault
 from veilcam_server.camera.engine import Publish
-from veilcam_server.devices.errors import SensorLostError
 from veilcam_server.errors import (
     CalibrationError,
     ProblemError,
@@ -37,8 +36,6 @@ class DeviceQueue:
 
     def __init__(self, limit: int, publish: Publish) -> None:
         self.limit, self._publish = limit, publish
-        self.lost: SensorLostError | None = None
-        """Why the daemon has to be started again; None if it need not."""
         self.waiting = 0
         """Requests admitted and not yet answered."""
         self._recent = 0.1
@@ -74,8 +71,6 @@ class DeviceQueue:
         try:
             result, took = await asyncio.get_running_loop().run_in_executor(self._thread, timed)
         except ProblemError as error:
-            if isinstance(error, SensorLostError):
-                self.lost = error
             if told and not isinstance(error, _REFUSALS):
                 self._publish(
                     partial(Fault, code=error.code, detail=str(error), remedy=error.remedy)

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import structlog
 
 from veilcam_client import __version__
 from veilcam_client.wire.base import API_VERSION
@@ -37,14 +38,14 @@ from veilcam_client.wire.events import (
     StateChanged,
 )
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.simulation import Faults, HeldScene
 from veilcam_client.wire.status import Queue, Status
 from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
-from veilcam_server.devices.errors import SensorLostError
+from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
@@ -66,6 +67,7 @@ from veilcam_server.service.responses import (
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 
+log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
 
 
@@ -81,6 +83,7 @@ class Service:
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
+        break_device: breaks and mends a simulated device; None: nobody may.
         faults: what was found before; told of once this is open.
         policies: where the rotation policy is kept; None: it lasts no longer than this.
     """
@@ -96,6 +99,7 @@ class Service:
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
+        break_device: Callable[[Faults], None] | None = None,
         faults: Sequence[ProblemError] = (),
         policies: PolicyStore | None = None,
     ) -> None:
@@ -103,6 +107,7 @@ class Service:
         self.release = form
         """In which form embeddings leave."""
         self._bundles, self._scenes, self._policies = bundles, scenes, policies
+        self._break = break_device
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
@@ -145,6 +150,8 @@ class Service:
         try:
             await self.calibration.close()
             await self._queue.run(self._camera.stop)
+        except DisplayError as error:
+            log.error("the panel could not be made opaque at the end", reason=str(error))
         finally:
             self._queue.close()
             self._inference_thread.shutdown()
@@ -158,10 +165,9 @@ class Service:
                 partial(Fault, code=fault.code, detail=str(fault), remedy=fault.remedy)
             )
 
-    @property
-    def lost(self) -> SensorLostError | None:
-        """Why the daemon has to be started again; None if it need not."""
-        return self._queue.lost
+    def healthy(self) -> bool:
+        """Whether panel and camera still answer."""
+        return self._camera.healthy()
 
     def stop(self) -> None:
         """Show opaque and let go of the device, without an event loop; twice does no harm."""
@@ -292,6 +298,17 @@ class Service:
             # In line with captures and self tests, so that none of them sees two scenes.
             number = await self._queue.run(lambda: scenes.hold(picture))
         return HeldScene(scene=number)
+
+    def set_faults(self, faults: Faults) -> Faults:
+        """Break a simulated device, or mend it, also while it takes a capture.
+
+        Raises:
+            SceneApiOffError: that is not allowed here.
+        """
+        if self._break is None:
+            raise SceneApiOffError
+        self._break(faults)
+        return faults
 
     async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
         """Use another bundle from now on; raises as :meth:`Bundles.activate`, or as `rotate`."""

@@ -28,7 +28,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource
 
-from veilcam_server.errors import StartError, StoppedError
+from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.siege.client import Address
 from veilcam_server.system import logs
@@ -221,7 +221,7 @@ def _live(name: str, settings: Settings, around: Circumstances, tell: Connection
         serve(settings, tell.send)
     except NoDiskError as error:
         tell.send(error)
-    except (StartError, StoppedError) as error:
+    except StartError as error:
         tell.send(StartError(str(error)))
 
 

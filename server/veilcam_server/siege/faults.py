@@ -21,6 +21,7 @@ ROOM = 2 << 20
 """Free on a disk of one's own before it is filled [bytes]."""
 BACK = 90.0
 """Longest way back to ``ready`` once a cause is gone [s]: growing pauses end at a minute."""
+FAULTS = "/v1/simulation/faults"
 YEAR = 365 * 86_400.0
 
 
@@ -46,7 +47,7 @@ async def _full(ground: Ground, judgement: Judgement, *, at_start: bool) -> None
             if not at_start:
                 judgement.holds("lively before", true=not await standing_still(daemon.address))
                 fill(daemon.state.parent)
-            await _endure(judgement, daemon, "while the disk is full")
+            await _endure(judgement, daemon, "while the disk is full", bearable=True)
             (daemon.state.parent / "ballast").unlink()
             await _recovers(judgement, daemon)
     except NoDiskError as error:
@@ -87,8 +88,25 @@ async def clock_back(ground: Ground, judgement: Judgement) -> None:
     judgement.figures["epochs_repeated"] = len(seen) - len(set(seen))
 
 
-async def _endure(judgement: Judgement, daemon: Daemon, when: str) -> None:
-    """Use a daemon in trouble: it may refuse, with a remedy, but not die or claim to be well."""
+async def device_gone(ground: Ground, judgement: Judgement) -> None:
+    """Camera and panel that are unplugged for a while, one after the other."""
+    settings = ground.settings("device-gone", scene_api=True)
+    [token] = make_tokens(settings, ("owner",))
+    with ground.start(settings, token) as daemon:
+        for part in ("sensor", "panel"):
+            broken = await ask(daemon.address, "PUT", FAULTS, body={part: {"gone": True}})
+            judgement.holds(f"{part} unplugged ({broken.status})", true=broken.status == 200)
+            await asyncio.sleep(ground.extent.gone)
+            await _endure(judgement, daemon, f"while the {part} is gone", bearable=False)
+            await ask(daemon.address, "PUT", FAULTS, body={})
+            await _recovers(judgement, daemon)
+
+
+async def _endure(judgement: Judgement, daemon: Daemon, when: str, *, bearable: bool) -> None:
+    """Use a daemon in trouble: it may refuse, with a remedy, but not end, or say it is well.
+
+    Where a trouble is ``bearable``, it may be well indeed.
+    """
     for _ in range(5):
         await ask(daemon.address, "POST", "/v1/classifications", body={})
         await ask(daemon.address, "POST", "/v1/rotation/advance")
@@ -97,8 +115,8 @@ async def _endure(judgement: Judgement, daemon: Daemon, when: str) -> None:
     judgement.holds(f"status is answered {when} ({status.status})", true=status.status == 200)
     if status.status == 200:
         state, remedy = status.json()["state"], status.json().get("remedy")
-        well = not await standing_still(daemon.address) if state == "ready" else remedy is not None
-        judgement.holds(f"{when}: {state}, remedy {remedy}", true=well)
+        well = bearable and state == "ready" and not await standing_still(daemon.address)
+        judgement.holds(f"{when}: {state}, remedy {remedy}", true=well or remedy is not None)
 
 
 async def _recovers(judgement: Judgement, daemon: Daemon) -> None:

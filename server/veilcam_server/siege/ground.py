@@ -43,10 +43,16 @@ class Extent:
     clients: int = 64
     flips: int = 20
     """Bytes flipped in each state file, one at a time."""
+    starts: int = 1000
+    """Most starts on damaged state: a sample of all ways to damage it."""
     kills: int = 200
+    gone: float = 60.0
+    """How long camera and panel are unplugged [s]."""
 
 
-SHORT = Extent(sockets=300, seconds=6.0, streams=80, clients=20, flips=1, kills=4)
+SHORT = Extent(
+    sockets=300, seconds=6.0, streams=80, clients=20, flips=1, starts=10, kills=4, gone=3.0
+)
 """Shows that an attack is met; the bars are those of the long one."""
 
 
@@ -179,6 +185,17 @@ def make_tokens(
     """Make tokens in a state directory; return their secrets."""
     store = TokenStore(settings.state_dir)
     return [store.create(label, scopes, None).secret for label in labels]
+
+
+async def tokens_of(address: Address) -> dict[str, bool]:
+    """Return the ids of all tokens, and whether each of them was not revoked."""
+    found: dict[str, bool] = {}
+    page: dict[str, Any] = {"next": ""}
+    while page["next"] is not None:
+        after = f"?after={page['next']}" if page["next"] else ""
+        page = (await ask(address, "GET", f"/v1/tokens{after}")).json()
+        found |= {each["id"]: each["revoked_at"] is None for each in page["tokens"]}
+    return found
 
 
 async def standing_still(address: Address) -> list[str]:

@@ -20,7 +20,13 @@ from veilcam_server.security.audit import read_audit
 from veilcam_server.settings import Settings
 from veilcam_server.siege.client import Address, Reply, ask, listening
 from veilcam_server.siege.daemon import Daemon
-from veilcam_server.siege.ground import Ground, Judgement, make_tokens, write_small_bundle
+from veilcam_server.siege.ground import (
+    Ground,
+    Judgement,
+    make_tokens,
+    tokens_of,
+    write_small_bundle,
+)
 
 ADVANCE, KEY, DONE = "/v1/rotation/advance", "Idempotency-Key", "done_before_restart"
 CALIBRATED, REVOKED = 0.25, 0.5
@@ -59,9 +65,9 @@ class Ledger:
         """Compare what was acknowledged with a new life, and with the audit log."""
         rotation = (await ask(address, "GET", "/v1/rotation")).json()
         bundles = (await ask(address, "GET", "/v1/bundles")).json()["bundles"]
-        tokens = (await ask(address, "GET", "/v1/tokens")).json()["tokens"]
+        tokens = await tokens_of(address)
         active = [each["digest"] for each in bundles if each["active"]]
-        valid = {each["id"] for each in tokens if each["revoked_at"] is None}
+        valid = {token for token, is_valid in tokens.items() if is_valid}
         self.epochs[rotation["epoch"]] += 1
         self._keep("policy", rotation["policy"] in self.policy)
         self._keep("bundle", active[0] in self.active)

@@ -28,6 +28,7 @@ ROWS: Mapping[str, Run] = {
     "disk-later": faults.full_later,
     "log": faults.full_log,
     "clock": faults.clock_back,
+    "device": faults.device_gone,
     "kill": kill.killed,
 }
 """By name, in the order in which they are run."""

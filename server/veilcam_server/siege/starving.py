@@ -33,6 +33,8 @@ Asked: TypeAlias = tuple[str, str, object]
 OTHER_KEYS = 200
 """Idempotency keys between one and its repetition."""
 DONE = "done_before_restart"
+SPARE = 32
+"""Event streams that may be open beyond those of honest clients."""
 QUIET = 5.0
 """How long the same is measured without an attack [s]."""
 
@@ -164,7 +166,9 @@ def _attacked(plan: Attack) -> Losses:
 
 async def greed(ground: Ground, judgement: Judgement) -> None:
     """One token that opens all event streams it may, beside many clients with theirs."""
-    settings, extent = ground.settings("greed"), ground.extent
+    extent = ground.extent
+    # All together may have more than it takes: what is tried is what is left of it by one.
+    settings = ground.settings("greed", stream_limit=extent.streams + SPARE)
     names = [f"client {number}" for number in range(extent.clients)]
     greedy, *others = make_tokens(settings, ("greedy", *names))
     with ground.start(settings) as daemon:

@@ -48,6 +48,37 @@ def test_answers_are_shown(arguments: list[str], shown: list[str]) -> None:
 
 
 @pytest.mark.usefixtures("url")
+@pytest.mark.parametrize(
+    ("options", "asked", "shown"),
+    [
+        # All of them, however many answers that takes.
+        ([], ["limit=100", "limit=100&after=b", "limit=100&after=d"], "abcde"),
+        (["--limit", "1"], ["limit=1"], "a"),
+        (["--limit", "150"], ["limit=100", "limit=50&after=b"], "abcd"),
+        (["--after", "b"], ["limit=100&after=b", "limit=100&after=d"], "cde"),
+    ],
+)
+def test_tokens_are_listed_over_several_answers(
+    daemon: Daemon, answers: dict[str, Any], *, options: list[str], asked: list[str], shown: str
+) -> None:
+    token = answers["token"]
+    pages = [("ab", "b"), ("cd", "d"), ("e", None)]
+    if "--after" in options:
+        pages = pages[1:]
+    if options == ["--limit", "1"]:
+        pages = [("a", "a")]
+    daemon.first = [
+        httpx.Response(
+            200, json={"tokens": [{**token, "id": name} for name in ids], "next": follows}
+        )
+        for ids, follows in pages
+    ]
+    result = runner.invoke(app, ["token", "list", *options])
+    assert [line[0] for line in result.stdout.splitlines()[::2]] == list(shown)
+    assert [request.url.query.decode() for request in daemon.requests] == asked
+
+
+@pytest.mark.usefixtures("url")
 def test_status_tells_of_fresh_masks_that_come_late(
     daemon: Daemon, answers: dict[str, Any]
 ) -> None:

@@ -219,6 +219,7 @@ def test_a_lease_that_cannot_be_is_refused_before_it_is_asked_for(
 def ways() -> list[Callable[[Any], Any]]:
     return [
         lambda camera: camera.tokens(),
+        lambda camera: camera.tokens(limit=5, after="0123456789ab"),
         lambda camera: camera.create_token("a lamp", ["classify"], seconds=60),
         lambda camera: camera.revoke_token("0123456789ab"),
         lambda camera: camera.diagnostics(),
@@ -232,6 +233,14 @@ async def test_tokens_and_diagnostics_by_both_cameras(daemon: Daemon) -> None:
     made = Camera(http_client=client(daemon)).create_token("a lamp", ["classify"])
     assert made.secret == TOKEN
     assert TOKEN not in repr(made)
+
+
+def test_tokens_are_asked_for_a_page_at_a_time(daemon: Daemon) -> None:
+    camera = Camera(http_client=client(daemon))
+    camera.tokens()
+    camera.tokens(limit=5, after="a&b")
+    asked = [request.url.query for request in daemon.requests]
+    assert asked == [b"limit=100", b"limit=5&after=a%26b"]
 
 
 def test_an_id_stays_one_part_of_the_path(daemon: Daemon) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -17,11 +16,10 @@ from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.app import create_app
 from veilcam_server.errors import TooManyStreamsError
 from veilcam_server.security.admission import Admission
-from veilcam_server.security.audit import DONE, REFUSED, AuditLog
+from veilcam_server.security.audit import DONE, REFUSED, AuditLog, read_audit
 from veilcam_server.security.limits import ConcurrencyLimit
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
-from veilcam_training.bundle import Bundle, write_bundle
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
@@ -83,14 +81,6 @@ def admission(tmp_path: Path) -> Iterator[Admission]:
 def token(admission: Admission) -> dict[str, str]:
     assert admission.tokens is not None
     return {"Authorization": f"Bearer {admission.tokens.create('all', SCOPES, None).secret}"}
-
-
-@pytest.fixture
-def upload(bundle: Bundle, tmp_path: Path) -> bytes:
-    """A bundle that the camera can use, and has not got yet."""
-    path = tmp_path / "other.veilcam"
-    write_bundle(path, dataclasses.replace(bundle, task="other"))
-    return path.read_bytes()
 
 
 async def requests(
@@ -164,8 +154,8 @@ async def test_every_route_refuses_before_it_reads_or_does_anything(
                 assert answer.json()["code"] == "cross_site"
         assert await state(client, token, bench) == before
     assert read == 0
-    assert (tmp_path / DONE).read_text() == ""
-    refused = [json.loads(line) for line in (tmp_path / REFUSED).read_text().splitlines()]
+    assert read_audit(tmp_path / DONE) == []
+    refused = read_audit(tmp_path / REFUSED)
     assert [entry["code"] for entry in refused] == ["cross_site"] * 2 * len(asked)
 
 

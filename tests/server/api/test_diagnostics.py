@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import platform
+import re
+import shutil
+import subprocess
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +28,8 @@ if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
 
 pytestmark = pytest.mark.anyio
+
+API = (Path(__file__).parents[3] / "docs" / "api.md").read_text()
 
 
 def samples(text: str) -> dict[tuple[str, str], float]:
@@ -58,9 +66,9 @@ async def test_metrics_count_what_happened(
     assert found["veilcam_faults_total", "code=sensor_failed"] == 1
     assert found["veilcam_state", "state=ready"] == 1
     assert found["veilcam_state", "state=safe"] == 0
-    assert found["veilcam_queue_waiting", ""] == 0
-    assert found["veilcam_audit_lost_total", ""] == 0
-    name = "veilcam_request_seconds_count"
+    assert found["veilcam_queued_captures", ""] == 0
+    assert found["veilcam_audit_lines_lost_total", ""] == 0
+    name = "veilcam_http_request_duration_seconds_count"
     assert found[name, "method=POST,route=/v1/captures,status=200"] == 1
     assert found[name, "method=POST,route=/v1/captures,status=503"] == 1
     assert found[name, "method=other,route=none,status=404"] == 1
@@ -68,21 +76,78 @@ async def test_metrics_count_what_happened(
     assert "BREW" not in answer.text
 
 
-async def test_metrics_count_connections(bench: Bench) -> None:
-    connections = Connections(1)
-    for _ in range(3):
-        connections.enter("a")
+@asynccontextmanager
+async def behind_a_gate(bench: Bench, connections: Connections) -> AsyncIterator[httpx.AsyncClient]:
     service = bench.service(bench.camera())
     transport = httpx.ASGITransport(create_app(service, connections=connections))
     async with (
         service.open(),
         httpx.AsyncClient(transport=transport, base_url="http://localhost") as client,
     ):
+        yield client
+
+
+async def test_metrics_count_connections(bench: Bench) -> None:
+    connections = Connections(1)
+    for _ in range(3):
+        connections.enter("a")
+    async with behind_a_gate(bench, connections) as client:
         counted = samples((await client.get("/v1/metrics")).text)
-    assert counted["veilcam_connections", ""] == 1
+    assert counted["veilcam_open_connections", ""] == 1
     assert counted["veilcam_connections_dropped_total", "reason=evicted"] == 2
     assert counted["veilcam_connections_dropped_total", "reason=body"] == 0
     assert counted["veilcam_connections_failed_total", ""] == 0
+
+
+async def test_metrics_tell_what_runs_and_how_old_the_mask_is(
+    running: Running, display_fault: DisplayError, bench: Bench
+) -> None:
+    async with running() as client:
+        told = (await client.get("/v1/status")).json()
+        found = samples((await client.get("/v1/metrics")).text)
+        later = samples((await client.get("/v1/metrics")).text)
+        bench.display.faults = [display_fault, display_fault]
+        await client.post("/v1/rotation/advance")
+        without = samples((await client.get("/v1/metrics")).text)
+    labels = f"python_version={platform.python_version()},version={told['version']}"
+    assert found["veilcam_build_info", labels] == 1
+    age = "veilcam_epoch_age_seconds", ""
+    assert told["rotation"]["epoch_age_s"] < found[age] < later[age] < 60
+    # No mask is shown, so none is old.
+    assert age not in without
+
+
+async def test_metrics_are_named_as_prometheus_wants_it(running: Running) -> None:
+    """https://prometheus.io/docs/practices/naming/, and what promtool finds, where it is."""
+    async with running() as client:
+        await client.post("/v1/captures")
+        text = (await client.get("/v1/metrics")).text
+    families = list(text_string_to_metric_families(text))
+    assert len(families) > 12
+    for family in families:
+        assert re.fullmatch("(veilcam|process)(_[a-z]+)+", family.name), family.name
+        assert family.documentation.endswith("."), family.name
+        # The only units are base units, at the end; what is counted ends with _total.
+        assert not re.search("_(ms|milliseconds|minutes|mb|kb|percent)(_|$)", family.name)
+        for sample in family.samples:
+            assert sample.name.endswith("_total") == (family.type == "counter")
+        assert not family.name.endswith(("_count", "_sum", "_bucket", "_gauge", "_counter"))
+    names = {family.name for family in families}
+    assert {"veilcam_http_request_duration_seconds", "veilcam_epoch_age_seconds"} <= names
+    promtool = shutil.which("promtool")
+    if promtool is not None:
+        command = [promtool, "check", "metrics"]
+        found = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        assert (found.returncode, found.stdout, found.stderr) == (0, "", "")
+
+
+async def test_every_metric_is_documented_and_no_other(bench: Bench) -> None:
+    async with behind_a_gate(bench, Connections(1)) as client:
+        text = (await client.get("/v1/metrics")).text
+    told = set(re.findall(r"^# TYPE (veilcam_\w+)", text, re.MULTILINE))
+    rows = re.findall(r"^\| (`veilcam_.*) \| (?:gauge|counter|histogram) \|", API, re.MULTILINE)
+    documented = {name for row in rows for name in re.findall(r"\w+", row)}
+    assert {name for name in told if not name.endswith("_created")} == documented
 
 
 async def test_metrics_tell_nothing_of_what_was_seen(running: Running, bench: Bench) -> None:

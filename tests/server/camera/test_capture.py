@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from veilcam_server.camera.epochs import EpochStore, Preparation
 from veilcam_server.devices import Device, Exposure, SensorError
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.devices.reopening import ReopeningDisplay
 from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
 from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
@@ -104,9 +106,14 @@ class Rig:
 
     def __post_init__(self) -> None:
         self.panel = PanelEmulator(TABS["green"], crystal=self.crystal, reset_time=0.0)
-        display = ST7735R(
-            self.panel, self.panel, camera=CAMERA, tab=TABS["green"], sleep=lambda _: None
+        set_up = partial(
+            ST7735R,
+            *(self.panel, self.panel),
+            camera=CAMERA,
+            tab=TABS["green"],
+            sleep=lambda _: None,
         )
+        display = ReopeningDisplay("ST7735R", set_up)
         show = display.show
 
         def noted(levels: npt.NDArray[np.uint8]) -> object:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from veilcam_server.daemon import build_service
-from veilcam_server.devices import DeviceMissingError
+from veilcam_server.devices import DeviceMissingError, SensorError
 from veilcam_server.devices.registry import DISPLAYS, SENSORS, drivers, open_device
 from veilcam_server.doctor.checkup import examine
 from veilcam_server.doctor.machine import Machine
@@ -60,7 +60,7 @@ class Prompt:
 
 def _emulate(camera, *, scan, settle, clock):
     panel = Prompt(camera, clock)
-    return panel, panel
+    return lambda: panel, panel
 
 
 DRIVER = DisplayDriver(
@@ -83,12 +83,17 @@ class Other:
         self.name, self.full_scale = "OTHER", sensor.full_scale
 
 
+def _emulate(*given, **more):
+    start, set_faults = IMX477.emulate(*given, **more)
+    return lambda: Other(start()), set_faults
+
+
 DRIVER = SensorDriver(
     name="OTHER",
     model="other",
     product="the other camera",
     open=lambda settings, shape: Other(IMX477.open(settings, shape)),
-    emulate=lambda *given, **more: Other(IMX477.emulate(*given, **more)),
+    emulate=_emulate,
     packages=("other_camera",),
 )
 """
@@ -137,6 +142,9 @@ def test_a_panel_that_was_added_is_opened_with_what_it_needs(
     class Started:
         name, full_scale = "OTHER", 1.0
 
+        def capture(self, not_before: float, timeout: float) -> None:
+            raise SensorError("no light here")
+
         def close(self) -> None:
             """Nothing was opened."""
 
@@ -151,6 +159,9 @@ def test_a_panel_that_was_added_is_opened_with_what_it_needs(
     assert not opened
     device = open_device(Settings(**given, gpio_chip="mine"), bundle)
     assert (device.display.name, device.sensor.name) == ("PROMPT", "OTHER")
+    device.display.blank()
+    with pytest.raises(SensorError, match="no light here"):
+        device.sensor.capture(0.0, 1.0)
     assert opened == [bundle.embedding.shape]
     device.close()
 

@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,12 +20,13 @@ from veilcam_server.devices import (
     DeviceMissingError,
     Exposure,
     SensorError,
-    SensorLostError,
+    SensorHungError,
     SensorTimeoutError,
 )
 from veilcam_server.devices.imx477 import HALF, IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.devices.reopening import ReopeningSensor
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 
 from .clock import Clock
@@ -44,22 +46,24 @@ class Bench:
         exposures: ExposureRange = FIXED,
         full_scale: float = 1.0,
         faults: CameraFaults | None = None,
-        failures: int = 3,
     ) -> None:
         self.clock, self.mode = Clock(), mode
         self.faults = faults or CameraFaults()
         self.cameras: list[FakePicamera2] = []
         self.lit: list[tuple[float, float]] = []
         self.level: Callable[[float], float] = lambda _: 100_000.0
-        self.sensor = IMX477(
+        start = partial(
+            IMX477,
             self.open,
             shape=SHAPE,
             mode=mode,
             exposures=exposures,
             full_scale=full_scale,
-            failures=failures,
             clock=self.clock,
         )
+        self.sensor = ReopeningSensor("IMX477", full_scale, start, clock=self.clock)
+        with self.sensor._part.open():
+            pass
 
     def open(self) -> FakePicamera2:
         camera = FakePicamera2(
@@ -283,41 +287,18 @@ def test_a_camera_that_hangs_is_closed_and_opened_again() -> None:
     assert len(bench.cameras) == 2
 
 
-def test_after_failures_in_a_row_the_camera_is_lost() -> None:
-    bench = Bench(failures=3)
-    for hangs, expected in ((2, SensorTimeoutError), (0, None), (3, SensorTimeoutError)):
-        bench.faults.hangs = hangs
-        for _ in range(min(hangs, 2)):
-            with pytest.raises(SensorTimeoutError):
-                bench.capture(timeout=0.1)
-        if expected is None:
-            bench.capture()  # forgets those before
-    with pytest.raises(SensorLostError, match="3 times in a row"):
-        bench.capture(timeout=0.1)
-
-
-def test_a_camera_that_does_not_come_back_is_an_error_and_then_lost() -> None:
-    bench = Bench(failures=3)
-    bench.faults.hangs = 1
-    with pytest.raises(SensorTimeoutError):
-        bench.capture(timeout=0.1)
-    bench.faults.opening = DeviceMissingError("there is no camera 0")
-    with pytest.raises(SensorError, match="no camera 0"):
-        bench.capture()
-    with pytest.raises(SensorLostError):
-        bench.capture()
-
-
-def test_a_camera_that_comes_back_as_another_one_is_lost_too() -> None:
-    bench = Bench(failures=3)
+def test_a_camera_that_comes_back_as_another_one_is_an_error() -> None:
+    bench = Bench()
     bench.faults.hangs = 1
     with pytest.raises(SensorTimeoutError):
         bench.capture(timeout=0.1)
     bench.faults.format = "SRGGB12_CSI2P"
     with pytest.raises(SensorError, match="uncompressed"):
         bench.capture()
-    with pytest.raises(SensorLostError):
-        bench.capture()
+    assert bench.cameras[1].closed
+    bench.faults.format = None
+    bench.clock.sleep(1.0)
+    bench.capture()
 
 
 def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
@@ -333,14 +314,28 @@ def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
     assert caught.value.__suppress_context__
 
 
-def test_a_camera_that_cannot_even_be_closed_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_cannot_even_be_closed_is_not_opened_again_before_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("veilcam_server.devices.imx477._CLOSING", 0.01)
     bench, let_go = Bench(), threading.Event()
     bench.cameras[0].close = let_go.wait  # type: ignore[method-assign, assignment]
     bench.faults.hangs = 1
-    with pytest.raises(SensorLostError):
+    with pytest.raises(SensorTimeoutError):
         bench.capture(timeout=0.1)
+    for _ in range(3):
+        bench.clock.sleep(100.0)
+        with pytest.raises(SensorHungError, match="start the daemon again") as caught:
+            bench.capture()
+        assert caught.value.remedy == "restart"
+    assert len(bench.cameras) == 1
     let_go.set()
+    closing = bench.sensor._part._hung
+    assert isinstance(closing, IMX477)
+    assert closing._closing is not None
+    closing._closing.join(20)
+    bench.capture()
+    assert len(bench.cameras) == 2
 
 
 def test_nothing_of_a_raw_frame_stays_in_memory() -> None:

@@ -18,13 +18,15 @@ import pytest
 import torch
 from structlog.testing import capture_logs
 
+from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.daemon import build_service
-from veilcam_server.devices import DeviceError, DeviceMissingError
+from veilcam_server.devices import DeviceError, SensorError
 from veilcam_server.devices.imx477 import HALF
 from veilcam_server.devices.raw import Raw
 from veilcam_server.devices.registry import open_device
-from veilcam_server.devices.simulated.panel import Faults, PanelEmulator
+from veilcam_server.devices.reopening import ReopeningSensor
+from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import StartError
@@ -194,19 +196,24 @@ def test_wiring_is_what_the_settings_say(board: Board, settings: Settings, bundl
         ),
         bundle,
     )
+    assert not board.asked.keys() - {"label"}
+    board.bright = 0.02
+    device.display.blank()
+    assert isinstance(device.sensor, ReopeningSensor)
+    with device.sensor._part.open():
+        pass
+    device.display.show(np.full(bundle.camera.mask_shape, 63, np.uint8))
+    asked = [device.sensor.capture(time.monotonic() + 0.05, 5.0).integration for _ in range(2)]
+    assert asked == pytest.approx([0.004, 0.012], abs=2e-5)
     assert board.asked["spi"] == "/dev/spidev1.1"
     assert board.asked["hz"] == 20_000_000
     assert board.asked["lines"] == (5, 6)
     assert board.asked["camera"] == 1
-    board.bright = 0.02
-    device.display.show(np.full(bundle.camera.mask_shape, 63, np.uint8))
-    asked = [device.sensor.capture(time.monotonic() + 0.05, 5.0).integration for _ in range(2)]
-    assert asked == pytest.approx([0.004, 0.012], abs=2e-5)
     device.close()
 
 
 def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None:
-    board.panel.faults = Faults(dead=True)
+    board.panel.faults = PanelFaults(dead=True)
     # The stand-in for picamera2 is opened although nothing can be opaque here.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PanelEmulator, "framebuffer", lambda _: np.zeros((384, 160), np.uint8))
@@ -223,7 +230,6 @@ def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None
     [
         ({"panel_tab": None}, "--panel-tab red, black or green"),
         ({"spi_hz": 16_000_000}, "--spi-hz 15151515 or less, or --allow-fast-spi"),
-        ({"gpio_chip": "pinctrl-bcm2711"}, "give --gpio-chip one of pinctrl-rp1"),
     ],
 )
 def test_wiring_that_cannot_be_says_what_to_do(
@@ -235,6 +241,42 @@ def test_wiring_that_cannot_be_says_what_to_do(
     assert not board.cameras
 
 
+def test_a_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
+    board.asked["label"] = "another"
+    service = build_service(settings)
+    status = service.status()
+    assert (status.state, status.remedy) == ("safe", "run_doctor")
+    assert "give --gpio-chip one of another" in str(status.detail)
+    assert status.device.display == "ST7735R"
+    # Nobody looks through a panel that may be transparent.
+    assert not board.cameras
+    board.asked["label"] = "pinctrl-rp1"
+    time.sleep(1.0)  # the pause before another attempt
+    service._camera.test_if_due()
+    assert service.status().state == "ready"
+    service._camera.capture()
+    service.stop()
+
+
+def test_a_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
+    camera = sys.modules["picamera2"].Picamera2
+
+    def none(_: int) -> None:
+        raise IndexError("list index out of range")
+
+    sys.modules["picamera2"].Picamera2 = none  # type: ignore[attr-defined]
+    service = build_service(settings)
+    status = service.status()
+    assert (status.state, status.remedy) == ("degraded", "run_doctor")
+    assert "there is no camera 0: check its cable" in str(status.detail)
+    assert not board.panel.framebuffer().any()
+    sys.modules["picamera2"].Picamera2 = camera  # type: ignore[attr-defined]
+    time.sleep(1.0)
+    service._camera.test_if_due()
+    assert service.status().state == "ready"
+    service.stop()
+
+
 def test_a_camera_that_is_not_there_leaves_the_panel_opaque(
     board: Board, settings: Settings, bundle: Bundle
 ) -> None:
@@ -242,8 +284,12 @@ def test_a_camera_that_is_not_there_leaves_the_panel_opaque(
         raise IndexError("list index out of range")
 
     sys.modules["picamera2"].Picamera2 = none  # type: ignore[attr-defined]
-    with pytest.raises(DeviceMissingError, match="there is no camera 0"):
-        open_device(settings, bundle)
+    device = open_device(settings, bundle)
+    device.display.blank()
+    with pytest.raises(SensorError, match="there is no camera 0") as caught:
+        device.sensor.capture(0.0, 1.0)
+    assert caught.value.remedy == "run_doctor"
+    device.close()
     assert board.asked["spi closed"]
     assert board.asked["lines closed"]
     assert not board.panel.framebuffer().any()
@@ -267,4 +313,4 @@ def test_a_bundle_for_another_panel_is_refused(board: Board, settings: Settings)
     camera = Camera(panel=Panel(rows=240, columns=320), window=Window(9, 5, 10, 10))
     with pytest.raises(DeviceError, match="for another panel"):
         open_device(settings, replace(make_bundle(), camera=camera))
-    assert board.asked["spi closed"]
+    assert not board.asked

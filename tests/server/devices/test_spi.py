@@ -11,9 +11,8 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from structlog.testing import capture_logs
 
-from veilcam_server.devices import DeviceMissingError, DisplayError
+from veilcam_server.devices import DeviceMissingError
 from veilcam_server.devices import spi as linux_bus
 from veilcam_server.devices.spi import LinuxLines, LinuxSpi
 
@@ -94,7 +93,7 @@ def gpiod(monkeypatch: pytest.MonkeyPatch) -> Gpiod:
 
 
 def test_the_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
-    spi = LinuxSpi.open("/dev/spidev0.0", 15_000_000, fastest=FASTEST)
+    spi = LinuxSpi.open("/dev/spidev0.0", 15_000_000)
     device = spidev.last
     assert (device.path, device.mode, device.max_speed_hz) == ("/dev/spidev0.0", 0, 15_000_000)
     spi.write(memoryview(b"abc"))
@@ -103,23 +102,12 @@ def test_the_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
     assert device.closed
 
 
-def test_a_clock_that_is_too_fast_is_refused_or_warned_of(spidev: type[SpiDev]) -> None:
-    with pytest.raises(DisplayError, match="too fast"):
-        LinuxSpi.open("/dev/spidev0.0", FASTEST + 1, fastest=FASTEST)
-    with capture_logs() as logs:
-        LinuxSpi.open("/dev/spidev0.0", FASTEST, fastest=FASTEST)
-        assert not logs
-        LinuxSpi.open("/dev/spidev0.0", 32_000_000, fastest=FASTEST, allow_fast=True)
-    assert [(entry["log_level"], entry["speed"]) for entry in logs] == [("warning", 32_000_000)]
-    assert spidev.last.max_speed_hz == 32_000_000
-
-
 def test_a_bus_that_is_not_there_says_what_to_do(
     spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SpiDev, "fault", FileNotFoundError(2, "No such file or directory"))
     with pytest.raises(DeviceMissingError, match=r"No such file.*raspi-config"):
-        LinuxSpi.open("/dev/spidev9.0", 1_000_000, fastest=FASTEST)
+        LinuxSpi.open("/dev/spidev9.0", 1_000_000)
     assert spidev.last.closed
 
 
@@ -207,7 +195,7 @@ def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(
         DeviceMissingError, match=r"spidev is not installed: run pip install -e '\.\[server,pi\]'"
     ):
-        LinuxSpi.open("/dev/spidev0.0", 1_000_000, fastest=FASTEST)
+        LinuxSpi.open("/dev/spidev0.0", 1_000_000)
     with pytest.raises(
         DeviceMissingError, match=r"gpiod is not installed: run pip install -e '\.\[server,pi\]'"
     ):

@@ -8,9 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
-from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
+from veilcam_server.devices.reopening import ReopeningDisplay
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
 from veilcam_server.devices.st7735r import DRIVER, FULL_FRAME, MOST_PER_SECOND, ST7735R
 from veilcam_server.devices.st7735r_glass import TABS, Tab
 
@@ -81,6 +83,14 @@ def driver(wire: Wire, tab: Tab = TABS["green"], camera: Camera = CAMERA) -> ST7
     return panel
 
 
+def reopening(wire: Wire) -> ReopeningDisplay:
+    """The driver as a daemon has it, set up and opaque."""
+    display = ReopeningDisplay("ST7735R", lambda: driver(wire), clock=wire.clock)
+    display.blank()
+    wire.sent.clear()
+    return display
+
+
 def emulated(
     clock: Clock, tab: Tab, camera: Camera = CAMERA, glass: Tab | None = None
 ) -> tuple[ST7735R, PanelEmulator]:
@@ -103,7 +113,8 @@ def test_a_thousand_masks_are_on_the_glass_as_asked(tab: Tab, clock: Clock) -> N
 
 def test_the_simulated_panel_is_driven_as_the_real_one(clock: Clock) -> None:
     assert DRIVER.emulate is not None
-    panel, emulator = DRIVER.emulate(CAMERA, scan=0.0, settle=0.5, clock=clock)
+    set_up, emulator = DRIVER.emulate(CAMERA, scan=0.0, settle=0.5, clock=clock)
+    panel = set_up()
     levels = draw()
     panel.show(levels)
     assert np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
@@ -258,9 +269,8 @@ def test_the_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock:
     assert done == wanted
 
 
-def test_what_a_panel_is_told_of_itself(wire: Wire) -> None:
-    panel = driver(wire)
-    assert (panel.name, panel.resets) == ("ST7735R", 1)
+def test_what_is_known_of_the_panel() -> None:
+    assert DRIVER.name == "ST7735R"
     assert {tab.name: tab.memory for tab in TABS.values()} == {
         "red": (128, 160),
         "black": (128, 160),
@@ -269,19 +279,6 @@ def test_what_a_panel_is_told_of_itself(wire: Wire) -> None:
     assert list(TABS) == ["red", "black", "green"]
     # At most a bit in 66 ns, the data sheet's write cycle of the serial clock.
     assert MOST_PER_SECOND == 10**9 // 66
-
-
-def test_every_set_up_is_counted(wire: Wire) -> None:
-    panel = driver(wire)
-    panel.show(draw())
-    panel.blank()
-    assert panel.resets == 1
-    for count in (2, 3):
-        wire.fault, wire.failing = OSError(5, "Input/output error"), wire.writes + 1
-        with pytest.raises(DisplayError):
-            panel.blank()
-        panel.blank()
-        assert panel.resets == count
 
 
 def test_pixels_that_the_window_cuts_are_opaque_outside(wire: Wire) -> None:
@@ -302,13 +299,13 @@ def test_a_panel_with_or_without_colours_is_driven(cycle: tuple[int, ...], wire:
 
 def test_a_driver_that_breaks_off_sets_the_panel_up_anew(wire: Wire) -> None:
     """Whatever it was, nobody knows which bytes were sent."""
-    panel = driver(wire)
+    panel = reopening(wire)
     wire.fault, wire.failing = KeyboardInterrupt(), wire.writes + 6
     with pytest.raises(KeyboardInterrupt):
         panel.show(draw())
     assert not any(wire.buffers[-1])
     panel.show(draw())
-    assert panel.resets == 2
+    assert panel.resets == 1
 
 
 def test_lines_are_let_go_although_the_bus_is_not(wire: Wire) -> None:
@@ -370,27 +367,28 @@ def test_what_it_cannot_show_is_refused_before_the_bus(
     "panel",
     [Panel(rows=240), Panel(columns=161), Panel(levels=32), Panel(filter_cycle=(2, 1, 0))],
 )
-def test_another_panel_is_refused(panel: Panel, wire: Wire) -> None:
+def test_another_panel_is_refused(panel: Panel) -> None:
     with pytest.raises(DisplayError, match="another panel"):
-        driver(wire, camera=Camera(panel=panel, window=Window(3, 3, 0, 0)))
+        DRIVER.check(Camera(panel=panel, window=Window(3, 3, 0, 0)))
 
 
-def _show(panel: ST7735R) -> None:
+def _show(panel: ReopeningDisplay) -> None:
     panel.show(draw())
 
 
-@pytest.mark.parametrize("act", [_show, ST7735R.blank])
+@pytest.mark.parametrize("act", [_show, ReopeningDisplay.blank])
 def test_a_failing_bus_is_a_display_error_and_sets_the_panel_up_anew(
-    act: Callable[[ST7735R], None], wire: Wire
+    act: Callable[[ReopeningDisplay], None], wire: Wire
 ) -> None:
-    panel = driver(wire)
+    panel = reopening(wire)
     wire.fault, wire.failing = OSError(5, "Input/output error"), wire.writes + 4
     with pytest.raises(DisplayError, match=r"Input/output error.*check") as caught:
         act(panel)
     assert caught.value.__cause__ is None
-    wire.sent.clear()
+    assert wire.closed == 2
+    resets = len(wire.resets)
     act(panel)
-    assert wire.sent[0] == (False, b"\x01")
+    assert wire.resets[resets:] == [True, False]
     wire.sent.clear()
     act(panel)
     assert wire.sent[0] == (False, b"\x2a")
@@ -427,7 +425,7 @@ def test_lost_writes_leave_another_picture(clock: Clock) -> None:
     panel = ST7735R(
         emulator, emulator, camera=CAMERA, tab=TABS["green"], sleep=clock.sleep, clock=clock
     )
-    emulator.faults = Faults(lost=6)
+    emulator.faults = PanelFaults(lost=6)
     wrong = 0
     for _ in range(12):
         levels = draw()

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.anyio
 
-OPEN_PATHS = ("/",)
+OPEN_PATHS = ("/", "/healthz", "/readyz")
 """What everybody may ask; all else wants a token."""
 
 

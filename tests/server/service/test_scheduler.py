@@ -15,7 +15,8 @@ from tests.server.service.waiting import until
 
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.watchdog import Health, stamped
-from veilcam_server.devices import Device, SensorLostError
+from veilcam_server.devices import Device, SensorError
+from veilcam_server.devices.errors import SensorHungError
 from veilcam_server.errors import NotReadyError, UndecidedError
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
@@ -189,14 +190,32 @@ async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
 
 
 @pytest.mark.anyio
-async def test_a_lost_sensor_ends_the_daemon(bench: Bench) -> None:
+async def test_a_sensor_that_fails_again_and_again_ends_nothing(bench: Bench) -> None:
     def fail() -> None:
-        raise SensorLostError("the camera failed 3 times in a row: check its cable and restart")
+        raise SensorError("the camera gave no frame")
 
     service = bench.service(bench.camera())
     async with service.open():
-        assert service.lost is None
         bench.sensor.before = fail
-        with pytest.raises(SensorLostError):
-            await service.capture()
-        assert "check its cable" in str(service.lost)
+        for _ in range(5):
+            with pytest.raises((SensorError, NotReadyError)):
+                await service.capture()
+        assert service.status().state == "degraded"
+        bench.sensor.before = lambda: None
+        await service.rotate()
+        await service.capture()
+
+
+def test_a_sensor_that_is_not_let_go_is_the_watchdogs_business(bench: Bench) -> None:
+    camera = bench.camera()
+
+    def hang() -> None:
+        raise SensorHungError("the camera hangs while it is closed")
+
+    bench.sensor.before = hang
+    with pytest.raises(SensorHungError):
+        camera.capture()
+    assert not camera.healthy()
+    bench.sensor.before = lambda: None
+    camera.capture()
+    assert camera.healthy()

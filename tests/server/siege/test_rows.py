@@ -8,7 +8,9 @@ from tests.server.siege import careless
 from veilcam_server.siege.ground import Extent
 from veilcam_server.siege.run import ROWS, besiege
 
-TINY = Extent(sockets=6, seconds=1.0, lingering=1.0, streams=8, clients=4, flips=1, kills=1)
+TINY = Extent(
+    sockets=6, seconds=1.0, lingering=1.0, streams=8, clients=4, flips=1, kills=1, gone=0.0
+)
 MISSED = {
     "page": ["requests of a page act"],
     "sockets": ["left of"],
@@ -22,6 +24,7 @@ MISSED = {
     "disk-later": ["while the disk is full: ready", "every task goes on"],
     "log": ["every task goes on"],
     "clock": ["again of"],
+    "device": ["while the sensor is gone: ready", "while the panel is gone: ready"],
     "kill": ["acknowledged and lost", "again of"],
 }
 

@@ -55,8 +55,8 @@ class Watched:
             found["events"] = diagnostics["events"]
             if self.headers:
                 found["tokens"] = client.get("/v1/tokens").json()
-        # How far the next mask is prepared goes on by itself.
-        del found["rotation"]["preparation"]
+        # Time goes by, and the next mask is prepared.
+        del found["rotation"]["epoch_age_s"], found["rotation"]["preparation"]
         # What is refused for another reason than the site stands here too.
         found["done"] = len(self.audit(DONE))
         return found

@@ -21,6 +21,7 @@ from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices import DeviceMissingError, SensorError, SensorTimeoutError
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.picamera import open_picamera2
+from veilcam_server.devices.reopening import ReopeningSensor
 
 from .conftest import wait_until
 from .virtual_picamera2 import (
@@ -47,7 +48,13 @@ class Bench:
 
     def __init__(self) -> None:
         self.cameras: list[Any] = []
-        self.sensor = IMX477(self.open, shape=SHAPE, mode=MODE, exposures=ExposureRange(0.001))
+        self.sensor = ReopeningSensor(
+            "IMX477",
+            1.0,
+            lambda: IMX477(self.open, shape=SHAPE, mode=MODE, exposures=ExposureRange(0.001)),
+        )
+        with self.sensor._part.open():
+            pass
 
     def open(self) -> Any:
         self.cameras.append(open_picamera2())

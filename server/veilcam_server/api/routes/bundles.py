@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request
+from fastapi.responses import Response
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
+from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
 from veilcam_server.api.dependencies import (
     CHANGE,
     DEVICE,
@@ -41,10 +43,14 @@ _USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older", "b
 router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:bundles")], redirect_slashes=False)
 
 
-@router.get("", responses=problems("replaying"))
-async def bundles(service: ServiceDep) -> InstalledBundles:
+@router.get(
+    "",
+    response_model=InstalledBundles,
+    responses={**KNOWN, **problems("invalid_request", "replaying")},
+)
+async def bundles(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Response:
     """Every bundle that can be used, and which one is."""
-    return await service.bundles.all()
+    return unless_known(await service.bundles.all(), if_none_match)
 
 
 @router.post(

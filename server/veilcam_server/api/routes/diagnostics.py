@@ -12,6 +12,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.status import Status
+from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
@@ -19,14 +20,24 @@ from veilcam_server.api.scopes import requires
 
 PACKAGES = ("veilcam", "fastapi", "numpy", "pydantic", "starlette", "torch", "uvicorn")
 """Whose versions matter."""
+AGING = {"uptime_s": True, "rotation": {"epoch_age_s"}}
+"""What of the status only tells that time goes by."""
 
 router = APIRouter(prefix="/v1", redirect_slashes=False)
 
 
-@router.get("/status", dependencies=[requires("read:status")], responses=problems())
-async def status(service: ServiceDep) -> Status:
-    """State, device, bundle, rotation and queue."""
-    return service.status()
+@router.get(
+    "/status",
+    dependencies=[requires("read:status")],
+    response_model=Status,
+    responses={**KNOWN, **problems("invalid_request")},
+)
+async def status(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Response:
+    """State, device, bundle, rotation and queue.
+
+    Its `ETag` changes with all of it but `uptime_s` and `epoch_age_s`.
+    """
+    return unless_known(service.status(), if_none_match, aging=AGING)
 
 
 @router.get(

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path
+from fastapi import APIRouter, Depends, Path, Query
 from fastapi.concurrency import run_in_threadpool
 
-from veilcam_client.wire.tokens import NewToken, Token, TokenRequest, Tokens
+from veilcam_client.wire.tokens import (
+    MOST_TOKENS,
+    TOKENS_AT_ONCE,
+    NewToken,
+    Token,
+    TokenRequest,
+    Tokens,
+)
 from veilcam_server.api.dependencies import BODY, CHANGE, AdmissionDep, OnceDep, problems
 from veilcam_server.api.scopes import CallerDep, requires
-from veilcam_server.errors import ForbiddenError, TokensOffError
+from veilcam_server.errors import ForbiddenError, TokensOffError, UnknownTokenError
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 
@@ -22,17 +30,29 @@ async def _store(admission: AdmissionDep) -> TokenStore:
 
 
 StoreDep = Annotated[TokenStore, Depends(_store)]
-TokenId = Annotated[str, Path(pattern=r"^[0-9a-f]{12}$", examples=["0123456789ab"])]
+ID = r"^[0-9a-f]{12}$"
+TokenId = Annotated[str, Path(pattern=ID, examples=["0123456789ab"])]
 
 router = APIRouter(
     prefix="/v1/tokens", dependencies=[requires("admin:tokens")], redirect_slashes=False
 )
 
 
-@router.get("", responses=problems("tokens_off"))
-def tokens(store: StoreDep) -> Tokens:
-    """Every token without its secret, revoked and expired ones included."""
-    return Tokens(tokens=store.tokens())
+@router.get("", responses=problems("invalid_request", "unknown_token", "tokens_off"))
+def tokens(
+    store: StoreDep,
+    limit: Annotated[int, Query(ge=1, le=MOST_TOKENS)] = TOKENS_AT_ONCE,
+    after: Annotated[str | None, Query(pattern=ID)] = None,
+) -> Tokens:
+    """Tokens without their secrets, the oldest first, revoked and expired ones included.
+
+    `next` of one answer is `after` of the request for those that follow.
+    """
+    every = store.tokens()
+    begin = 0 if after is None else _place(every, after) + 1
+    page = every[begin : begin + limit]
+    more = begin + limit < len(every)
+    return Tokens(tokens=page, next=page[-1].id if more else None)
 
 
 @router.post("", status_code=201, responses=problems(*BODY, *CHANGE, "tokens_off"))
@@ -59,6 +79,13 @@ async def create(
 def revoke(store: StoreDep, token_id: TokenId) -> Token:
     """Let a token do nothing any more, from the next request on."""
     return store.revoke(token_id)
+
+
+def _place(tokens: Sequence[Token], token_id: str) -> int:
+    for place, token in enumerate(tokens):
+        if token.id == token_id:
+            return place
+    raise UnknownTokenError("there is no token of this id any more: begin without 'after'")
 
 
 def _require_no_more(question: TokenRequest, caller: Caller, store: TokenStore) -> None:

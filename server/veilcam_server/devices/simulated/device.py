@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from veilcam_client.wire.simulation import Faults
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
@@ -32,6 +33,7 @@ from veilcam_server.devices.base import Device, Levels
 from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel, SensorDriver
 from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.raw import Raw, SensorMode
+from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
 
 _CACHED_MASKS = 8
@@ -253,7 +255,8 @@ def simulated_device(
             opened = light.response(torch.ones(camera.mask_shape))
             white = light.collect(torch.ones((1, *scenes.shape)), opened)
         full_scale = _HEADROOM * float(white.max())
-    panel, emulated = display.emulate(
+    display.check(camera)
+    open_display, emulated = display.emulate(
         camera, scan=conditions.scan, settle=conditions.settle, clock=clock
     )
     frames = SimulatedLight(
@@ -268,13 +271,23 @@ def simulated_device(
         seed=seed,
         began_at=clock(),
     )
-    reader = sensor.emulate(
-        frames,
-        mode,
+    start_sensor, break_sensor = sensor.emulate(
+        *(frames, mode),
         shape=embedding.shape,
         exposure=conditions.exposure,
         full_scale=full_scale,
         clock=clock,
         sleep=sleep,
     )
-    return Device(panel, reader, simulated=True, scenes=scenes)
+
+    def set_faults(faults: Faults) -> None:
+        emulated.faults = faults.panel
+        break_sensor(faults.sensor)
+
+    return Device(
+        ReopeningDisplay(display.name, open_display, clock=clock),
+        ReopeningSensor(sensor.name, full_scale, start_sensor, clock=clock),
+        simulated=True,
+        scenes=scenes,
+        set_faults=set_faults,
+    )

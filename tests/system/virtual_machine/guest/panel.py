@@ -34,7 +34,7 @@ class Both:
 
     def __init__(self, emulator: PanelEmulator) -> None:
         self._emulator, self._data = emulator, True
-        self._spi = LinuxSpi.open(str(SPI), SPEED, fastest=st7735r.MOST_PER_SECOND)
+        self._spi = LinuxSpi.open(str(SPI), SPEED)
         self._lines = LinuxLines.open(LABEL, data=DATA, reset=RESET)
         self.sent: list[Byte] = []
         self._closed = False

@@ -1,0 +1,177 @@
+"""Panel and sensor that are opened when they are needed, and again after a failure.
+
+What failed is closed before it is opened again, one attempt at a time, with pauses that grow from
+one attempt to the next. Between two attempts the reason for the last failure is raised again.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Generic, Protocol, TypeVar
+
+from veilcam_server.devices.base import Exposure, Levels, OpenDisplay, Sensor, Shown
+from veilcam_server.devices.errors import (
+    DeviceError,
+    DisplayError,
+    LightError,
+    SensorError,
+    SensorHungError,
+)
+
+FIRST_PAUSE, LONGEST_PAUSE = 1.0, 60.0
+"""Between the beginnings of two attempts in a row; each is twice the one before [s]."""
+
+PartT = TypeVar("PartT", bound="_Closable")
+
+
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+class _Part(Generic[PartT]):
+    """A panel or a sensor, open or not.
+
+    Args:
+        open_part: opens it; raises :class:`DeviceError`.
+        kind: of the error where it cannot be opened.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        open_part: Callable[[], PartT],
+        kind: type[DisplayError | SensorError],
+        clock: Callable[[], float],
+    ) -> None:
+        self._open_part, self._kind, self._clock = open_part, kind, clock
+        self._part: PartT | None = None
+        self._hung: PartT | None = None
+        self._failure: DisplayError | SensorError | None = None
+        self._pause, self._not_before = 0.0, -math.inf
+        self.closings = 0
+        """How often it was let go."""
+
+    @contextmanager
+    def open(self, *, at_once: bool = False) -> Iterator[PartT]:
+        """Have it open; it is closed if the block raises what is not the light's fault.
+
+        Args:
+            at_once: whether no pause is kept.
+        """
+        part = self._part or self._opened(at_once)
+        try:
+            yield part
+        except LightError:
+            raise
+        except BaseException as error:
+            if isinstance(error, self._kind):
+                self._failure = error
+            self.close()
+            raise
+        self._pause, self._not_before = 0.0, -math.inf
+
+    def close(self) -> None:
+        """Let go of it, whether that ends well or not."""
+        part, self._part = self._part, None
+        if part is None:
+            return
+        self.closings += 1
+        try:
+            part.close()
+        except SensorHungError as error:
+            self._hung, self._failure = part, error
+        except Exception:  # noqa: S110 - it is opened anew, come what may
+            pass
+
+    def _opened(self, at_once: bool) -> PartT:
+        if self._hung is not None:
+            self._hung.close()  # or raises: it does not end yet
+            self._hung = None
+        begun = self._clock()
+        if not at_once:
+            if begun < self._not_before and self._failure is not None:
+                raise type(self._failure)(str(self._failure), remedy=self._failure.remedy)
+            self._pause = min(2 * self._pause, LONGEST_PAUSE) or FIRST_PAUSE
+            self._not_before = begun + self._pause
+        try:
+            self._part = self._open_part()
+        except (DisplayError, SensorError) as error:
+            self._failure = error
+            raise
+        except DeviceError as error:
+            self._failure = self._kind(str(error), remedy="run_doctor")
+            raise self._failure from None
+        return self._part
+
+
+class ReopeningDisplay:
+    """A panel that is set up when it is needed, and anew after a failure.
+
+    Args:
+        name: of the panel.
+        open_display: sets it up, opaque; raises :class:`DeviceError`.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_display: Callable[[], OpenDisplay],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.name = name
+        self._part = _Part(open_display, DisplayError, clock)
+
+    @property
+    def resets(self) -> int:
+        """How often it was let go: it is set up anew when it is needed next."""
+        return self._part.closings
+
+    def show(self, levels: Levels) -> Shown:
+        """Write a mask."""
+        with self._part.open() as display:
+            return display.show(levels)
+
+    def blank(self) -> None:
+        """Show opaque; that waits for no pause."""
+        with self._part.open(at_once=True) as display:
+            display.blank()
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._part.close()
+
+
+class ReopeningSensor:
+    """A sensor that is started when it is needed, and anew after a failure.
+
+    Args:
+        name: of the sensor.
+        full_scale: measurement of saturated pixels.
+        open_sensor: starts it; raises :class:`DeviceError`.
+        clock: monotonic time [s].
+    """
+
+    def __init__(
+        self,
+        name: str,
+        full_scale: float,
+        open_sensor: Callable[[], Sensor],
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.name, self.full_scale = name, full_scale
+        self._part = _Part(open_sensor, SensorError, clock)
+
+    def capture(self, not_before: float, timeout: float) -> Exposure:
+        """Expose once."""
+        with self._part.open() as sensor:
+            return sensor.capture(not_before, timeout)
+
+    def close(self) -> None:
+        """Stop the sensor."""
+        self._part.close()
