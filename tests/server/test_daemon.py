@@ -40,6 +40,7 @@ from veilcam_server.camera.epochs import RESERVED
 from veilcam_server.cli.main import app
 from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import DIGITS, load_digits
+from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
 from veilcam_server.security.audit import DONE
@@ -336,12 +337,15 @@ def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_fil
     given = Settings(device="pi", bundle=bundle_file, state_dir=tmp_path / "st")
     with pytest.raises(StartError, match=r"--panel-tab red, black or green, .* --simulate"):
         build_service(given)
-    with pytest.raises(
-        StartError, match=r"/dev/spidev9.9 cannot be opened|spidev is not installed"
-    ):
-        build_service(
-            given.model_copy(update={"panel_tab": "green", "spi": Path("/dev/spidev9.9")})
-        )
+    service = build_service(
+        given.model_copy(update={"panel_tab": "green", "spi": Path("/dev/spidev9.9")})
+    )
+    status = service.status()
+    assert (status.state, status.remedy, status.device.simulated) == ("safe", "run_doctor", False)
+    reason = r"/dev/spidev9.9 cannot be opened|spidev is not installed"
+    assert re.search(reason, status.detail or "")
+    with pytest.raises(DisplayError, match=reason):
+        service.stop()
 
 
 @pytest.mark.slow
