@@ -62,7 +62,10 @@ class Handler(BaseHTTPRequestHandler):
                     for digest, active in self.server.bundles.items()
                 ]
             },
-            "tokens": {"tokens": [{"id": name, "revoked_at": None} for name in self.server.tokens]},
+            "tokens": {
+                "tokens": [{"id": name, "revoked_at": None} for name in self.server.tokens],
+                "next": None,
+            },
         }
         self._answer(200 if name in answers else 404, answers.get(name))
 
