@@ -56,7 +56,7 @@ from veilcam_client.wire.rotation import (
     RotationOff,
     RotationPolicy,
 )
-from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.simulation import Faults, HeldScene, PanelFaults, SensorFaults
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token
 
@@ -85,6 +85,7 @@ __all__ = [
     "EveryCaptures",
     "EverySeconds",
     "Fault",
+    "Faults",
     "ForbiddenError",
     "Gap",
     "HeldScene",
@@ -95,6 +96,7 @@ __all__ = [
     "MaskChanged",
     "NewLease",
     "NewToken",
+    "PanelFaults",
     "ProtocolError",
     "Recording",
     "RecordingError",
@@ -105,6 +107,7 @@ __all__ = [
     "RotationPolicy",
     "SceneDecoder",
     "Scope",
+    "SensorFaults",
     "ServerError",
     "SignedCalibration",
     "StateChanged",

@@ -21,7 +21,7 @@ from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene, picture_bytes
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
 
@@ -157,6 +157,10 @@ class AsyncCamera:
         if picture is None:
             return await self._transport.send(calls.TAKE_SCENE_AWAY)
         return await self._transport.send(calls.hold_scene(picture_bytes(picture)))
+
+    async def set_faults(self, faults: Faults) -> Faults:
+        """Break a simulated camera, or mend it, as :meth:`Camera.set_faults` does."""
+        return await self._transport.send(calls.set_faults(faults))
 
     async def bundles(self) -> tuple[InstalledBundle, ...]:
         """All bundles; one of them is ``active``."""

@@ -20,7 +20,7 @@ from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene, picture_bytes
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
 
@@ -181,6 +181,14 @@ class Camera:
         if picture is None:
             return self._transport.send(calls.TAKE_SCENE_AWAY)
         return self._transport.send(calls.hold_scene(picture_bytes(picture)))
+
+    def set_faults(self, faults: Faults) -> Faults:
+        """Break a simulated camera that allows it; ``Faults()`` mends it.
+
+        Returns:
+            What is wrong with it from now on.
+        """
+        return self._transport.send(calls.set_faults(faults))
 
     def bundles(self) -> tuple[InstalledBundle, ...]:
         """All bundles; one of them is ``active``."""

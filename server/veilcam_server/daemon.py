@@ -123,6 +123,7 @@ def build_service(settings: Settings) -> Service:
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
+        break_device=device.set_faults if settings.scene_api else None,
         faults=faults,
         policies=policies,
     )
@@ -221,6 +222,8 @@ def _serve(
                 # An upgrade is asked like anything else, and refused by the application.
                 ws="none",
                 server_header=False,
+                # Whoever is on this machine could be anybody by naming another address.
+                proxy_headers=False,
                 timeout_graceful_shutdown=10,
                 ssl_context_factory=None if tls is None else lambda *_: tls,
             )

@@ -63,8 +63,8 @@ class StateDamagedError(
     ProblemError,
     code="state_damaged",
     status=500,
-    remedy="check_disk",
     title="A file of the state was damaged, and its copy is used",
+    remedy="check_disk",
 ):
     """One of the two copies of a state file is damaged or gone; nothing is lost."""
 
@@ -73,8 +73,8 @@ class StateLostError(
     ProblemError,
     code="state_lost",
     status=500,
-    remedy="check_disk",
     title="A file of the state and its copy are damaged",
+    remedy="check_disk",
 ):
     """Both copies of a state file are damaged or gone; the message says what follows."""
 
@@ -83,9 +83,9 @@ class AuditError(
     ProblemError,
     code="audit_not_written",
     status=503,
-    remedy="check_disk",
     title="The audit log cannot be written",
     retryable=True,
+    remedy="check_disk",
 ):
     """What was done cannot be written down durably, so no change is made, or acknowledged."""
 
@@ -145,6 +145,7 @@ class PolicyStoreError(
     status=503,
     title="The rotation policy is not durable",
     retryable=True,
+    remedy="check_disk",
 ):
     """A rotation policy could not be made durable."""
 
@@ -323,7 +324,7 @@ class SceneApiOffError(
     code="scene_api_off",
     status=409,
     title="No scenes are held up by program",
-    detail="this daemon takes no scenes: start it with --simulate --scene-api",
+    detail="this daemon takes no scenes and no faults: start it with --simulate --scene-api",
 ):
     """Scenes are not held up by program before this camera."""
 
@@ -471,18 +472,27 @@ class BundleUntrustedError(
     code="bundle_untrusted",
     status=403,
     title="The bundle is not of this camera's owner",
+    remedy="install_bundle",
 ):
     """A bundle that no owner of this camera signed."""
 
 
 class BundleRevealsError(
-    ProblemError, code="bundle_reveals", status=422, title="The bundle's masks hide nothing"
+    ProblemError,
+    code="bundle_reveals",
+    status=422,
+    title="The bundle's masks hide nothing",
+    remedy="install_bundle",
 ):
     """A bundle with a mask behind which the embedding is a picture."""
 
 
 class BundleOlderError(
-    ProblemError, code="bundle_older", status=409, title="A newer bundle was in use"
+    ProblemError,
+    code="bundle_older",
+    status=409,
+    title="A newer bundle was in use",
+    remedy="install_bundle",
 ):
     """A bundle of an older version than one that was in use."""
 

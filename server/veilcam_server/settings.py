@@ -125,7 +125,7 @@ class Settings(Wiring):
     set as mnist:FOLDER or mnist:FOLDER:test. Give several, and each capture sees the next.
     Default: what 'veilcamd show' writes."""
     scene_api: bool = False
-    """Let callers set the scene before the simulated camera, for tests."""
+    """Let callers set the scene before the simulated camera, and break it, for tests."""
     replay: Path | None = None
     """Answer with what 'veilcam record' wrote to this file, instead of a camera."""
     host: str = "127.0.0.1"
@@ -182,12 +182,12 @@ class Settings(Wiring):
     """Requests of one caller that may come at once after a quiet time."""
     concurrency_limit: int = Field(default=64, ge=1, le=1024)
     """Requests of one caller that may be under way at once, event streams included."""
-    stream_limit: int = Field(default=64, ge=1, le=1024)
-    """Event streams that may be open, all callers together."""
+    stream_limit: int | None = Field(default=None, ge=1, le=4096)
+    """Event streams that may be open, all callers together. Default: half of the connections."""
     caller_stream_limit: int = Field(default=16, ge=1, le=1024)
     """Event streams that one caller may open."""
     connection_limit: int | None = Field(default=None, ge=8, le=4096)
-    """Connections that may be open, event streams included. Default: 256, with TLS 128."""
+    """Connections that may be open, event streams included. Default: 512, with TLS 128."""
     header_timeout: float = Field(default=10.0, gt=0, le=600, allow_inf_nan=False)
     """Longest time for a TLS handshake, and for the headers of a request, in seconds."""
     body_timeout: float = Field(default=20.0, gt=0, le=600, allow_inf_nan=False)
@@ -298,6 +298,11 @@ class Settings(Wiring):
             raise ValueError("--tls-certificate and --tls-key go together: give both")
         if self.tls_certificate is not None and self.socket is not None:
             raise ValueError("a unix socket needs no TLS: leave --tls-certificate out")
+        if self.streams >= self.connections:
+            raise ValueError(
+                f"--stream-limit {self.streams} leaves nothing of {self.connections} connections: "
+                "give less, or a higher --connection-limit"
+            )
         loopback = ipaddress.ip_address(self.host).is_loopback
         if self.socket is None and not loopback and not self.serves_others:
             raise ValueError(
@@ -328,7 +333,12 @@ class Settings(Wiring):
             return self.connection_limit
         # asyncio takes 340 kB for each TLS connection, 256 KiB of them a buffer for reading:
         # 128 of them, which any stranger may open, are 44 MB. Without TLS it is 20 kB.
-        return 256 if self.tls_certificate is None else 128
+        return 512 if self.tls_certificate is None else 128
+
+    @property
+    def streams(self) -> int:
+        """Event streams that may be open."""
+        return self.connections // 2 if self.stream_limit is None else self.stream_limit
 
     @property
     def serves_others(self) -> bool:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import httpx
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -39,8 +40,10 @@ from veilcam_server.camera.epochs import RESERVED
 from veilcam_server.cli.main import app
 from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import DIGITS, load_digits
+from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
+from veilcam_server.security.audit import DONE
 from veilcam_server.settings import Settings
 
 if TYPE_CHECKING:
@@ -72,6 +75,25 @@ def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
         *("--bundle", str(bundle_file), "--scenes", str(scene_file)),
         *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0.001"),
     ]
+
+
+@pytest.mark.slow
+def test_what_reaches_the_application(options: list[str], tmp_path: Path) -> None:
+    """An upgrade, a stranger's word for who asks, and a stream whose head alone is wanted."""
+    with (
+        daemon(tmp_path / "log", "--port", "0", *options) as (_, url),
+        httpx.Client(base_url=url, trust_env=False) as client,
+    ):
+        upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+        foreign = {**upgrade, "Origin": "https://page.example"}
+        assert client.get("/v1/status", headers=foreign).json()["code"] == "cross_site"
+        assert client.get("/v1/status", headers=upgrade).status_code == 200
+        assert client.head("/v1/events").status_code == 200
+        assert client.head("/healthz").headers["content-length"] == "3"
+        client.post("/v1/captures", headers={"X-Forwarded-For": "192.0.2.1"})
+    entries = [json.loads(line) for line in (tmp_path / "state" / DONE).read_text().splitlines()]
+    assert entries[-1]["action"] == "POST /v1/captures"
+    assert entries[-1]["peer"] == "127.0.0.1"
 
 
 @pytest.mark.slow
@@ -315,12 +337,15 @@ def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_fil
     given = Settings(device="pi", bundle=bundle_file, state_dir=tmp_path / "st")
     with pytest.raises(StartError, match=r"--panel-tab red, black or green, .* --simulate"):
         build_service(given)
-    with pytest.raises(
-        StartError, match=r"/dev/spidev9.9 cannot be opened|spidev is not installed"
-    ):
-        build_service(
-            given.model_copy(update={"panel_tab": "green", "spi": Path("/dev/spidev9.9")})
-        )
+    service = build_service(
+        given.model_copy(update={"panel_tab": "green", "spi": Path("/dev/spidev9.9")})
+    )
+    status = service.status()
+    assert (status.state, status.remedy, status.device.simulated) == ("safe", "run_doctor", False)
+    reason = r"/dev/spidev9.9 cannot be opened|spidev is not installed"
+    assert re.search(reason, status.detail or "")
+    with pytest.raises(DisplayError, match=reason):
+        service.stop()
 
 
 @pytest.mark.slow

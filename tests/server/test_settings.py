@@ -40,6 +40,50 @@ def test_a_host_is_an_address(host: str) -> None:
     assert "is no IP address" in refused(host=host)
 
 
+def test_further_names_are_hosts() -> None:
+    made = Settings(bundle=Path("a.veilcam"), hosts=("Camera.example", "door_2:8443", "[FE80::1]"))
+    assert made.hosts == ("camera.example", "door_2:8443", "[fe80::1]")
+    for wrong in (
+        "https://a.example",
+        "a.example/",
+        "",
+        "a b",
+        "*.example",
+        "a:",
+        ".example",
+        "a;",
+    ):
+        assert refused(hosts=("a.example", wrong)) == (
+            f"--hosts: {wrong!r} is no host name: use camera.example, or with :PORT"
+        )
+
+
+def test_pages_in_whose_frames_it_may_stand_are_origins() -> None:
+    origins = ("https://home.example", "http://home.example:8123")
+    assert Settings(bundle=Path("a"), frame_ancestors=origins).frame_ancestors == origins
+    # What stands in a header must not go on to another directive.
+    for wrong in ("home.example", "https://a.example/", "https://*", "'self'", "https://a; x", "*"):
+        assert refused(frame_ancestors=(wrong,)) == (
+            f"--frame-ancestors: {wrong!r} is no origin: use https://home.example, or with :PORT"
+        )
+
+
+def test_one_name_or_several_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for given, hosts in (("a.example", ("a.example",)), ('["a", "b:1"]', ("a", "b:1"))):
+        monkeypatch.setenv("VEILCAM_HOSTS", given)
+        assert Settings(bundle=Path("a.veilcam")).hosts == hosts
+
+
+def test_a_recording_has_names_too() -> None:
+    made = Settings.model_validate({"replay": Path("r.jsonl"), "hosts": ("a.example",)})
+    assert made.hosts == ("a.example",)
+
+
+def test_names_are_not_told() -> None:
+    made = Settings(bundle=Path("a.veilcam"), hosts=("a.example",), frame_ancestors=())
+    assert (made.redacted()["hosts"], made.redacted()["frame_ancestors"]) == ("given", None)
+
+
 def test_tokens_are_wanted_unless_the_camera_is_simulated() -> None:
     assert Settings(bundle=Path("a.veilcam")).auth == "tokens"
     assert Settings.model_validate({"device": "simulated"}).auth == "none"
@@ -57,9 +101,16 @@ def test_certificate_and_key_go_together() -> None:
 def test_tls_costs_memory_for_each_connection() -> None:
     settings = Settings(bundle=Path("a.veilcam"))
     tls = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
-    assert settings.connections == 256
-    assert settings.model_copy(update=tls).connections == 128
-    assert settings.model_copy(update={**tls, "connection_limit": 500}).connections == 500
+    assert (settings.connections, settings.streams) == (512, 256)
+    settings = settings.model_copy(update=tls)
+    assert (settings.connections, settings.streams) == (128, 64)
+    assert settings.model_copy(update={"connection_limit": 500}).connections == 500
+
+
+def test_streams_leave_connections_for_what_else_is_asked() -> None:
+    assert "--stream-limit 512 leaves nothing of 512" in refused(stream_limit=512)
+    settings = Settings(bundle=Path("a.veilcam"), stream_limit=511)
+    assert settings.streams == 511
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])

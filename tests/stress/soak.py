@@ -76,7 +76,7 @@ def attempt(rig: Rig, key: Key, outcome: Outcome) -> None:
     except KNOWN:
         outcome.errors += 1
         rig.mend()
-        if rig.camera.state[0] == "safe":
+        if rig.camera.state.state in ("safe", "degraded"):
             try:
                 rig.camera.rotate()
             except KNOWN:

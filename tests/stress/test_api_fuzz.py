@@ -80,7 +80,7 @@ def test_nothing_fails_and_nothing_leaks(
     assert found.defects == found.undocumented == found.leaks(planted) == []
     assert {200, 201, 401, 403, 404, 405, 422} <= set(found.statuses)
     assert any(b'"form":"raw"' in content for content in found.left)
-    assert any(b"veilcam_request_seconds" in content for content in found.left)
+    assert any(b"veilcam_http_request_duration_seconds" in content for content in found.left)
     assert found.made
 
 

@@ -23,7 +23,7 @@ from veilcam_client.wire.captures import Capture, Classification, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene, picture_media_type
+from veilcam_client.wire.simulation import Faults, HeldScene, picture_media_type
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
 
@@ -125,6 +125,11 @@ def hold_scene(picture: bytes) -> Call[HeldScene]:
     """PUT /v1/simulation/scene; raises ValueError for bytes that are no picture."""
     media_type = picture_media_type(picture)
     return Call("PUT", "/v1/simulation/scene", HeldScene, picture, media_type=media_type)
+
+
+def set_faults(faults: Faults) -> Call[Faults]:
+    """PUT /v1/simulation/faults."""
+    return Call("PUT", "/v1/simulation/faults", Faults, faults)
 
 
 def install_bundle(bundle: bytes) -> Call[InstalledBundle]:

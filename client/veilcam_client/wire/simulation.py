@@ -1,4 +1,4 @@
-"""The wire contract of a simulated camera: what it looks at."""
+"""The wire contract of a simulated camera: what it looks at, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import io
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from veilcam_client.wire.base import Answer
+from veilcam_client.wire.base import Answer, Question
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
 _BEGINNINGS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\x93NUMPY": NPY_MEDIA_TYPE}
@@ -19,6 +20,39 @@ class HeldScene(Answer):
 
     scene: int
     """Its number, as captures name it that see it."""
+
+
+class PanelFaults(Question):
+    """What is wrong with a simulated panel."""
+
+    dead: bool = False
+    """No power: it ignores everything and is transparent."""
+    gone: bool = False
+    """Unplugged: its bus fails, and nothing is in front of the sensor."""
+    lost: int = Field(default=0, ge=0, le=1_000_000)
+    """Every so many-th write to the bus is lost; 0 for none."""
+    stuck: bool = False
+    """It goes on showing what it shows."""
+    inverted: bool = False
+    """It shows light for dark."""
+
+
+class SensorFaults(Question):
+    """What is wrong with a simulated sensor."""
+
+    gone: bool = False
+    """Unplugged: it gives no frame, and cannot be opened again."""
+    silent: bool = False
+    """It gives no frame."""
+    stuck: bool = False
+    """It gives the same frame again and again."""
+
+
+class Faults(Question):
+    """What is wrong with a simulated camera; nothing, unless it is said."""
+
+    panel: PanelFaults = PanelFaults()
+    sensor: SensorFaults = SensorFaults()
 
 
 def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
@@ -42,4 +76,4 @@ def picture_media_type(picture: bytes) -> str:
     raise ValueError("this is no picture: give the content of a PNG, JPEG or .npy file")
 
 
-EXAMPLES = (HeldScene(scene=1),)
+EXAMPLES = (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True)))

@@ -56,7 +56,8 @@ class Body:
         A page of another site can make a browser send text and forms without asking first; none of
         these types is among them (https://fetch.spec.whatwg.org/#cors-safelisted-request-header).
         """
-        empty = "transfer-encoding" not in headers and headers.get("content-length", "0") == "0"
+        length = headers.get("content-length", "").strip("0")
+        empty = not length and "transfer-encoding" not in headers
         given = headers.get("content-type", "").partition(";")[0].strip().lower()
         if (self.required or not empty) and given not in self.media_types:
             raise UnsupportedMediaTypeError(self.media_types)

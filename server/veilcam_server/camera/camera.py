@@ -30,8 +30,9 @@ from veilcam_server.camera.epochs import Preparation, Prepared
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
-from veilcam_server.devices.base import Device
+from veilcam_server.devices.base import Device, Exposure
 from veilcam_server.devices.corrected import calibrated
+from veilcam_server.devices.errors import LightError, SensorError
 from veilcam_server.errors import (
     CalibratingError,
     FenceError,
@@ -42,6 +43,9 @@ from veilcam_server.masks.source import MaskSource
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
+
+_MOST_FAILURES = 2
+"""Captures in a row that the sensor may fail before nobody believes in the next one."""
 
 
 class MaskedCamera:
@@ -82,6 +86,7 @@ class MaskedCamera:
         self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
         self._panel = MaskedPanel(self._device.display, preparation, self._self_test)
         self._lock = threading.Lock()
+        self._failures = 0
         self.lateness = Lateness()
         self.policy = policy
 
@@ -277,7 +282,7 @@ class MaskedCamera:
             rotated = time.monotonic()
             not_before = active.completed_at + self._fence.settle
             taken_at = datetime.now(UTC)
-            exposure = self._device.sensor.capture(not_before, self._fence.timeout)
+            exposure = self._exposed(not_before)
             ended = time.monotonic()
             # Counted before it is checked: the light was collected, whatever comes of it.
             active.captures += 1
@@ -316,6 +321,21 @@ class MaskedCamera:
             with ExitStack() as stack:
                 stack.callback(self.preparation.close)
                 self._device.close()
+
+    def _exposed(self, not_before: float) -> Exposure:
+        """Expose once; a sensor that fails again is given up until a self test has passed."""
+        try:
+            exposure = self._device.sensor.capture(not_before, self._fence.timeout)
+        except LightError:
+            raise
+        except SensorError as error:
+            self._failures += 1
+            if self._failures >= _MOST_FAILURES:
+                self._self_test.void(self._device, self._fence)
+                self._panel.give_up(error)
+            raise
+        self._failures = 0
+        return exposure
 
     def _take_back(self) -> None:
         with self._lock:

@@ -103,6 +103,11 @@ class MaskedPanel:
             self._prove()
             self._put_back(active)
 
+    def give_up(self, error: SensorError) -> None:
+        """No mask is shown any more, as the sensor behind it fails."""
+        self.active = None
+        self._make_opaque("degraded", str(error), error.remedy)
+
     def suspend(self) -> None:
         """No mask counts as shown: somebody has the panel for a calibration."""
         self.active = None

@@ -6,6 +6,7 @@ Whatever stands behind it, simulated or real, keeps to these two protocols. All 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -13,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.simulation import Faults
 from veilcam_server.devices.simulated.scenes import Scenes
 
 Levels = npt.NDArray[np.uint8]
@@ -120,6 +122,8 @@ class Device:
     simulated: bool
     scenes: Scenes | None = None
     """In front of a simulated one."""
+    set_faults: Callable[[Faults], None] | None = None
+    """Breaks and mends a simulated one."""
 
     def close(self) -> None:
         """End safely: stop the sensor, show opaque, let go of both. The display stays on.

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.simulation import PanelFaults, SensorFaults
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.base import Levels, OpenDisplay, Sensor
 from veilcam_server.devices.raw import Raw, SensorMode
@@ -23,6 +24,9 @@ RawLight = Callable[[float, float], Raw]
 
 class EmulatedPanel(Protocol):
     """What a simulated camera looks through; arrays have the shape of the whole panel."""
+
+    faults: PanelFaults
+    """What is wrong with it."""
 
     def framebuffer(self) -> Levels:
         """Return the levels that the panel was asked to show."""
@@ -63,8 +67,8 @@ class EmulateSensor(Protocol):
         full_scale: float,
         clock: Callable[[], float],
         sleep: Callable[[float], None],
-    ) -> Sensor:
-        """Return the sensor.
+    ) -> tuple[Callable[[], Sensor], Callable[[SensorFaults], None]]:
+        """Return what starts the sensor, and what breaks and mends it.
 
         Args:
             light: gives raw frames.

@@ -19,7 +19,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.base import Exposure, Measurement
+from veilcam_client.wire.simulation import SensorFaults
+from veilcam_server.devices.base import Exposure, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
     DeviceError,
@@ -28,7 +29,7 @@ from veilcam_server.devices.errors import (
     SensorHungError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.picamera import Picamera, open_picamera2
+from veilcam_server.devices.picamera import Picamera, open_picamera2, opened
 from veilcam_server.devices.raw import GAIN, Binning, Frame, RawFormat, SensorMode
 from veilcam_server.settings import Settings
 
@@ -275,18 +276,25 @@ def _emulate(
     full_scale: float,
     clock: Callable[[], float],
     sleep: Callable[[float], None],
-) -> IMX477:
+) -> tuple[Callable[[], Sensor], Callable[[SensorFaults], None]]:
     # Imported late: no real sensor needs it.
-    from veilcam_server.devices.simulated.picamera import FakePicamera2  # noqa: PLC0415
+    from veilcam_server.devices.simulated.picamera import (  # noqa: PLC0415
+        CameraFaults,
+        FakePicamera2,
+    )
 
-    return IMX477(
-        lambda: FakePicamera2(light, mode=mode, clock=clock, sleep=sleep),
+    faults = CameraFaults()
+    make = partial(FakePicamera2, light, mode=mode, faults=faults, clock=clock, sleep=sleep)
+    start = partial(
+        IMX477,
+        lambda: opened(make, 0),
         shape=shape,
         mode=mode,
         exposures=ExposureRange(exposure),
         full_scale=full_scale,
         clock=clock,
     )
+    return start, faults.switch
 
 
 DRIVER: Final = SensorDriver(

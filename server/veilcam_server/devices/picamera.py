@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -70,8 +71,13 @@ def open_picamera2(number: int = 0) -> Picamera:
         DeviceMissingError: it is not there or not to be had, or there is no picamera2 to import.
     """
     picamera2 = import_extra("picamera2")
+    return opened(partial(picamera2.Picamera2, number), number)
+
+
+def opened(make: Callable[[], Picamera], number: int) -> Picamera:
+    """Return the camera that ``make`` opens; raises :class:`DeviceMissingError`."""
     try:
-        camera: Picamera = picamera2.Picamera2(number)
+        return make()
     except (RuntimeError, IndexError, OSError) as error:
         if isinstance(error, OSError) or "dmaHeap" in str(error):
             reason = "its memory /dev/dma_heap cannot be opened: be in the group video"
@@ -82,4 +88,3 @@ def open_picamera2(number: int = 0) -> Picamera:
                 f"there is no camera {number}: check its cable, and see rpicam-hello --list-cameras"
             ) from None
         raise DeviceMissingError(f"camera {number} cannot be opened: {reason}") from None
-    return camera

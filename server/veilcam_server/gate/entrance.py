@@ -27,17 +27,19 @@ GOODBYE = 5.0
 
 
 class WaitingRoom:
-    """Accepted sockets that nothing was spent on yet; peers take turns.
+    """Accepted sockets that nothing was spent on yet.
 
     The kernel keeps one queue for all: behind a thousand connections of one peer, everybody waits.
-    Here each peer has a queue of its own.
+    Here each peer has a queue of its own, and who has fewest connections comes in first; those with
+    as many take turns.
 
     Args:
-        capacity: sockets in all. For one more, the peer with most loses its oldest.
+        capacity: sockets in all. For one more, the peer with most of them loses its oldest.
+        connections_of: how many connections a peer has.
     """
 
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
+    def __init__(self, capacity: int, connections_of: Callable[[str], int]) -> None:
+        self._capacity, self._connections_of = capacity, connections_of
         self._queues: OrderedDict[str, deque[socket.socket]] = OrderedDict()
         self._waiting = 0
 
@@ -63,7 +65,7 @@ class WaitingRoom:
 
     def take(self) -> tuple[str, socket.socket]:
         """Return whose turn it is, and the oldest of that peer."""
-        peer = next(iter(self._queues))
+        peer = min(self._queues, key=self._connections_of)
         accepted = self._first_of(peer)
         if peer in self._queues:
             self._queues.move_to_end(peer)
@@ -101,8 +103,10 @@ class Entrance:
     ) -> None:
         self._listeners, self._connections, self._protocol = listeners, connections, protocol
         self._tls, self._handshake = tls, handshake
-        self._waiting = WaitingRoom(waiting)
+        self._waiting = WaitingRoom(waiting, connections.of)
         self._loop = asyncio.get_running_loop()
+        # Whoever was let in has 64 turns before as many others came as there is room for.
+        self._at_once = max(1, connections.limit // 64)
         self._next: asyncio.Handle | None = None
         self._beginning: set[asyncio.Task[None]] = set()
         self._failed = Throttle()
@@ -157,16 +161,15 @@ class Entrance:
         self._loop.call_later(PAUSE, self._listen, listener)
 
     def _let_in(self) -> None:
-        """Let one in. Before the next, those inside have their turn."""
+        """Let some in. Before the next, those inside have their turn."""
         self._next = None
-        if not self._waiting:
-            return
-        peer, accepted = self._waiting.take()
-        connection = self._connections.enter(peer)
-        if connection is None:
-            accepted.close()
-        else:
-            self._begin(accepted, connection)
+        for _ in range(min(self._at_once, len(self._waiting))):
+            peer, accepted = self._waiting.take()
+            connection = self._connections.enter(peer)
+            if connection is None:
+                accepted.close()
+            else:
+                self._begin(accepted, connection)
         if self._waiting:
             self._next = self._loop.call_soon(self._let_in)
 

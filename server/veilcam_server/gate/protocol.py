@@ -23,6 +23,16 @@ also what a body has to bring on within each of its deadlines."""
 READING_TIME = 30.0
 """An answer that does not move for so long is not read by anybody [s]."""
 
+FOR_BROWSERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+"""What the application says with each of its answers; here stands what it never hears of."""
+
 # Whoever sends what is no HTTP may do so without end: that is worth no line.
 _quiet = logging.getLogger("veilcam_server.gate.uvicorn")
 _quiet.setLevel(logging.ERROR)
@@ -113,6 +123,17 @@ class GateProtocol(H11Protocol):
         """Take in what came."""
         self._received += len(data)
         super().data_received(data)
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP, and close."""
+        headers = {"Content-Type": "text/plain", "Connection": "close", **FOR_BROWSERS}
+        for event in (
+            h11.Response(status_code=400, headers=list(headers.items()), reason=b"Bad Request"),
+            h11.Data(data=msg.encode()),
+            h11.EndOfMessage(),
+        ):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()
 
     def handle_events(self) -> None:
         """Go on with the request, and see where it stands then."""

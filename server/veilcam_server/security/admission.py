@@ -178,7 +178,7 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
             refused,
             RateLimit(settings.rate_limit, settings.rate_burst),
             ConcurrencyLimit(settings.concurrency_limit),
-            ConcurrencyLimit(settings.stream_limit, TooManyStreamsError),
+            ConcurrencyLimit(settings.streams, TooManyStreamsError),
             ConcurrencyLimit(settings.caller_stream_limit, TooManyStreamsOfOneError),
             ConcurrencyLimit(settings.upload_limit, TooManyUploadsError),
             ConcurrencyLimit(settings.caller_upload_limit, TooManyUploadsOfOneError),

@@ -38,7 +38,7 @@ from veilcam_client.wire.events import (
     StateChanged,
 )
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.simulation import HeldScene
+from veilcam_client.wire.simulation import Faults, HeldScene
 from veilcam_client.wire.status import Queue, Status
 from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
@@ -66,6 +66,7 @@ from veilcam_server.service.responses import (
 )
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
+from veilcam_server.system.logs import log_unhandled
 
 log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
@@ -83,6 +84,7 @@ class Service:
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
+        break_device: breaks and mends a simulated device; None: nobody may.
         faults: what was found before; told of once this is open.
         policies: where the rotation policy is kept; None: it lasts no longer than this.
     """
@@ -98,6 +100,7 @@ class Service:
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
+        break_device: Callable[[Faults], None] | None = None,
         faults: Sequence[ProblemError] = (),
         policies: PolicyStore | None = None,
     ) -> None:
@@ -105,6 +108,7 @@ class Service:
         self.release = form
         """In which form embeddings leave."""
         self._bundles, self._scenes, self._policies = bundles, scenes, policies
+        self._break = break_device
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
@@ -129,6 +133,7 @@ class Service:
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
         """Keep the camera ready within; then show opaque and let go of the device."""
+        asyncio.get_running_loop().set_exception_handler(log_unhandled)
         begun = StateChanged(id="", at=datetime.now(UTC), **self._alarms.state._asdict())
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)
@@ -295,6 +300,17 @@ class Service:
             # In line with captures and self tests, so that none of them sees two scenes.
             number = await self._queue.run(lambda: scenes.hold(picture))
         return HeldScene(scene=number)
+
+    def set_faults(self, faults: Faults) -> Faults:
+        """Break a simulated device, or mend it, also while it takes a capture.
+
+        Raises:
+            SceneApiOffError: that is not allowed here.
+        """
+        if self._break is None:
+            raise SceneApiOffError
+        self._break(faults)
+        return faults
 
     async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
         """Use another bundle from now on; raises as :meth:`Bundles.activate`, or as `rotate`."""

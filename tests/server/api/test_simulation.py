@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from veilcam_client import AsyncCamera, LeasedError
+from veilcam_client import (
+    AsyncCamera,
+    DeviceError,
+    EverySeconds,
+    Faults,
+    LeasedError,
+    PanelFaults,
+    SensorFaults,
+)
 from veilcam_client.errors import ApiError
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.simulation import MAX_PICTURE, PATH
@@ -161,3 +169,125 @@ def test_a_real_camera_takes_no_scenes() -> None:
 
     with pytest.raises(ValidationError, match="--scene-api is for a simulated camera"):
         Settings.model_validate({"device": "pi", "bundle": "a.veilcam", "scene_api": True})
+
+
+def difference(one: object, other: object) -> float:
+    """Relative L2."""
+    first, second = np.asarray(one), np.asarray(other)
+    return float(np.linalg.norm(first - second) / np.linalg.norm(first))
+
+
+@pytest.mark.slow
+@pytest.mark.anyio
+@pytest.mark.parametrize("faults", [PanelFaults(dead=True), PanelFaults(inverted=True)])
+async def test_a_panel_that_shows_something_else_lets_other_light_through(
+    given: dict[str, Any], faults: PanelFaults
+) -> None:
+    async with camera(given) as sdk:
+        before = await sdk.capture()
+        assert await sdk.set_faults(Faults(panel=faults)) == Faults(panel=faults)
+        # No write, no test: nothing tells of it but the light.
+        assert difference(before, await sdk.capture()) > 0.1
+        await sdk.set_faults(Faults())
+        assert difference(before, await sdk.capture()) < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.anyio
+@pytest.mark.parametrize("faults", [PanelFaults(lost=1), PanelFaults(stuck=True)])
+async def test_a_panel_that_takes_no_write_goes_on_showing_the_mask_before(
+    given: dict[str, Any], faults: PanelFaults
+) -> None:
+    async with camera(given) as sdk:
+        before = await sdk.capture()
+        await sdk.set_faults(Faults(panel=faults))
+        await sdk.rotate()
+        same = await sdk.capture()
+        assert same.epoch != before.epoch
+        assert difference(before, same) < 1e-3
+        await sdk.set_faults(Faults())
+        # Of two masks in a row one at least is another than that.
+        seen = []
+        for _ in range(2):
+            await sdk.rotate()
+            seen.append(difference(before, await sdk.capture()))
+        assert max(seen) > 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("faults", "code"),
+    [
+        (SensorFaults(gone=True), "sensor_timeout"),
+        (SensorFaults(silent=True), "sensor_timeout"),
+        (SensorFaults(stuck=True), "sensor_failed"),
+    ],
+)
+async def test_a_sensor_that_fails_is_an_error_and_then_a_state(
+    given: dict[str, Any], faults: SensorFaults, code: str
+) -> None:
+    async with camera({**given, "capture_timeout": 0.05}) as sdk:
+        await sdk.capture()
+        await sdk.set_faults(Faults(sensor=faults))
+        with pytest.raises(DeviceError) as caught:
+            await sdk.capture()
+        assert caught.value.code == code
+        assert (await sdk.status()).state == "ready"
+        with suppress(DeviceError):  # the first frame after it was opened is none from before
+            await sdk.capture()
+        if faults.stuck:
+            return
+        status = await sdk.status()
+        assert status.state == "degraded"
+        assert status.remedy == ("run_doctor" if faults.gone else "check_camera_cable")
+        with pytest.raises(DeviceError) as caught:
+            await sdk.capture()
+        assert caught.value.code == "not_ready"
+        await sdk.set_faults(Faults())
+        while (await sdk.status()).state != "ready":
+            await asyncio.sleep(0.02)
+        await sdk.capture()
+
+
+@pytest.mark.slow
+@pytest.mark.anyio
+async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_themselves(
+    given: dict[str, Any],
+) -> None:
+    """The whole daemon but its sockets; nobody asks it for anything meanwhile."""
+    more = {"capture_timeout": 0.05, "self_test_every": 1.0, "rotation": EverySeconds(seconds=0.3)}
+    async with camera({**given, **more}) as sdk:
+        for faults, state in (
+            (Faults(panel=PanelFaults(gone=True)), "safe"),
+            (Faults(sensor=SensorFaults(gone=True)), "degraded"),
+            (Faults(panel=PanelFaults(gone=True), sensor=SensorFaults(gone=True)), "safe"),
+        ):
+            await sdk.set_faults(faults)
+            while (await sdk.status()).state != state:
+                await asyncio.sleep(0.02)
+            await asyncio.sleep(1.5)  # it is tried again meanwhile, in vain
+            status = await sdk.status()
+            assert status.state == state
+            assert status.remedy is not None
+            assert status.rotation.epoch is None
+            with pytest.raises(DeviceError) as caught:
+                await sdk.capture()
+            assert caught.value.code == "not_ready"
+            await sdk.set_faults(Faults())
+            while (status := await sdk.status()).state != "ready":
+                await asyncio.sleep(0.02)
+            assert status.remedy is None
+            captured = await sdk.capture()
+            # Masks change again, too.
+            while (await sdk.status()).rotation.epoch == captured.epoch:
+                await asyncio.sleep(0.02)
+
+
+@pytest.mark.anyio
+async def test_only_who_may_hold_scenes_breaks_the_camera(given: dict[str, Any]) -> None:
+    async with camera({**given, "scene_api": False}) as sdk:
+        with pytest.raises(ApiError, match="start it with --simulate --scene-api") as caught:
+            await sdk.set_faults(Faults(panel=PanelFaults(dead=True)))
+        assert caught.value.code == "scene_api_off"
+        assert np.asarray(await sdk.capture()).any()

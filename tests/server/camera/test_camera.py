@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import threading
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ import pytest
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.camera.capture import due_in
 from veilcam_server.devices import DisplayError, SensorError
+from veilcam_server.devices.errors import LightError
 from veilcam_server.errors import (
     CalibratingError,
     EpochError,
@@ -365,3 +367,49 @@ def test_secrets_stay_out_of_representations(bench: Bench) -> None:
     assert camera._panel.active is not None
     assert "array" not in repr(camera._panel.active)
     assert "tensor" not in repr(captured)
+
+
+def fails(error: Exception) -> Callable[[], None]:
+    def fail() -> None:
+        raise error
+
+    return fail
+
+
+def test_a_sensor_that_fails_twice_in_a_row_is_given_up_until_a_test_has_passed(
+    bench: Bench,
+) -> None:
+    camera = bench.camera()
+    for _ in range(3):
+        bench.sensor.before = fails(SensorError("no frame"))
+        with pytest.raises(SensorError):
+            camera.capture()
+        assert camera.state.state == "ready"
+        bench.sensor.before = lambda: None
+        camera.capture()  # forgets the one before
+    bench.sensor.before = fails(SensorError("no frame", remedy="run_doctor"))
+    for _ in range(2):
+        with pytest.raises(SensorError):
+            camera.capture()
+    assert bench.states[-1] == ("degraded", "no frame")
+    assert camera.state.remedy == "run_doctor"
+    assert not bench.display.shown[-1].any()
+    runs, captures = bench.test.runs, bench.sensor.captures
+    with pytest.raises(NotReadyError, match="no frame"):
+        camera.capture()
+    assert bench.sensor.captures == captures
+    bench.sensor.before = lambda: None
+    assert camera.test_due_in() == 0
+    camera.test_if_due()
+    assert bench.test.runs == runs + 1
+    camera.capture()
+    assert camera.state.state == "ready"
+
+
+def test_for_the_light_no_sensor_is_given_up(bench: Bench) -> None:
+    camera = bench.camera()
+    bench.sensor.before = fails(LightError("saturated"))
+    for _ in range(5):
+        with pytest.raises(LightError):
+            camera.capture()
+    assert camera.state[0] == "ready"

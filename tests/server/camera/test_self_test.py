@@ -15,6 +15,7 @@ import pytest
 import torch
 from tests.server.devices.clock import Clock
 
+from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
@@ -28,7 +29,7 @@ from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay
 from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
-from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
 from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R
@@ -77,7 +78,7 @@ class Rig:
 
     tab: str = "green"
     driver: str = "green"
-    faults: Faults = field(default_factory=Faults)
+    faults: PanelFaults = field(default_factory=PanelFaults)
     floor: float = 0.0
     settle: float = 0.03
     picture: npt.NDArray[np.float32] = field(default_factory=PICTURE.copy)
@@ -193,12 +194,12 @@ def test_a_panel_with_poor_contrast_passes_until_it_hides_too_little() -> None:
 @pytest.mark.parametrize(
     "fault",
     [
-        pytest.param(Faults(dead=True), id="dead"),
-        pytest.param(Faults(lost=1), id="every write lost"),
-        pytest.param(Faults(lost=2), id="every second write lost"),
+        pytest.param(PanelFaults(dead=True), id="dead"),
+        pytest.param(PanelFaults(lost=1), id="every write lost"),
+        pytest.param(PanelFaults(lost=2), id="every second write lost"),
     ],
 )
-def test_a_panel_that_is_transparent_is_found(fault: Faults) -> None:
+def test_a_panel_that_is_transparent_is_found(fault: PanelFaults) -> None:
     with pytest.raises(SelfTestError, match="does not hide the scene") as caught:
         Rig(faults=fault).test()
     assert not isinstance(caught.value, UndecidedError)
@@ -234,7 +235,7 @@ def test_a_panel_that_is_stuck_is_found_from_wherever_it_sticks(kept: int) -> No
 @pytest.mark.parametrize("lost", [3, 4, 5, 7, 11, 13])
 def test_lost_writes_are_found(lost: int) -> None:
     with pytest.raises(SelfTestError):
-        Rig(faults=Faults(lost=lost)).test()
+        Rig(faults=PanelFaults(lost=lost)).test()
 
 
 def test_one_lost_pattern_is_found() -> None:
@@ -397,12 +398,12 @@ def test_an_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> Non
     assert np.array_equal(rig.panel.framebuffer(), mask)
     # Power fails while it is set up anew after the next break: no capture any more.
     rig.panel.write = breaks  # type: ignore[method-assign]
-    rig.panel.faults = Faults(dead=True)
+    rig.panel.faults = PanelFaults(dead=True)
     with pytest.raises(DisplayError):
         camera.rotate()
     with pytest.raises(NotReadyError, match="does not hide the scene"):
         camera.capture()
     assert camera.state[0] == "safe"
     assert rig.exposures == 3 * CAPTURES + 2
-    rig.panel.faults = Faults()
+    rig.panel.faults = PanelFaults()
     camera.stop()

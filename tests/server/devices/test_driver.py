@@ -83,12 +83,17 @@ class Other:
         self.name, self.full_scale = "OTHER", sensor.full_scale
 
 
+def _emulate(*given, **more):
+    start, set_faults = IMX477.emulate(*given, **more)
+    return lambda: Other(start()), set_faults
+
+
 DRIVER = SensorDriver(
     name="OTHER",
     model="other",
     product="the other camera",
     open=lambda settings, shape: Other(IMX477.open(settings, shape)),
-    emulate=lambda *given, **more: Other(IMX477.emulate(*given, **more)),
+    emulate=_emulate,
     packages=("other_camera",),
 )
 """

@@ -18,6 +18,7 @@ import pytest
 import torch
 from structlog.testing import capture_logs
 
+from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.daemon import build_service
 from veilcam_server.devices import DeviceError, SensorError
@@ -25,7 +26,7 @@ from veilcam_server.devices.imx477 import HALF
 from veilcam_server.devices.raw import Raw
 from veilcam_server.devices.registry import open_device
 from veilcam_server.devices.reopening import ReopeningSensor
-from veilcam_server.devices.simulated.panel import Faults, PanelEmulator
+from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import StartError
@@ -212,7 +213,7 @@ def test_wiring_is_what_the_settings_say(board: Board, settings: Settings, bundl
 
 
 def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None:
-    board.panel.faults = Faults(dead=True)
+    board.panel.faults = PanelFaults(dead=True)
     # The stand-in for picamera2 is opened although nothing can be opaque here.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PanelEmulator, "framebuffer", lambda _: np.zeros((384, 160), np.uint8))

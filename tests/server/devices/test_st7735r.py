@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Panel, Window
 from veilcam_server.devices import DisplayError
 from veilcam_server.devices.reopening import ReopeningDisplay
-from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
 from veilcam_server.devices.st7735r import DRIVER, FULL_FRAME, MOST_PER_SECOND, ST7735R
 from veilcam_server.devices.st7735r_glass import TABS, Tab
 
@@ -424,7 +425,7 @@ def test_lost_writes_leave_another_picture(clock: Clock) -> None:
     panel = ST7735R(
         emulator, emulator, camera=CAMERA, tab=TABS["green"], sleep=clock.sleep, clock=clock
     )
-    emulator.faults = Faults(lost=6)
+    emulator.faults = PanelFaults(lost=6)
     wrong = 0
     for _ in range(12):
         levels = draw()

@@ -8,10 +8,11 @@ import gc
 import socket
 import ssl
 from asyncio.sslproto import SSLProtocol
+from collections import Counter
 from pathlib import Path
 
 import pytest
-from tests.server.gate.conftest import REQUEST, SLOW, Knock, Serving, heard, is_served
+from tests.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
 from tests.server.security.test_tls import write_pair
 
 from veilcam_server.gate import entrance
@@ -24,7 +25,8 @@ class Waiting:
     """A waiting room, and the sockets in it by name."""
 
     def __init__(self, capacity: int) -> None:
-        self.room = WaitingRoom(capacity)
+        self.inside: Counter[str] = Counter()
+        self.room = WaitingRoom(capacity, lambda peer: self.inside[peer])
         self.sockets: dict[str, socket.socket] = {}
 
     def put(self, name: str) -> bool:
@@ -52,6 +54,15 @@ def test_peers_take_turns() -> None:
     assert [waiting.take() for _ in range(7)] == ["a1", "b1", "c1", "a2", "c2", "a3", "a4"]
     assert len(waiting.room) == 0
     assert not waiting.room.drop()
+
+
+def test_who_has_fewest_connections_comes_first() -> None:
+    waiting = Waiting(10)
+    waiting.inside.update(a=3, b=1, c=3)
+    for name in ("a1", "a2", "b1", "b2", "c1", "d1"):
+        waiting.put(name)
+    assert [waiting.take() for _ in range(3)] == ["d1", "b1", "b2"]
+    assert [waiting.take() for _ in range(3)] == ["a1", "c1", "a2"]
 
 
 def test_where_too_many_wait_the_peer_with_most_loses_its_oldest() -> None:
@@ -126,6 +137,11 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> ssl.SSLContext:
     return server_context(*write_pair(Path(tmp_path_factory.mktemp("tls"))))
 
 
+def all_are_in(behind: Behind, crowd: int) -> bool:
+    """Whether none of a crowd is waiting any more."""
+    return len(behind.connections) + behind.connections.dropped.total() == crowd
+
+
 async def asks_over_tls(address: tuple[str, int]) -> bool:
     """Whether a client of TLS is answered."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -145,6 +161,7 @@ async def test_a_crowd_without_tls_shuts_nobody_out(
     async with serving(limit=8, tls=tls) as behind:
         for _ in range(30):
             knock(behind, said)
+        await behind.until(lambda: all_are_in(behind, 30))
         assert await asks_over_tls(behind.address)
 
 
@@ -159,6 +176,7 @@ async def test_who_was_sent_away_takes_no_memory(
         try:
             for _ in range(30):
                 knock(behind)
+            await behind.until(lambda: all_are_in(behind, 30))
             assert await asks_over_tls(behind.address)
             # Those of the limit, and the client's own; some may be about to go.
             assert sum(type(each) is SSLProtocol for each in gc.get_objects()) <= 4 + 3

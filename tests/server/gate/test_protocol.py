@@ -15,6 +15,7 @@ from tests.server.gate.conftest import (
     is_served,
 )
 
+from veilcam_server.api.middleware import security_headers
 from veilcam_server.gate import protocol
 from veilcam_server.gate.protocol import PORTION, Deadlines
 
@@ -150,7 +151,11 @@ async def test_what_is_no_http_is_answered_and_not_logged(
 ) -> None:
     async with serving() as behind:
         one = knock(behind, b"\0\r\n\r\n")
-        assert (await heard(one)).startswith(b"HTTP/1.1 400")
+        answer = await heard(one)
+        assert answer.startswith(b"HTTP/1.1 400 Bad Request\r\n")
+        for name, value in security_headers(()).items():
+            assert f"\r\n{name}: {value}\r\n".encode() in answer
+        assert answer.endswith(b"\r\n\r\nInvalid HTTP request received.")
         upgrade = b"Host: a\r\nConnection: upgrade\r\nUpgrade: websocket"
         assert await is_served(knock(behind, REQUEST.replace(b"Host: a", upgrade)))
     assert not [each for each in caplog.records if "uvicorn" in each.name]

@@ -6,6 +6,8 @@ import errno
 import fcntl
 import os
 import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -19,7 +21,13 @@ from tests.server.damage import DAMAGES, flip
 
 from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
 from veilcam_server.system import state_file
-from veilcam_server.system.state_file import HeldDirectory, StateFile, log_fault, refuse_earlier
+from veilcam_server.system.state_file import (
+    HeldDirectory,
+    StateFile,
+    log_fault,
+    make_directory,
+    refuse_earlier,
+)
 
 
 class Note(BaseModel):
@@ -306,6 +314,51 @@ def test_what_is_staged_holds_once_it_is_committed(
     assert len(list(rig.path.parent.iterdir())) == 3
 
 
+KILLED = """
+import os, pathlib, random, sys, time
+sys.path.insert(0, sys.argv[2])
+from tests.server.system.test_state_file import Note, Rig
+
+rig = Rig(pathlib.Path(sys.argv[1]))
+said = 0
+for kill in range(30):
+    told, tell = os.pipe()
+    child = os.fork()
+    if child == 0:
+        record = rig.open()
+        while True:
+            number = record.change(lambda held: Note(number=1 + (held.number if held else 0)))
+            os.write(tell, number.number.to_bytes(4))
+    os.close(tell)
+    time.sleep(random.uniform(0.0, 0.05))
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    while number := os.read(told, 4):
+        said = int.from_bytes(number)
+    os.close(told)
+    held = rig.read()
+    number = 0 if held is None else held.number
+    # What was acknowledged is there, and at most the change that was cut off besides.
+    assert said <= number <= said + 1, (kill, said, number)
+    said = number
+assert not rig.faults, rig.faults
+print(said)
+"""
+
+
+@pytest.mark.slow
+def test_a_writer_that_is_killed_loses_nothing_that_it_acknowledged(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[3]
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path), str(root)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 30
+
+
 def test_another_version_s_record_is_refused_and_left_alone(rig: Rig) -> None:
     class Later(Note):
         more: int = 0
@@ -391,6 +444,7 @@ def test_faults_are_logged_where_nobody_takes_them(rig: Rig) -> None:
         "log_level": "warning",
         "code": "state_lost",
         "detail": "gone",
+        "remedy": "check_disk",
     }
     assert logs == [entry]
 
@@ -412,6 +466,17 @@ def test_a_directory_is_made_and_held_by_one(tmp_path: Path) -> None:
     held.close()
     with closing(HeldDirectory(directory)):
         assert not list(directory.iterdir())
+
+
+def test_a_directory_that_is_made_is_durable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[str] = []
+    monkeypatch.setattr(state_file, "sync_folder", lambda folder: flushed.append(folder.name))
+    for _ in range(2):
+        make_directory(tmp_path / "var" / "state")
+    assert flushed == ["var"]
+    assert stat.S_IMODE((tmp_path / "var" / "state").stat().st_mode) == 0o700
 
 
 def test_what_is_no_directory_is_refused(tmp_path: Path) -> None:

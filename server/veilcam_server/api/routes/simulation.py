@@ -1,4 +1,4 @@
-"""REST API of what a simulated camera looks at, for tests that hold scenes up by program."""
+"""REST API of what a simulated camera looks at, and of what is wrong with it: for tests."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from typing import Any
 
 from fastapi import APIRouter, Request
 
-from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES, HeldScene
-from veilcam_server.api.dependencies import ServiceDep, problems, unleased, uploads
+from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES, Faults, HeldScene
+from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased, uploads
 from veilcam_server.api.scopes import requires
 
-PATH = "/v1/simulation/scene"
+PREFIX = "/v1/simulation"
+PATH = f"{PREFIX}/scene"
 MAX_PICTURE = 8 * 2**20
 """[bytes]"""
 _PICTURE: dict[str, Any] = {
@@ -28,12 +29,12 @@ _REFUSALS = (
 )
 
 router = APIRouter(
-    prefix=PATH, dependencies=[requires("simulate"), unleased()], redirect_slashes=False
+    prefix=PREFIX, dependencies=[requires("simulate"), unleased()], redirect_slashes=False
 )
 
 
 @router.put(
-    "",
+    "/scene",
     dependencies=[uploads()],
     openapi_extra=_PICTURE,
     responses=problems("scene_invalid", "too_many_uploads", *_REFUSALS),
@@ -46,7 +47,13 @@ async def hold_scene(service: ServiceDep, request: Request) -> HeldScene:
     return await service.hold_scene(await request.body())
 
 
-@router.delete("", responses=problems(*_REFUSALS))
+@router.delete("/scene", responses=problems(*_REFUSALS))
 async def take_scene_away(service: ServiceDep) -> HeldScene:
     """Take away what is held up: the camera sees again what it was started with."""
     return await service.hold_scene(None)
+
+
+@router.put("/faults", responses=problems(*BODY, "scene_api_off", "leased"))
+async def set_faults(service: ServiceDep, question: Faults) -> Faults:
+    """Break the panel or the sensor, at once; what is not named is mended."""
+    return service.set_faults(question)

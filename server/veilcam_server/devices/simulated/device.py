@@ -14,13 +14,13 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from veilcam_client.wire.simulation import Faults
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
@@ -271,8 +271,7 @@ def simulated_device(
         seed=seed,
         began_at=clock(),
     )
-    open_sensor = partial(
-        sensor.emulate,
+    start_sensor, break_sensor = sensor.emulate(
         *(frames, mode),
         shape=embedding.shape,
         exposure=conditions.exposure,
@@ -280,9 +279,15 @@ def simulated_device(
         clock=clock,
         sleep=sleep,
     )
+
+    def set_faults(faults: Faults) -> None:
+        emulated.faults = faults.panel
+        break_sensor(faults.sensor)
+
     return Device(
         ReopeningDisplay(display.name, open_display, clock=clock),
-        ReopeningSensor(sensor.name, full_scale, open_sensor, clock=clock),
+        ReopeningSensor(sensor.name, full_scale, start_sensor, clock=clock),
         simulated=True,
         scenes=scenes,
+        set_faults=set_faults,
     )

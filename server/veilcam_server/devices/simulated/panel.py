@@ -6,6 +6,7 @@ commands and any split of the bytes.
 
 from __future__ import annotations
 
+import errno
 import math
 import time
 from collections import deque
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.simulation import PanelFaults
 from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, Tab
 
 _Bytes = npt.NDArray[np.uint8]
@@ -35,16 +37,6 @@ _MY, _MX, _MV, _BGR = 0x80, 0x40, 0x20, 0x08
 _VISIBLE_BY_DATA = frozenset({_RAMWR, _MADCTL, _CASET, _RASET, _COLMOD})
 """Commands that change nothing by themselves; all others change nothing by their parameters."""
 _BITS_PER_PIXEL = {0x03: 12, 0x05: 16, 0x06: 18}
-
-
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """What is wrong with a panel."""
-
-    dead: bool = False
-    """No power: it ignores everything and is transparent."""
-    lost: int = 0
-    """Every so many-th write to the bus is lost; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +77,12 @@ class PanelEmulator:
         tab: Tab,
         *,
         crystal: Crystal = Crystal(),
-        faults: Faults = Faults(),
+        faults: PanelFaults = PanelFaults(),  # noqa: B008 - immutable
         reset_time: float = 0.120,
         clock: Callable[[], float] = time.monotonic,
         seed: int = 0,
     ) -> None:
-        self.tab, self.crystal, self.faults = tab, crystal, faults
+        self.tab, self.crystal, self._faults = tab, crystal, faults
         self._reset_time, self._clock = reset_time, clock
         random = np.random.default_rng(seed)
         self._memory = random.integers(0, _TOP + 1, (*_MEMORY, COLOURS), np.uint8)
@@ -106,12 +98,13 @@ class PanelEmulator:
         self._turns.append(_Turn(-math.inf, after.astype(np.float32), after))
 
     def write(self, buffer: memoryview | bytes) -> None:
-        """Receive bytes under the present level of D/C."""
+        """Receive bytes under the present level of D/C; OSError if it is gone."""
+        self._require_connected()
         received = np.frombuffer(buffer, np.uint8)
         self.bytes_received += received.size
         self._writes += 1
-        lost = self.faults.lost and self._writes % self.faults.lost == 0
-        if self.faults.dead or self._in_reset or lost or self._clock() < self._busy_until:
+        lost = self._faults.lost and self._writes % self._faults.lost == 0
+        if self._deaf or self._in_reset or lost or self._clock() < self._busy_until:
             return
         if self._is_data:
             self._take_data(received)
@@ -129,8 +122,9 @@ class PanelEmulator:
 
     def reset(self, value: bool, /) -> None:
         """RST: the registers fall back, the memory stays."""
+        self._require_connected()
         self._in_reset = value
-        if not self.faults.dead:
+        if not self._deaf:
             self._madctl = 0
             self._reset()
             self._busy_until = self._clock() + self._reset_time
@@ -140,9 +134,27 @@ class PanelEmulator:
         """Whoever drove it lets go; it goes on showing what it shows."""
 
     @property
+    def faults(self) -> PanelFaults:
+        """What is wrong with it."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: PanelFaults) -> None:
+        self._faults = faults
+        self._changed()
+
+    @property
     def transparent(self) -> bool:
         """Whether it is without power, asleep or off: a normally white panel is then open."""
-        return self.faults.dead or self._asleep or not self._on
+        return self._faults.dead or self._faults.gone or self._asleep or not self._on
+
+    @property
+    def _deaf(self) -> bool:
+        return self._faults.dead or self._faults.stuck
+
+    def _require_connected(self) -> None:
+        if self._faults.gone:
+            raise OSError(errno.ENODEV, "No such device")
 
     def framebuffer(self) -> _Bytes:
         """What the memory and the state of the panel ask for, 0 to 63, shape (384, 160)."""
@@ -161,7 +173,7 @@ class PanelEmulator:
         if turned:
             lines = lines[::-1, ::-1]
         levels = np.ascontiguousarray(lines.T)
-        return _TOP - levels if self._inverted else levels
+        return _TOP - levels if self._inverted != self._faults.inverted else levels
 
     def visible(self, at: float) -> Shown:
         """What the crystal shows at a time that is not before the last few changes [s]."""

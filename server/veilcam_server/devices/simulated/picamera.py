@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.wire.simulation import SensorFaults
 from veilcam_server.devices.driver import RawLight
 from veilcam_server.devices.raw import SensorMode
 
@@ -38,6 +39,10 @@ _ADAPTING = {
 class CameraFaults:
     """What goes wrong next. Counts go down by one for every frame asked for."""
 
+    gone: bool = False
+    """It cannot be opened, and no frame comes."""
+    silent: bool = False
+    """No frame comes."""
     hangs: int = 0
     """Frames that never come."""
     stale: int = 0
@@ -52,6 +57,10 @@ class CameraFaults:
     """Of raw frames, in the place of what was asked."""
     opening: Exception | None = None
     """Raised when the camera is opened."""
+
+    def switch(self, faults: SensorFaults) -> None:
+        """Let that be wrong, from now on, what is asked for."""
+        self.gone, self.silent, self.stuck = faults.gone, faults.silent, faults.stuck
 
 
 class FakePicamera2:
@@ -79,6 +88,8 @@ class FakePicamera2:
         self._light, self._mode, self._delay = light, mode, delay
         self.faults = faults or CameraFaults()
         self._clock, self._sleep = clock, sleep
+        if self.faults.gone:
+            raise RuntimeError("No camera number 0 found")
         if self.faults.opening is not None:
             raise self.faults.opening
         self._configuration: dict[str, Any] = {}
@@ -151,8 +162,8 @@ class FakePicamera2:
     def captured_request(self, *, wait: float, flush: int) -> Iterator[FakeRequest]:
         """Wait for a frame that began at ``flush`` [ns] or later."""
         faults, until = self.faults, self._clock() + wait
-        if faults.hangs > 0 or not self.started:
-            faults.hangs -= self.started
+        if faults.gone or faults.silent or faults.hangs > 0 or not self.started:
+            faults.hangs = max(0, faults.hangs - self.started)
             self._sleep_until(until)
             raise TimeoutError
         if self._before is not None and faults.stuck:

@@ -7,17 +7,18 @@ import numpy.typing as npt
 import pytest
 from tests.server.devices.clock import Clock
 
-from veilcam_server.devices.simulated.panel import Crystal, Faults, PanelEmulator
+from veilcam_client.wire.simulation import PanelFaults
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
 from veilcam_server.devices.st7735r_glass import TABS
 
-AT_ONCE, SOUND = Crystal(scan=0.0), Faults()
+AT_ONCE, SOUND = Crystal(scan=0.0), PanelFaults()
 
 
 class Host:
     """Sends commands to a panel with the plain order of colours and no offsets."""
 
     def __init__(
-        self, *, crystal: Crystal = AT_ONCE, faults: Faults = SOUND, tab: str = "black"
+        self, *, crystal: Crystal = AT_ONCE, faults: PanelFaults = SOUND, tab: str = "black"
     ) -> None:
         self.clock = Clock()
         self.panel = PanelEmulator(TABS[tab], crystal=crystal, faults=faults, clock=self.clock)
@@ -221,7 +222,7 @@ def test_formats(
 
 
 def test_a_dead_panel_takes_nothing_and_is_transparent() -> None:
-    host = Host(faults=Faults(dead=True))
+    host = Host(faults=PanelFaults(dead=True))
     host.panel.reset(False)
     host.wake()
     host.clear()
@@ -230,7 +231,7 @@ def test_a_dead_panel_takes_nothing_and_is_transparent() -> None:
 
 def test_every_so_many_th_write_is_lost(host: Host) -> None:
     # Three writes for the command, its parameters and pixels: the third is the one that is lost.
-    host.panel.faults = Faults(lost=3)
+    host.panel.faults = PanelFaults(lost=3)
     host.panel._writes = 0
     host.window(0, 0, 0, 0)
     before = host.panel.bytes_received
@@ -288,3 +289,36 @@ def test_the_crystal_turns_linearly_from_where_it_is() -> None:
     assert not shown(host, 101.15).any()
     assert not host.panel.settled(101.149)
     assert host.panel.settled(101.1501)
+
+
+def test_faults_are_seen_at_once_and_may_end(host: Host) -> None:
+    panel = host.panel
+    shown = panel.framebuffer()
+    for faults in (PanelFaults(dead=True), PanelFaults(gone=True)):
+        panel.faults = faults
+        assert panel.transparent
+        assert (panel.visible(host.clock.now + 10) == 63).all()
+    panel.faults = PanelFaults(inverted=True)
+    assert np.array_equal(panel.visible(host.clock.now + 10), 63 - shown)
+    panel.faults = PanelFaults()
+    assert np.array_equal(panel.visible(host.clock.now + 10), shown)
+
+
+def test_one_that_is_gone_fails_on_its_bus(host: Host) -> None:
+    host.panel.faults = PanelFaults(gone=True)
+    with pytest.raises(OSError, match="No such device"):
+        host.panel.write(b"\x11")
+    with pytest.raises(OSError, match="No such device"):
+        host.panel.reset(True)
+
+
+def test_one_that_is_stuck_shows_what_it_showed(host: Host) -> None:
+    shown = host.panel.framebuffer()
+    host.panel.faults = PanelFaults(stuck=True)
+    host.send(0x28)
+    host.panel.reset(True)
+    host.panel.reset(False)
+    assert np.array_equal(host.panel.framebuffer(), shown)
+    host.panel.faults = PanelFaults()
+    host.send(0x28)
+    assert host.panel.transparent
