@@ -254,16 +254,19 @@ def test_a_journey_through_fresh_masks(
     ]
     names = EpochNames(secret, "test camera")
     counters: list[int] = []
-    for _ in range(2):
+    every_capture, later = EveryCaptures(captures=1), EverySeconds(seconds=50, jitter=10)
+    for found in (every_capture, later):
         with daemon(log, *options) as (process, url), Camera(url) as camera:
             status = camera.status()
             assert (status.bundle.mode, status.release) == ("fresh", "white")
-            assert status.rotation.policy == EveryCaptures(captures=1)
+            # What was set over the API holds after a restart.
+            assert status.rotation.policy == found
+            camera.set_rotation(every_capture)
             for _ in range(3):
                 captured = camera.capture()
                 assert captured.embedding.form == "white"
                 counters.append(names.counter(captured.epoch))
-            camera.set_rotation(EverySeconds(seconds=50, jitter=10))
+            camera.set_rotation(later)
             assert camera.rotate().epoch != captured.epoch
             assert camera.status().rotation.preparation.prepared >= 4
             process.kill()

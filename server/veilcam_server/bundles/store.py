@@ -13,7 +13,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,7 +27,14 @@ from veilcam_server.errors import (
     BundleStoreError,
     UnknownBundleError,
 )
-from veilcam_server.system.state_file import Report, Staged, StateFile, log_fault, refuse_earlier
+from veilcam_server.system.state_file import (
+    Report,
+    Staged,
+    StateFile,
+    log_fault,
+    make_directory,
+    refuse_earlier,
+)
 
 CAPACITY = 32
 """Most bundles that can be installed."""
@@ -81,7 +88,8 @@ class BundleStore:
         self.configured = digest
         """Digest of the bundle that the daemon was started with."""
         for left in directory.glob(f"{_TEMPORARY}*"):
-            left.unlink(missing_ok=True)
+            with suppress(OSError):  # it takes up room, and nothing else
+                left.unlink()
 
     def candidates(self) -> tuple[str, ...]:
         """Which one to use, and what else if that cannot be used; the configured one comes last.
@@ -191,16 +199,13 @@ class BundleStore:
             active=digest, before=before, configured=self.configured, **dataclasses.asdict(used)
         )
         with _durable():
-            self._make_directory()
+            make_directory(self._directory)
             return self._record.stage(lambda _: record)
 
     def commit(self, staged: Staged[_InUse]) -> None:
         """Make what was staged hold from now on; raises :class:`BundleStoreError`."""
         with _durable():
             staged.commit()
-
-    def _make_directory(self) -> None:
-        self._directory.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def settle(self, digest: str, used: Used) -> None:
         """Write down what the daemon starts with, unless that is known.
@@ -221,7 +226,7 @@ class BundleStore:
             raise BundlesFullError(CAPACITY)
 
     def _temporary(self) -> tuple[int, str]:
-        self._make_directory()
+        make_directory(self._directory)
         return tempfile.mkstemp(dir=self._directory, prefix=_TEMPORARY)
 
     def _path(self, digest: str) -> Path:

@@ -12,7 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_server.errors import CalibrationError, StartError
-from veilcam_server.system.state_file import Report, StateFile, log_fault, refuse_earlier
+from veilcam_server.system.state_file import (
+    Report,
+    StateFile,
+    log_fault,
+    make_directory,
+    refuse_earlier,
+)
 
 RECORD_NAME = "calibration.json"
 """Of the record in the state directory."""
@@ -59,7 +65,7 @@ class SigningKey:
             )
         try:
             if found is None:
-                state_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+                make_directory(state_dir)
                 made = Ed25519PrivateKey.generate().private_bytes_raw().hex()
                 found = file.change(lambda held: held or _Seed(seed=made))
         except OSError as error:

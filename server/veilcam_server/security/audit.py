@@ -14,7 +14,7 @@ import structlog
 
 from veilcam_optics.files import sync_folder
 from veilcam_server.errors import AuditError, StartError
-from veilcam_server.system.state_file import Report, log_fault
+from veilcam_server.system.state_file import Report, log_fault, make_directory
 
 log = structlog.get_logger()
 
@@ -118,7 +118,7 @@ class AuditLog:
         if self._file is not None and os.fstat(self._file).st_nlink == 0:
             self.close()  # somebody removed it
         if self._file is None:
-            self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            make_directory(self._path.parent)
             self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
             self._size = os.fstat(self._file).st_size
             self._torn = self._size > 0 and os.pread(self._file, 1, self._size - 1) != b"\n"

@@ -21,6 +21,7 @@ from veilcam_server.system.state_file import (
     Report,
     StateFile,
     log_fault,
+    make_directory,
     refuse_earlier,
     unusable,
 )
@@ -100,7 +101,7 @@ class TokenStore:
         self._wall, self._monotonic = now, monotonic
         refuse_earlier(directory / "tokens.sqlite3", "make the tokens again, and remove it")
         try:
-            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+            make_directory(directory)
         except OSError as error:
             raise unusable(directory, error) from None
         self._file = StateFile(

@@ -66,6 +66,7 @@ from veilcam_server.service.responses import (
 )
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
+from veilcam_server.system.logs import log_unhandled
 
 log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
@@ -132,6 +133,7 @@ class Service:
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
         """Keep the camera ready within; then show opaque and let go of the device."""
+        asyncio.get_running_loop().set_exception_handler(log_unhandled)
         begun = StateChanged(id="", at=datetime.now(UTC), **self._alarms.state._asdict())
         for take in (self.history.enter, log_event, tell_systemd):
             take(begun)

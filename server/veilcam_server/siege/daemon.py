@@ -238,13 +238,15 @@ def _mount(folder: Path, size: int) -> None:
     Raises:
         NoDiskError: it does not.
     """
-    library, user = ctypes.CDLL(None, use_errno=True), os.getuid()
+    library, user, group = ctypes.CDLL(None, use_errno=True), os.getuid(), os.getgid()
     held = folder.with_name(f"{folder.name}-before")
     spaces = _CLONE_NEWNS | (_CLONE_NEWUSER if user else 0)
     try:
         _check(library.unshare(spaces))
         if user:
             Path("/proc/self/uid_map").write_text(f"0 {user} 1")
+            Path("/proc/self/setgroups").write_text("deny")
+            Path("/proc/self/gid_map").write_text(f"0 {group} 1")
         _check(library.mount(b"none", b"/", None, _MS_REC | _MS_PRIVATE, None))
         shutil.copytree(folder, held, dirs_exist_ok=True)
         size_option = f"size={size},mode=0700".encode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,6 +28,9 @@ from veilcam_server.siege.ground import (
     write_small_bundle,
 )
 
+CALIBRATION = 300.0
+"""Longest wait for a calibration [s]."""
+ENDED = ("done", "failed", "cancelled")
 COPY = ".copy"
 """What the name of a state file's second copy ends with."""
 SET = EverySeconds(seconds=0.3)
@@ -129,6 +133,10 @@ async def _first_life(daemon: Daemon, settings: Settings) -> Facts:
     installed = await ask(address, "POST", "/v1/bundles", body=content, headers=upload)
     digest = installed.json()["digest"]
     await ask(address, "POST", f"/v1/bundles/{digest}/activate")
+    await ask(address, "POST", "/v1/calibration", body={"repeats": 1})
+    async with asyncio.timeout(CALIBRATION):
+        while (await ask(address, "GET", "/v1/calibration")).json()["run"]["stage"] not in ENDED:
+            await asyncio.sleep(0.5)
     await ask(address, "PUT", "/v1/rotation", body=SET.model_dump())
     await ask(address, "POST", "/v1/tokens", body={"label": "lamp", "scopes": ["classify"]})
     await ask(address, "POST", "/v1/classifications", body={})

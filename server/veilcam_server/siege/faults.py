@@ -42,6 +42,7 @@ async def _full(ground: Ground, judgement: Judgement, *, at_start: bool) -> None
     with ground.start(settings):
         pass
     size = _size(settings.state_dir.parent) + ROOM
+    refused = 0
     try:
         with ground.start(settings, token, Circumstances(disk=size, full=at_start)) as daemon:
             if not at_start:
@@ -52,10 +53,11 @@ async def _full(ground: Ground, judgement: Judgement, *, at_start: bool) -> None
             await _recovers(judgement, daemon)
     except NoDiskError as error:
         judgement.untried = str(error)
+        return
     except StartError as error:
         judgement.holds(f"it starts: {error}", true=False)
-    judgement.figures["state_faults_tried"] = 1
-    judgement.figures["starts_refused"] = float("it starts" in " ".join(judgement.missed))
+        refused = 1
+    judgement.figures |= {"state_faults_tried": 1, "starts_refused": refused}
 
 
 async def full_log(ground: Ground, judgement: Judgement) -> None:

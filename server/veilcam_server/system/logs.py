@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import sys
@@ -9,7 +10,7 @@ import time
 import traceback
 from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import TextIO
+from typing import Any, TextIO
 
 import structlog
 
@@ -126,3 +127,12 @@ class Throttle:
             return None
         count, self._last, self._count = self._count, now, 0
         return count
+
+
+def log_unhandled(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log what was raised on an event loop where nobody waits for it, without its text."""
+    error = context.get("exception")
+    if error is not None:
+        log_defect(error, during="event loop")
+    else:
+        structlog.get_logger().error("event loop", told=context["message"])

@@ -289,7 +289,7 @@ class HeldDirectory:
 
     def __init__(self, directory: Path) -> None:
         try:
-            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+            make_directory(directory)
             # The folder itself: a file for it could not be made on a full disk.
             self._descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         except OSError as error:
@@ -314,6 +314,13 @@ class HeldDirectory:
         if not self.closed:
             os.close(self._descriptor)
         self._descriptor = -1
+
+
+def make_directory(directory: Path) -> None:
+    """Make a folder for its owner alone, durably, unless it is there; raises :class:`OSError`."""
+    if not directory.is_dir():
+        directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        sync_folder(directory.parent)
 
 
 def unusable(directory: Path, error: OSError) -> StartError:

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from veilcam_client.cli.format import status_in_words
 from veilcam_client.cli.main import app
+from veilcam_client.wire.status import EXAMPLES as STATUS_EXAMPLES
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem
@@ -138,17 +140,24 @@ def test_capture_writes_an_array(tmp_path: Path) -> None:
     assert "cannot write" in result.stderr
 
 
+def test_what_helps_is_said_where_it_is_known() -> None:
+    (example,) = STATUS_EXAMPLES
+    assert "remedy" not in status_in_words(example)
+    safe = example.model_copy(update={"state": "safe", "remedy": "check_panel_wiring"})
+    assert "\nremedy    check_panel_wiring\n" in status_in_words(safe)
+
+
 @pytest.mark.usefixtures("url")
 @pytest.mark.parametrize("as_json", [True, False])
 def test_watch_prints_one_line_an_event(daemon: Daemon, as_json: bool) -> None:
     base = {"at": "2026-01-02T03:04:05Z"}
     sent: list[dict[str, Any]] = [
-        {"kind": "state", "state": "safe", "detail": "panel failed"},
+        {"kind": "state", "state": "safe", "detail": "dead", "remedy": "run_doctor"},
         {"kind": "mask", "epoch": "e1"},
         {"kind": "capture", "capture": "c1", "epoch": "e1"},
         {"kind": "classification", "capture": "c", "epoch": "e", "label": "7", "confidence": 0.5},
         {"kind": "rotation", "policy": {"mode": "off"}},
-        {"kind": "fault", "code": "sensor_failed", "detail": "no frame"},
+        {"kind": "fault", "code": "sensor_failed", "detail": "no", "remedy": "restart"},
         {"kind": "gap", "missed": 4},
         {"kind": "gap", "missed": None},
     ]
@@ -164,7 +173,16 @@ def test_watch_prints_one_line_an_event(daemon: Daemon, as_json: bool) -> None:
     if as_json:
         assert [json.loads(line)["kind"] for line in lines] == [each["kind"] for each in sent]
         return
-    words = ("panel failed", "e1", "e1", "50.0 %", "off", "no frame", "4 events", "restarted")
+    words = (
+        "dead  remedy: run_doctor",
+        "e1",
+        "e1",
+        "50.0 %",
+        "off",
+        "no  remedy: restart",
+        "4 events",
+        "restarted",
+    )
     for line, word in zip(lines, words, strict=True):
         assert word in line
 

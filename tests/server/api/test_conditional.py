@@ -47,6 +47,8 @@ async def test_the_status_has_one_tag_until_something_happens(running: Running) 
 @pytest.mark.parametrize("path", ["/v1/status", "/v1/bundles"])
 async def test_what_is_known_is_not_sent_again(running: Running, path: str) -> None:
     async with running() as client:
+        document = (await client.get("/v1/openapi.json")).json()
+        assert "304" in document["paths"][path]["get"]["responses"]
         tag = await tag_of(client, path)
         strong = tag.removeprefix("W/")
         for known in (tag, strong, f'"other", {tag}', f'{strong},W/"x"', "*", " * "):

@@ -63,6 +63,8 @@ def test_the_host_is_a_name_of_this_daemon(
     ("origin", "host", "wanted"),
     [
         ("https://camera.example", "camera.example", None),
+        ("http://camera.example", "camera.example:80", None),
+        ("http://camera.example:443", "camera.example", CrossSiteError),
         # A proxy that asks under the name that it was told.
         ("https://camera.example", "localhost:8787", None),
         ("https://door.example:8443", "localhost:8787", None),
@@ -98,6 +100,31 @@ def test_two_modes_of_one_request_are_none() -> None:
     LOCAL.require("GET", "/", Headers(raw=raw))
     with pytest.raises(CrossSiteError):
         LOCAL.require("GET", "/", Headers(raw=[*raw, (b"sec-fetch-mode", b"cors")]))
+
+
+@pytest.mark.parametrize(
+    ("ancestors", "opened"),
+    [((), ("document",)), (("https://home.example",), ("document", "iframe"))],
+)
+def test_a_link_and_a_frame_that_is_allowed_lead_to_a_page(
+    ancestors: tuple[str, ...], opened: tuple[str, ...]
+) -> None:
+    site = Site(frame_ancestors=ancestors)
+    for destination in ("document", "iframe", "frame", "image", "empty", ""):
+        headers = Headers(
+            {
+                "host": "localhost",
+                "sec-fetch-site": "cross-site",
+                "sec-fetch-mode": "navigate",
+                "sec-fetch-dest": destination,
+            }
+        )
+        for path in ("/", "/docs"):
+            if destination in opened:
+                site.require("GET", path, headers)
+                continue
+            with pytest.raises(CrossSiteError):
+                site.require("GET", path, headers)
 
 
 @pytest.mark.parametrize("tls", [False, True])

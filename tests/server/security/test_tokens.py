@@ -27,6 +27,7 @@ from veilcam_server.errors import (
     UnknownTokenError,
 )
 from veilcam_server.security.admission import Admission
+from veilcam_server.security.audit import DONE
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.system.state_file import StateFile
@@ -577,3 +578,23 @@ def test_a_mistake_ends_with_one_line(tmp_path: Path, arguments: list[str], mess
     assert result.exit_code == 1
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_damage_is_told_in_the_terminal_beside_the_answer(tmp_path: Path) -> None:
+    where = ("--state-dir", str(tmp_path))
+    made = make(TokenStore(tmp_path))
+    (tmp_path / "tokens.json").write_bytes(b"")
+    result = runner.invoke(app, ["token", "list", "--json", *where])
+    assert [token.id for token in Tokens.model_validate_json(result.stdout).tokens] == [made.id]
+    assert result.stderr == (
+        "tokens.json is damaged: its other copy is used, and it was put right\n"
+    )
+
+
+def test_a_token_whose_audit_line_cannot_be_written_is_not_given(tmp_path: Path) -> None:
+    (tmp_path / DONE).mkdir()
+    options = ("--label", "x", "--scope", "classify", "--state-dir", str(tmp_path))
+    result = runner.invoke(app, ["token", "create", *options])
+    assert result.exit_code == 1
+    assert "the audit log cannot be written (Is a directory)" in result.stderr
+    assert "vc_" not in result.output

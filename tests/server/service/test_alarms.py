@@ -263,3 +263,14 @@ async def test_the_threads_of_queue_preparation_and_inference_outlive_defects(
             await service.rotate()
             assert (await service.classify(include_embedding=False)).label in bench.bundle.labels
         assert isinstance(service, Service)
+
+
+async def test_what_is_raised_where_nobody_waits_is_logged_without_its_text(bench: Bench) -> None:
+    service = bench.service(bench.camera())
+    with capture_logs() as logs:
+        async with service.open():
+            asyncio.get_running_loop().call_soon(Failing(lambda: None, 1))
+            await asyncio.sleep(0)
+            await service.classify(include_embedding=False)
+    assert [entry["error"] for entry in logs if entry["event"] == "defect"] == ["RuntimeError"]
+    assert SECRET not in str(logs)

@@ -55,14 +55,17 @@ class Handler(BaseHTTPRequestHandler):
             "rotation": rotation,
             "diagnostics": {"faults": []},
             "lease": {"held": False},
-            "calibration": {"signed": None},
+            "calibration": {"signed": None, "run": {"stage": "done"}},
             "bundles": {
                 "bundles": [
                     {"digest": digest, "active": active, "bundle": {}, "configured": digest < "1"}
                     for digest, active in self.server.bundles.items()
                 ]
             },
-            "tokens": {"tokens": [{"id": name, "revoked_at": None} for name in self.server.tokens]},
+            "tokens": {
+                "tokens": [{"id": name, "revoked_at": None} for name in self.server.tokens],
+                "next": None,
+            },
         }
         self._answer(200 if name in answers else 404, answers.get(name))
 

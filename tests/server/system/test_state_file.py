@@ -21,7 +21,13 @@ from tests.server.damage import DAMAGES, flip
 
 from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
 from veilcam_server.system import state_file
-from veilcam_server.system.state_file import HeldDirectory, StateFile, log_fault, refuse_earlier
+from veilcam_server.system.state_file import (
+    HeldDirectory,
+    StateFile,
+    log_fault,
+    make_directory,
+    refuse_earlier,
+)
 
 
 class Note(BaseModel):
@@ -460,6 +466,17 @@ def test_a_directory_is_made_and_held_by_one(tmp_path: Path) -> None:
     held.close()
     with closing(HeldDirectory(directory)):
         assert not list(directory.iterdir())
+
+
+def test_a_directory_that_is_made_is_durable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[str] = []
+    monkeypatch.setattr(state_file, "sync_folder", lambda folder: flushed.append(folder.name))
+    for _ in range(2):
+        make_directory(tmp_path / "var" / "state")
+    assert flushed == ["var"]
+    assert stat.S_IMODE((tmp_path / "var" / "state").stat().st_mode) == 0o700
 
 
 def test_what_is_no_directory_is_refused(tmp_path: Path) -> None:
