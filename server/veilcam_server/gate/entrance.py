@@ -105,8 +105,6 @@ class Entrance:
         self._tls, self._handshake = tls, handshake
         self._waiting = WaitingRoom(waiting, connections.of)
         self._loop = asyncio.get_running_loop()
-        # Whoever was let in has 64 turns before as many others came as there is room for.
-        self._at_once = max(1, connections.limit // 64)
         self._next: asyncio.Handle | None = None
         self._beginning: set[asyncio.Task[None]] = set()
         self._failed = Throttle()
@@ -161,15 +159,20 @@ class Entrance:
         self._loop.call_later(PAUSE, self._listen, listener)
 
     def _let_in(self) -> None:
-        """Let some in. Before the next, those inside have their turn."""
+        """Let one in.
+
+        Before the next, those inside have their turn. An answer takes several turns, and these must
+        not become longer the more there are at the door.
+        """
         self._next = None
-        for _ in range(min(self._at_once, len(self._waiting))):
-            peer, accepted = self._waiting.take()
-            connection = self._connections.enter(peer)
-            if connection is None:
-                accepted.close()
-            else:
-                self._begin(accepted, connection)
+        if not self._waiting:
+            return
+        peer, accepted = self._waiting.take()
+        connection = self._connections.enter(peer)
+        if connection is None:
+            accepted.close()
+        else:
+            self._begin(accepted, connection)
         if self._waiting:
             self._next = self._loop.call_soon(self._let_in)
 
