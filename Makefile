@@ -36,7 +36,7 @@ help:
 	@echo "make check    lint, types, layers and the fast tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
-	@echo "make siege    attackers and faults against a simulated daemon: half an hour; before a release"
+	@echo "make siege    attackers and faults against a simulated daemon: up to an hour; before a release"
 	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make suite-SSE, suite-AVX2   all tests with the instructions of older processors"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
