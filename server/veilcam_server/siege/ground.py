@@ -43,7 +43,7 @@ class Extent:
     clients: int = 64
     flips: int = 20
     """Bytes flipped in each state file, one at a time."""
-    starts: int = 1000
+    starts: int = 300
     """Most starts on damaged state: a sample of all ways to damage it."""
     kills: int = 200
     gone: float = 60.0
