@@ -5,6 +5,8 @@
     ``RequestTimeoutError``: connected or not, no answer in time.
     ``ProtocolError``: an answer that this SDK cannot read.
     ``RecordingError``: a recording that cannot be written or read.
+    ``KeyFileError``: a key of a receiver that cannot be written or read.
+    ``SealedError``: a sealed embedding that cannot be opened.
     ``ApiError``: the daemon answered with a problem.
         ``UnauthorizedError``: HTTP 401, the token is missing or not valid any more.
         ``ForbiddenError``: the token lacks a scope.
@@ -83,6 +85,20 @@ class RecordingError(VeilcamError):
 
     def __init__(self, why: str) -> None:
         super().__init__(why, code="recording_failed")
+
+
+class KeyFileError(VeilcamError):
+    """A receiver's private key that cannot be written or read."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, code="key_file_failed")
+
+
+class SealedError(VeilcamError):
+    """A sealed embedding that cannot be opened: no key, another key, or it was changed."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, code="sealed")
 
 
 class ApiError(VeilcamError):

@@ -1,25 +1,27 @@
-"""Embeddings and labels, with proof of the mask that they were taken behind."""
+"""Embeddings and labels, and the epoch of the mask that they were taken behind."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
+from veilcam_client.errors import SealedError
 from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
+from veilcam_client.wire.sealing import EXAMPLE_ENVELOPE, Envelope
 
 NPY_MEDIA_TYPE = "application/x-npy"
 
-Form = Literal["flat", "white", "raw"]
-"""What an embedding is: ``raw`` as it was read; ``flat`` without the exposure and without what the
-mean scene gives behind its mask; ``white`` decorrelated as well, so that masks look alike."""
+Form = Literal["sealed", "white", "raw"]
+"""How an embedding leaves: ``sealed`` to the camera's receivers; ``white``, decorrelated, turned in
+secret and of length 1; ``raw`` as it was read."""
 
-Release = Literal["none", "flat", "white", "raw"]
+Release = Literal["none", "sealed", "white", "raw"]
 """The form in which a daemon lets embeddings out; ``none``: not at all."""
 
 
@@ -32,11 +34,11 @@ class ClassificationRequest(Question):
 class Embedding(Answer):
     """The binned sensor measurement, row by row; ``np.asarray`` gives it as float32 of ``shape``.
 
-    Unit of the forms ``raw`` and ``flat``: irradiance relative to what an all-white scene of the
-    same size gives at the centre of the sensor without a mask. ``white`` has none.
+    Unit of the form ``raw``: irradiance relative to what an all-white scene of the same size gives
+    at the centre of the sensor without a mask. ``white`` has none.
     """
 
-    form: Form
+    form: Literal["white", "raw"]
     shape: tuple[int, ...]
     values: tuple[float, ...] = Field(repr=False)
 
@@ -55,13 +57,40 @@ class Embedding(Answer):
         return values if dtype is None else values.astype(dtype)
 
     @classmethod
-    def from_array(cls, values: npt.NDArray[np.float32], *, form: Form) -> Embedding:
+    def from_array(
+        cls, values: npt.NDArray[np.float32], *, form: Literal["white", "raw"]
+    ) -> Embedding:
         """Take the values of an array of any shape."""
         return cls(form=form, shape=tuple(values.shape), values=tuple(values.ravel().tolist()))
 
 
+class SealedEmbedding(Answer):
+    """An embedding that the camera's receivers alone can open; its size tells nothing.
+
+    ``Camera(key=...)`` opens it. Asked for an array, it raises :class:`SealedError`.
+    """
+
+    form: Literal["sealed"] = "sealed"
+    shape: tuple[int, ...]
+    dtype: Literal["float32"] = "float32"
+    block: str = Field(repr=False)
+    """Ciphertext, base64."""
+    envelope: Envelope = Field(repr=False)
+    """The key of the epoch, for every receiver."""
+
+    def __array__(
+        self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
+    ) -> npt.NDArray[Any]:
+        raise SealedError(
+            "this embedding is sealed: give the private key of a receiver, Camera(key=...)"
+        )
+
+
+AnyEmbedding = Annotated[Embedding | SealedEmbedding, Field(discriminator="form")]
+
+
 class Exposure(Answer):
-    """Proof that one mask alone was exposed."""
+    """When one mask alone was exposed."""
 
     started_after_shown_s: float
     """From the end of the write to the panel to the start of the exposure; >= ``settle_s``."""
@@ -71,7 +100,7 @@ class Exposure(Answer):
 
 
 class Timing(Answer):
-    """Where the time of one request went, as the server saw it."""
+    """Where the time of one capture went, as the server saw it."""
 
     queue_s: float
     rotation_s: float
@@ -79,8 +108,15 @@ class Timing(Answer):
     """Spent waiting for the panel to settle."""
     capture_s: float
     """Exposure and readout."""
-    inference_s: float | None = None
-    total_s: float
+
+
+class Notes(Answer):
+    """What is sealed with an embedding, because it depends on the light or tells of others."""
+
+    exposure: Exposure
+    timing: Timing
+    scene: int | None = None
+    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
 
 
 class Replay(Answer):
@@ -90,24 +126,22 @@ class Replay(Answer):
     """Its id when it was taken."""
     place: int
     """In the recording, from 0 on."""
-    exposure: Exposure
-    """What the recording tells of it. The daemon that replays it has seen no exposure."""
 
 
 class Capture(Answer):
     """One embedding and the mask epoch that it was taken under."""
 
     id: str
-    taken_at: datetime
     epoch: str
-    """Name of one showing of one mask: without the key, it tells nothing but equal or not."""
-    scene: int | None = None
-    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
-    embedding: Embedding
-    exposure: Exposure | None
-    """None when nothing was exposed, because a recording is replayed."""
+    """Random name of one showing of one mask: it tells nothing but equal or not."""
+    number: int = Field(ge=0)
+    """Of the capture in its epoch, from 0 on."""
+    taken_at: datetime
+    """To the second."""
+    embedding: AnyEmbedding
     replay: Replay | None = None
-    timing: Timing
+    notes: Notes | None = None
+    """Of a sealed embedding that was opened; nothing of them goes over the wire in the clear."""
 
     def __array__(
         self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
@@ -129,45 +163,40 @@ class Classification(Answer):
     """The label of what the camera saw."""
 
     id: str
-    taken_at: datetime
     epoch: str
-    scene: int | None = None
-    """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
+    number: int = Field(ge=0)
+    """Of the capture in its epoch, from 0 on."""
+    taken_at: datetime
+    """To the second."""
     label: str
-    confidence: float
-    """Probability of ``label``, in [0, 1]."""
-    scores: Mapping[str, float]
-    """Probability of every label; they sum to 1."""
-    embedding: Embedding | None = None
+    confidence: float | None = None
+    """Probability of ``label``, in [0, 1]; None without a scope for scores."""
+    scores: Mapping[str, float] | None = None
+    """Probability of every label; None without a scope for scores. Rounded to tenths with the scope
+    ``read:scores:rounded``; with ``read:scores`` they sum to 1."""
+    embedding: AnyEmbedding | None = None
     """Only when it was asked for."""
-    exposure: Exposure | None
-    """None when nothing was exposed, because a recording is replayed."""
     replay: Replay | None = None
-    timing: Timing
+    notes: Notes | None = None
+    """Of a sealed embedding that was opened."""
 
 
-_EXPOSURE = Exposure(started_after_shown_s=0.104, settle_s=0.1, duration_s=0.01)
-_TIMING = Timing(
-    queue_s=0.0, rotation_s=0.02, settle_s=0.08, capture_s=0.05, inference_s=0.001, total_s=0.16
-)
 EXAMPLES = (
     ClassificationRequest(include_embedding=True),
     Capture(
         id="c0ffee00c0ffee00",
-        taken_at=EXAMPLE_TIME,
         epoch=EXAMPLE_EPOCH,
-        embedding=Embedding(form="white", shape=(2, 3), values=(0.1, -1.2, 0.4, 0.9, -0.3, 0.0)),
-        exposure=_EXPOSURE,
-        timing=_TIMING,
+        number=0,
+        taken_at=EXAMPLE_TIME,
+        embedding=SealedEmbedding(shape=(2, 3), block="c2VhbGVk", envelope=EXAMPLE_ENVELOPE),
     ),
     Classification(
         id="c0ffee00c0ffee00",
-        taken_at=EXAMPLE_TIME,
         epoch=EXAMPLE_EPOCH,
+        number=0,
+        taken_at=EXAMPLE_TIME,
         label="1",
         confidence=0.98,
         scores={"0": 0.02, "1": 0.98},
-        exposure=_EXPOSURE,
-        timing=_TIMING,
     ),
 )

@@ -53,7 +53,6 @@ class Classified(_Event):
     capture: str
     epoch: str
     label: str
-    confidence: float
     replay: bool = False
     """Whether the label comes from a recording."""
 

@@ -9,6 +9,7 @@ from veilcam_client.wire.base import API_VERSION, Answer
 from veilcam_client.wire.bundles import EXAMPLE_BUNDLE, BundleInfo
 from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EXAMPLE_ROTATION, Rotation
+from veilcam_client.wire.sealing import EXAMPLE_DEVICE, EXAMPLE_RECEIVER, PairedReceiver
 
 State = Literal[
     "starting", "self-test", "ready", "calibrating", "degraded", "safe", "replay", "stopping"
@@ -36,6 +37,8 @@ class Device(Answer):
     display: str
     sensor: str
     simulated: bool
+    key: str
+    """Its public Ed25519 key, 64 hexadecimal digits: it signs envelopes."""
 
 
 class Queue(Answer):
@@ -61,6 +64,10 @@ class Status(Answer):
     captures: int
     release: Release
     """In which form embeddings leave."""
+    raw_budget: int
+    """Embeddings that may leave raw behind one mask, over its whole life."""
+    receivers: tuple[PairedReceiver, ...]
+    """To whom epochs are sealed, from the next one on."""
     device: Device
     bundle: BundleInfo
     rotation: Rotation
@@ -74,8 +81,10 @@ EXAMPLES = (
         state="ready",
         uptime_s=3600.0,
         captures=1200,
-        release="white",
-        device=Device(display="ST7735R", sensor="IMX477", simulated=False),
+        release="sealed",
+        raw_budget=0,
+        receivers=(EXAMPLE_RECEIVER,),
+        device=Device(display="ST7735R", sensor="IMX477", simulated=False, key=EXAMPLE_DEVICE),
         bundle=EXAMPLE_BUNDLE,
         rotation=EXAMPLE_ROTATION,
         queue=Queue(waiting=0, limit=8),

@@ -12,12 +12,15 @@ from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
 Scope = Literal[
     "read:status",
     "classify",
+    "read:scores:rounded",
+    "read:scores",
     "read:embedding",
     "read:embedding:raw",
     "mask:rotate",
     "calibrate",
     "simulate",
     "admin:bundles",
+    "admin:receivers",
     "admin:tokens",
     "metrics",
 ]

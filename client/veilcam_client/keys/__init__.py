@@ -1,0 +1,1 @@
+"""Keys of epochs, to whom they are sealed, and embeddings sealed under them."""

@@ -1,0 +1,80 @@
+"""The wire contract of sealed embeddings: envelopes, and who receives."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Literal
+
+from pydantic import Field
+
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
+
+ENVELOPE_VERSION: Literal[1] = 1
+MOST_RECEIVERS = 8
+"""That a camera may have."""
+
+
+class SealedKey(Answer):
+    """The key of an epoch, for one receiver."""
+
+    receiver: str
+    """SHA-256 of its public key."""
+    key: str = Field(repr=False)
+    """HPKE ciphertext, base64."""
+
+
+class Envelope(Answer):
+    """The key of an epoch, sealed to every receiver and signed by the device."""
+
+    version: Literal[1] = ENVELOPE_VERSION
+    device: str
+    """Public Ed25519 key of the device, 64 hexadecimal digits."""
+    epoch: str
+    bundle: str
+    """SHA-256 of the bundle in use."""
+    keys: tuple[SealedKey, ...] = Field(min_length=1, max_length=MOST_RECEIVERS)
+    signature: str = Field(repr=False)
+    """Ed25519 signature of all the rest, 128 hexadecimal digits."""
+
+
+class ReceiverRequest(Question):
+    """A receiver to be paired with."""
+
+    label: str = Field(min_length=1, max_length=64, pattern=r"^[\x20-\x7e]+$")
+    """For whom or what it is; it stands in the status and in the audit log."""
+    key: str = Field(max_length=2048, pattern=r"^veilcam-receiver:[A-Za-z0-9+/=]+$")
+    """Its public key, as ``veilcam receiver keygen`` prints it."""
+
+
+class PairedReceiver(Answer):
+    """A receiver that epochs are sealed to."""
+
+    id: str
+    """SHA-256 of its public key: its name in envelopes."""
+    label: str
+    added_at: datetime
+
+
+class Receivers(Answer):
+    """All receivers, the oldest first, and the device that seals to them."""
+
+    device: str
+    """Its public Ed25519 key, 64 hexadecimal digits: give it to receivers, who check it."""
+    receivers: tuple[PairedReceiver, ...]
+
+
+EXAMPLE_DEVICE = "d7" * 32
+EXAMPLE_RECEIVER = PairedReceiver(id=EXAMPLE_DIGEST, label="archive", added_at=EXAMPLE_TIME)
+EXAMPLE_ENVELOPE = Envelope(
+    device=EXAMPLE_DEVICE,
+    epoch=EXAMPLE_EPOCH,
+    bundle=EXAMPLE_DIGEST,
+    keys=(SealedKey(receiver=EXAMPLE_DIGEST, key="c2VhbGVk"),),
+    signature="0f" * 64,
+)
+EXAMPLES = (
+    ReceiverRequest(label="archive", key="veilcam-receiver:c2VhbGVk"),
+    EXAMPLE_RECEIVER,
+    Receivers(device=EXAMPLE_DEVICE, receivers=(EXAMPLE_RECEIVER,)),
+    EXAMPLE_ENVELOPE,
+)
