@@ -85,9 +85,10 @@ def test_half_a_key_is_not_left_behind(
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    with monkeypatch.context() as patch, pytest.raises(KeyFileError, match="No space left"):
+    with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        receiver.write(tmp_path / "key")
+        with pytest.raises(KeyFileError, match="No space left"):
+            receiver.write(tmp_path / "key")
     receiver.write(tmp_path / "key")
 
 
