@@ -83,10 +83,10 @@ async def greedy(ground: Ground, judgement: Judgement) -> None:
     lives = max(3, int(ground.extent.seconds / 6))
     white = _settings(ground, "greedy-white", bundle=FRESH, release="white")
     raw = _settings(ground, "greedy-raw", release="raw", raw_budget=RAW)
-    loot = await _race(ground, white, [], lives)
+    loot = await _race(ground, white, WHITE, [], lives)
     _judge(judgement, "white", loot, WHITE)
     second = write_small_bundle(raw.bundle.with_name("second.veilcam"), "second").read_bytes()
-    loot = await _race(ground, raw, [second], MOST_LIVES)
+    loot = await _race(ground, raw, RAW, [second], MOST_LIVES)
     _judge(judgement, "raw", loot, RAW)
     judgement.at_most("masks seen raw", len(loot.masks), 2 * PAIRS)
     judgement.at_least("refused, as all masks are spent", loot.spent, 1)
@@ -105,8 +105,10 @@ def _judge(judgement: Judgement, form: str, loot: Loot, budget: int) -> None:
     figures["beyond_budget"] = figures.get("beyond_budget", 0.0) + beyond
 
 
-async def _race(ground: Ground, settings: Settings, others: Sequence[bytes], lives: int) -> Loot:
-    """Race in one life after the other, until nothing more leaves; return what left."""
+async def _race(
+    ground: Ground, settings: Settings, budget: int, others: Sequence[bytes], lives: int
+) -> Loot:
+    """Race in one life after the other, until nothing more leaves, or too much did."""
     [token], loot = make_tokens(settings, ("greedy",)), Loot()
     for life in range(lives):
         ground.advance(life / lives)
@@ -117,7 +119,7 @@ async def _race(ground: Ground, settings: Settings, others: Sequence[bytes], liv
                 await ask(address, "POST", "/v1/bundles", body=content, headers=headers)
             bundles = (await ask(address, "GET", "/v1/bundles")).json()["bundles"]
             digests = [each["digest"] for each in bundles]
-            if await _spent(address, digests, loot):
+            if await _spent(address, digests, loot) or loot.most > budget:
                 break
             works = [
                 *(partial(work, loot, address) for work in RACERS * (_capture, _classify)),
