@@ -115,16 +115,6 @@ class MasksSpentError(
     """The budget of released embeddings of all masks is used up."""
 
 
-class NoReceiverError(
-    ProblemError,
-    code="no_receiver",
-    status=409,
-    title="Nobody is paired to receive embeddings",
-    detail="embeddings leave sealed, and nobody receives: pair one with 'veilcam receiver add'",
-):
-    """Embeddings leave sealed, and there is no receiver."""
-
-
 class FenceError(
     ProblemError,
     code="fence_violated",
