@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import base64
-import secrets
-from datetime import UTC, datetime, timedelta, timezone
-from typing import TYPE_CHECKING, Any
+from datetime import timedelta, timezone
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from tests.client.sealing import AT, NOTES, VALUES, Device, Epoch
 
 from veilcam_client.errors import SealedError
-from veilcam_client.keys.blocks import NOTES_BYTES, Opener, Sealer
-from veilcam_client.keys.envelopes import seal_key
-from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.blocks import NOTES_BYTES, Opener
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import (
     Capture,
@@ -29,47 +27,12 @@ from veilcam_client.wire.captures import (
     Timing,
 )
 
-if TYPE_CHECKING:
-    from tests.client.keys.conftest import Device
-
-BUNDLE = "0f" * 32
-AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-VALUES: npt.NDArray[np.float32] = np.arange(6, dtype=np.float32).reshape(2, 3)
-NOTES = Notes(
-    exposure=Exposure(started_after_shown_s=0.104, settle_s=0.1, duration_s=0.01),
-    timing=Timing(queue_s=0.0, rotation_s=0.02, settle_s=0.08, capture_s=0.05),
-    scene=3,
-)
 LONG = 0.1234567890123456e-100
 WORDY = Notes(
     exposure=Exposure(started_after_shown_s=LONG, settle_s=LONG, duration_s=LONG),
     timing=Timing(queue_s=LONG, rotation_s=LONG, settle_s=LONG, capture_s=LONG),
     scene=10**9,
 )
-
-
-class Epoch:
-    """One epoch of a device, and its captures as they are answered."""
-
-    def __init__(self, device: Device, receiver: ReceiverKey) -> None:
-        self.name = secrets.token_hex(16)
-        key = EpochKey.generate(device=device.public, bundle=BUNDLE)
-        to = [receiver.public]
-        envelope = seal_key(key, device, epoch=self.name, bundle=BUNDLE, receivers=to)
-        self.sealer = Sealer(key, envelope)
-
-    def capture(
-        self,
-        number: int,
-        at: datetime = AT,
-        values: npt.NDArray[np.float32] = VALUES,
-        notes: Notes = NOTES,
-    ) -> Capture:
-        sealed = self.sealer.seal(number, at, values, notes)
-        told = Capture(
-            id="1", epoch=self.name, number=number, taken_at=at, embedding=sealed
-        ).model_dump_json()
-        return Capture.model_validate_json(told)
 
 
 @pytest.fixture
@@ -242,10 +205,8 @@ def test_a_classification_is_opened_too(epoch: Epoch, receiver: ReceiverKey) -> 
     assert Opener(receiver).open(alone).notes is None  # nothing vouches for them
 
 
-def test_the_first_camera_is_the_only_one(
-    make_device: Any, epoch: Epoch, receiver: ReceiverKey
-) -> None:
-    opener, stranger = Opener(receiver), Epoch(make_device(), receiver)
+def test_the_first_camera_is_the_only_one(epoch: Epoch, receiver: ReceiverKey) -> None:
+    opener, stranger = Opener(receiver), Epoch(Device(), receiver)
     with pytest.raises(SealedError):  # what cannot be opened names no camera
         opener.open(stranger.capture(0).model_copy(update={"number": 1}))
     opener.open(epoch.capture(0))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import TYPE_CHECKING
 
 import pytest
 from pydantic import ValidationError
+from tests.client.sealing import BUNDLE, Device
 
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.envelopes import canonical, open_key, receivers_digest, seal_key
@@ -15,10 +15,7 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.sealing import Envelope
 
-if TYPE_CHECKING:
-    from tests.client.keys.conftest import Device
-
-EPOCH, BUNDLE = "ab" * 16, "0f" * 32
+EPOCH = "ab" * 16
 
 
 @pytest.fixture
