@@ -14,6 +14,7 @@ from veilcam_client.wire.captures import (
     Embedding,
     Form,
     Notes,
+    Prediction,
     Replay,
     SealedEmbedding,
     Timing,
@@ -132,11 +133,7 @@ class ActiveMask:
 
 
 class Captured(Protocol):
-    """One measurement, where it comes from, and the one reader that may read it."""
-
-    @property
-    def measurement(self) -> Measurement:
-        """As it was read."""
+    """One measurement, which says no more than its label and leaves in its form."""
 
     @property
     def epoch(self) -> str:
@@ -151,16 +148,15 @@ class Captured(Protocol):
         """UTC, to the second."""
 
     @property
-    def reader(self) -> Reader:
-        """What tells its label."""
-
-    @property
     def form(self) -> Form | None:
         """In which its embedding leaves; None: it stays."""
 
     @property
     def replay(self) -> Replay | None:
         """From a recording: nothing was exposed."""
+
+    def classify(self) -> Prediction:
+        """Return the label, as the reader of its own mask tells it."""
 
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:
         """Return the embedding as it leaves; once, and in the order of the captures.
@@ -203,6 +199,10 @@ class MaskedCapture:
     def reader(self) -> Reader:
         """Of the mask that was shown."""
         return self.active.mask.reader
+
+    def classify(self) -> Prediction:
+        """Return the label."""
+        return self.reader.classify(self.measurement)
 
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:
         """Return the embedding in its form."""
