@@ -29,6 +29,8 @@ BLOCK = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"(?:^|[\s/])(veilcam(?:d|-train|-optics)?) ([a-z][a-z-]*(?=\s|$).*)")
 
 
+OTHERS = {"--purge", "--long"}
+"""Options of uninstall.sh and of the tests."""
 Command = TyperCommand | TyperGroup
 
 
@@ -83,6 +85,20 @@ def test_commands_and_their_options_exist(name: str) -> None:
         command, rest = resolved(program_name, words)
         said = {word.partition("=")[0] for word in rest if word.startswith("--")}
         assert said <= options(command), f"{program_name} {' '.join(words)}"
+
+
+def all_options(command: Command) -> Iterator[str]:
+    yield from options(command)
+    for inner in command.commands.values() if isinstance(command, TyperGroup) else ():
+        assert isinstance(inner, TyperCommand | TyperGroup)
+        yield from all_options(inner)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_options_that_are_named_alone_exist(name: str) -> None:
+    known = {option for each in PROGRAMS for option in all_options(program(each))} | OTHERS
+    text = BLOCK.sub("", (ROOT / name).read_text())
+    assert set(re.findall(r"`(--[a-z][a-z0-9-]*)[^`]*`", text)) <= known
 
 
 def test_commands_are_found() -> None:
