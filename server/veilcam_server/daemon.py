@@ -42,6 +42,7 @@ from veilcam_server.errors import (
     StartError,
 )
 from veilcam_server.gate.server import Gate, GateServer, open_gate
+from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
 from veilcam_server.service.replay import replay_service
@@ -72,7 +73,8 @@ def build_service(settings: Settings) -> Service:
             undo.callback(epochs.close)
             bundle = read_bundle(settings.bundle)
             form = release_form(settings, bundle)
-            signed = open_calibration(settings, bundle, faults.append)
+            key = DeviceKey.open(settings.state_dir, faults.append)
+            signed = open_calibration(settings, bundle, key, faults.append)
             owners = Owners.open(settings.owner_keys)
             opener = Opener(bundle, source_opener(settings, signed), owners)
             store = BundleStore(
@@ -118,7 +120,7 @@ def build_service(settings: Settings) -> Service:
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
         BundleManager(store, opener, keys, limit=settings.bundle_limit),
-        CalibrationService(settings, bundle, signed),
+        CalibrationService(settings, bundle, key, signed),
         form=form,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,

@@ -360,6 +360,63 @@ class TokensOffError(
     """Tokens are asked about, and this daemon wants none."""
 
 
+class NoReceiverError(
+    ProblemError,
+    code="no_receiver",
+    status=409,
+    title="There is nobody to seal embeddings to",
+    detail="embeddings leave sealed, and no receiver is paired: pair one with 'veilcam receiver "
+    "add'",
+):
+    """A sealed embedding was asked for, and there is nobody who could open it."""
+
+
+class ReceiverInvalidError(
+    ProblemError, code="receiver_invalid", status=422, title="This is no receiver's key"
+):
+    """What should be paired with is no public key of a receiver."""
+
+
+class ReceiverKnownError(
+    ProblemError,
+    code="receiver_known",
+    status=409,
+    title="The receiver is paired already",
+    detail="this key is paired already: see GET /v1/receivers",
+):
+    """A receiver that is paired already, perhaps under another label."""
+
+
+class TooManyReceiversError(
+    ProblemError, code="too_many_receivers", status=409, title="Too many receivers are paired"
+):
+    """As many receivers are paired as there may be."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"{limit} receivers are paired: remove one first")
+
+
+class UnknownReceiverError(
+    ProblemError,
+    code="unknown_receiver",
+    status=404,
+    title="There is no such receiver",
+    detail="there is no receiver of this id: see GET /v1/receivers",
+):
+    """There is no receiver of this id."""
+
+
+class ReceiverStoreError(
+    ProblemError,
+    code="receivers_not_stored",
+    status=503,
+    title="The receivers are not durable",
+    retryable=True,
+    remedy="check_disk",
+):
+    """A change of the receivers could not be made durable."""
+
+
 class RateLimitError(
     ProblemError,
     code="rate_limited",

@@ -254,7 +254,7 @@ class Bench:
                 bundles.info,
             ),
             bundles,
-            self.calibration or CalibrationService(settings, None),
+            self.calibration or CalibrationService(settings, None, None),
             form=self.release,
             queue_limit=queue_limit,
             heartbeat=0.05,

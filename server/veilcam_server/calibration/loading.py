@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from veilcam_client.keys.envelopes import Signer
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.bundles.loader import OpenSource, open_source
-from veilcam_server.calibration.record import RECORD_NAME, RecordFile, SigningKey, imperfections_of
+from veilcam_server.calibration.record import AGAIN, RECORD_NAME, RecordFile, imperfections_of
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
@@ -16,7 +17,7 @@ from veilcam_training.bundle import Bundle
 
 
 def open_calibration(
-    settings: Settings, bundle: Bundle, report: Report = log_fault
+    settings: Settings, bundle: Bundle, key: Signer, report: Report = log_fault
 ) -> SignedCalibration | None:
     """Return the record that the settings name, or the one in the state directory, or none.
 
@@ -26,6 +27,7 @@ def open_calibration(
     Args:
         settings: checked.
         bundle: whose camera it is.
+        key: of the device, which has to have signed it.
         report: takes what was damaged.
 
     Raises:
@@ -40,12 +42,11 @@ def open_calibration(
                 "give another --calibration"
             )
         return None
-    try:
-        SigningKey.open(settings.state_dir, report=report).require(signed, path)
-    except CalibrationError as error:
+    if signed.public_key != key.public:
+        why = f"{path} was signed by another device: {AGAIN}, or give another --calibration"
         if named:
-            raise StartError(str(error)) from None
-        report(error)
+            raise StartError(why)
+        report(CalibrationError(why))
         return None
     try:
         check_record(signed.record, settings, bundle)

@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 import structlog
 
+from veilcam_client.keys.envelopes import Signer
 from veilcam_client.wire.calibration import (
     CalibrationRecord,
     CalibrationRun,
@@ -33,7 +34,7 @@ from veilcam_server.calibration.loading import (
 )
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
-from veilcam_server.calibration.record import SigningKey, sign_record, write_record
+from veilcam_server.calibration.record import sign_record, write_record
 from veilcam_server.calibration.rig import Geometry
 from veilcam_server.calibration.run import CancelledError, Run
 from veilcam_server.calibration.targets import CalibrationScene
@@ -93,13 +94,18 @@ class CalibrationService:
     Args:
         settings: checked.
         bundle: whose camera it is; None: a recording is replayed, and there is no camera.
+        key: of the device, which signs records; None: as above.
         signed: the record in use.
     """
 
     def __init__(
-        self, settings: Settings, bundle: Bundle | None, signed: SignedCalibration | None = None
+        self,
+        settings: Settings,
+        bundle: Bundle | None,
+        key: Signer | None,
+        signed: SignedCalibration | None = None,
     ) -> None:
-        self._settings, self._given, self._signed = settings, bundle, signed
+        self._settings, self._given, self._key, self._signed = settings, bundle, key, signed
         self._served: Served | None = None
         self._run: Run | None = None
         self._task: asyncio.Task[None] | None = None
@@ -117,8 +123,7 @@ class CalibrationService:
         """
         budget = Budget(repeats=repeats)
         run = Run(budget, budget.captures(self._geometry), report)
-        # A disk that cannot be written should not be found out minutes later.
-        SigningKey.open(self._settings.state_dir, create=True)
+        # What cannot be written should not be found out minutes later.
         folder = record_path(self._settings).parent
         if not os.access(folder, os.W_OK):
             raise CalibrationError(f"no calibration can be written into {folder}: check it")
@@ -166,8 +171,10 @@ class CalibrationService:
 
     def sign(self, record: CalibrationRecord) -> SignedCalibration:
         """Vouch for a record; raises :class:`CalibrationError` if it is of another camera."""
+        if self._key is None:
+            raise CalibrationError(_NO_CAMERA)
         check_record(record, self._settings, self._bundle)
-        return sign_record(record, SigningKey.open(self._settings.state_dir))
+        return sign_record(record, self._key)
 
     def write(self, signed: SignedCalibration) -> None:
         """Let the next daemon begin with a record; raises :class:`CalibrationError`."""

@@ -22,6 +22,7 @@ from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.devices.registry import open_device
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
+from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, read_bundle
 
@@ -57,7 +58,7 @@ def calibrate_device(
     bundle = read_bundle(settings.bundle)
     if frame is not None and bundle.fresh is None:
         raise StartError("--frame is for fresh masks: this bundle holds pairs")
-    service = CalibrationService(settings, bundle)
+    service = CalibrationService(settings, bundle, DeviceKey.open(settings.state_dir))
     found = _measure(service, settings, bundle, console, repeats)
     service.write(service.sign(found.record))
     written = [out, picture]

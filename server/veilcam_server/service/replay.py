@@ -59,7 +59,7 @@ def replay_service(settings: Settings, path: Path) -> Service:
             experiment=status.experiment,
         ),
         None,
-        CalibrationService(settings, None),
+        CalibrationService(settings, None, None),
         form=status.release,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,

@@ -16,11 +16,8 @@ from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedC
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_server.calibration.loading import open_calibration, settle_time
 from veilcam_server.calibration.record import (
-    KEY_NAME,
     RECORD_NAME,
     RecordFile,
-    SigningKey,
-    _Seed,
     imperfections_of,
     sign_record,
     write_record,
@@ -29,6 +26,7 @@ from veilcam_server.calibration.rig import Geometry
 from veilcam_server.devices.base import Device, Exposure
 from veilcam_server.devices.corrected import CalibratedSensor, calibrated
 from veilcam_server.errors import CalibrationError, ProblemError, StartError
+from veilcam_server.sealing.identity import KEY_NAME, DeviceKey
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle
 
@@ -63,18 +61,18 @@ def make_record(**changes: Any) -> CalibrationRecord:
     return CalibrationRecord(**given | changes)
 
 
-def written(path: Path, record: CalibrationRecord, key: SigningKey) -> SignedCalibration:
+def written(path: Path, record: CalibrationRecord, key: DeviceKey) -> SignedCalibration:
     signed = sign_record(record, key)
     write_record(path, signed)
     return signed
 
 
 @pytest.fixture
-def key(tmp_path: Path) -> SigningKey:
-    return SigningKey.open(tmp_path, create=True)
+def key(tmp_path: Path) -> DeviceKey:
+    return DeviceKey.open(tmp_path)
 
 
-def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
+def test_what_is_written_is_read(tmp_path: Path, key: DeviceKey) -> None:
     path = tmp_path / RECORD_NAME
     record = make_record()
     signed = written(path, record, key)
@@ -90,40 +88,6 @@ def test_what_is_written_is_read(tmp_path: Path, key: SigningKey) -> None:
     assert (found.dead_rows, found.dead_columns, found.dead_transmittance) == ((3,), (), 1 / 3)
 
 
-def test_the_key_is_its_owner_s_alone(tmp_path: Path, key: SigningKey) -> None:
-    path = tmp_path / KEY_NAME
-    assert path.stat().st_mode & 0o777 == 0o600
-    seed = json.loads(path.read_text().splitlines()[1])["seed"]
-    assert seed not in repr(key)
-    assert seed not in repr(_Seed(seed=seed))
-    assert SigningKey.open(tmp_path, create=True).public == key.public
-
-
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_key_is_put_right_and_a_lost_one_is_told(
-    tmp_path: Path, key: SigningKey, damage: Callable[[Path], None]
-) -> None:
-    faults: list[ProblemError] = []
-    damage(tmp_path / KEY_NAME)
-    assert SigningKey.open(tmp_path, report=faults.append).public == key.public
-    assert [fault.code for fault in faults] == ["state_damaged"]
-    faults.clear()
-    for name in (KEY_NAME, f"{KEY_NAME}.copy"):
-        damage(tmp_path / name)
-    with pytest.raises(CalibrationError, match=r"there is no key .* run 'veilcamd calibrate'"):
-        SigningKey.open(tmp_path, report=faults.append)
-    assert [fault.code for fault in faults] == ["state_lost"]
-    assert "what it signed cannot be checked; run 'veilcamd calibrate' again" in str(faults[0])
-    assert SigningKey.open(tmp_path, create=True).public != key.public
-
-
-def test_a_key_of_another_version_is_refused(tmp_path: Path, key: SigningKey) -> None:
-    (tmp_path / KEY_NAME).unlink()
-    (tmp_path / "calibration-key").touch()
-    with pytest.raises(CalibrationError, match=r"key is of an earlier version: remove it and cali"):
-        SigningKey.open(tmp_path, create=True)
-
-
 @pytest.mark.parametrize(
     ("where", "value"),
     [
@@ -135,7 +99,7 @@ def test_a_key_of_another_version_is_refused(tmp_path: Path, key: SigningKey) ->
     ],
 )
 def test_a_record_that_was_changed_is_refused(
-    tmp_path: Path, key: SigningKey, where: tuple[str, ...], value: object
+    tmp_path: Path, key: DeviceKey, where: tuple[str, ...], value: object
 ) -> None:
     path = tmp_path / RECORD_NAME
     written(path, make_record(), key)
@@ -150,7 +114,7 @@ def test_a_record_that_was_changed_is_refused(
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"record": 1}', "x" * 2_000_000, "\x00\xff"])
-def test_what_is_no_record_is_none(tmp_path: Path, key: SigningKey, text: str) -> None:
+def test_what_is_no_record_is_none(tmp_path: Path, key: DeviceKey, text: str) -> None:
     path = tmp_path / RECORD_NAME
     path.write_text(text)
     faults: list[ProblemError] = []
@@ -159,7 +123,7 @@ def test_what_is_no_record_is_none(tmp_path: Path, key: SigningKey, text: str) -
     assert "the camera is taken as it was drawn; run 'veilcamd calibrate' again" in str(faults[0])
 
 
-def test_a_record_alone_is_read_where_it_lies(tmp_path: Path, key: SigningKey) -> None:
+def test_a_record_alone_is_read_where_it_lies(tmp_path: Path, key: DeviceKey) -> None:
     """As one that was made elsewhere is, for ``--calibration``."""
     signed = written(tmp_path / RECORD_NAME, make_record(), key)
     alone = tmp_path / "alone"
@@ -169,7 +133,7 @@ def test_a_record_alone_is_read_where_it_lies(tmp_path: Path, key: SigningKey) -
     assert [path.name for path in alone.iterdir()] == ["given.json"]
 
 
-def test_the_later_record_is_the_one_that_counts(tmp_path: Path, key: SigningKey) -> None:
+def test_the_later_record_is_the_one_that_counts(tmp_path: Path, key: DeviceKey) -> None:
     path = tmp_path / RECORD_NAME
     written(path, make_record(), key)
     before = path.read_bytes()
@@ -178,13 +142,9 @@ def test_the_later_record_is_the_one_that_counts(tmp_path: Path, key: SigningKey
     assert RecordFile(path).read() == later
 
 
-def test_an_unwritable_place_is_said(tmp_path: Path, key: SigningKey) -> None:
+def test_an_unwritable_place_is_said(tmp_path: Path, key: DeviceKey) -> None:
     with pytest.raises(CalibrationError, match="cannot be written"):
         written(tmp_path / "missing" / RECORD_NAME, make_record(), key)
-    blocked = tmp_path / "file"
-    blocked.touch()
-    with pytest.raises(CalibrationError, match="cannot be used"):
-        SigningKey.open(blocked / "state", create=True)
 
 
 def settings_for(tmp_path: Path, **given: Any) -> Settings:
@@ -196,51 +156,47 @@ def geometry_of(bundle: Bundle) -> str:
 
 
 def test_the_daemon_takes_the_record_in_its_state_directory(
-    tmp_path: Path, key: SigningKey, bundle: Bundle
+    tmp_path: Path, key: DeviceKey, bundle: Bundle
 ) -> None:
-    assert open_calibration(settings_for(tmp_path), bundle) is None
+    assert open_calibration(settings_for(tmp_path), bundle, key) is None
     signed = written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
-    assert open_calibration(settings_for(tmp_path), bundle) == signed
+    assert open_calibration(settings_for(tmp_path), bundle, key) == signed
     elsewhere = tmp_path / "elsewhere.json"
     with pytest.raises(StartError, match=r"elsewhere\.json holds no calibration that is whole"):
-        open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle)
+        open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle, key)
     other = written(elsewhere, make_record(geometry=geometry_of(bundle), drift=0.01), key)
-    assert open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle) == other
+    assert open_calibration(settings_for(tmp_path, calibration=elsewhere), bundle, key) == other
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 def test_a_damaged_record_is_put_right_and_a_lost_one_refuses_no_start(
-    tmp_path: Path, key: SigningKey, bundle: Bundle, damage: Callable[[Path], None]
+    tmp_path: Path, key: DeviceKey, bundle: Bundle, damage: Callable[[Path], None]
 ) -> None:
     faults: list[ProblemError] = []
     signed = written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
     damage(tmp_path / RECORD_NAME)
-    assert open_calibration(settings_for(tmp_path), bundle, faults.append) == signed
+    assert open_calibration(settings_for(tmp_path), bundle, key, faults.append) == signed
     assert [fault.code for fault in faults] == ["state_damaged"]
     faults.clear()
     for name in (RECORD_NAME, f"{RECORD_NAME}.copy"):
         damage(tmp_path / name)
-    assert open_calibration(settings_for(tmp_path), bundle, faults.append) is None
+    assert open_calibration(settings_for(tmp_path), bundle, key, faults.append) is None
     assert [fault.code for fault in faults] == ["state_lost"]
 
 
-def test_a_record_without_its_key_is_told_and_not_used(
-    tmp_path: Path, key: SigningKey, bundle: Bundle
+def test_a_record_that_another_key_signed_is_told_and_not_used(
+    tmp_path: Path, key: DeviceKey, bundle: Bundle
 ) -> None:
     faults: list[ProblemError] = []
     written(tmp_path / RECORD_NAME, make_record(geometry=geometry_of(bundle)), key)
-    for name in (KEY_NAME, f"{KEY_NAME}.copy"):
-        (tmp_path / name).write_bytes(b"")
-    assert open_calibration(settings_for(tmp_path), bundle, faults.append) is None
-    assert [fault.code for fault in faults] == ["state_lost", "calibration_impossible"]
-    SigningKey.open(tmp_path, create=True)
-    faults.clear()
-    assert open_calibration(settings_for(tmp_path), bundle, faults.append) is None
-    assert "calibration.json was signed by another daemon: run 'veilcamd" in str(faults[0])
+    other = DeviceKey.open(tmp_path / "other")
+    assert open_calibration(settings_for(tmp_path), bundle, other, faults.append) is None
+    assert [fault.code for fault in faults] == ["calibration_impossible"]
+    assert "calibration.json was signed by another device: run 'veilcamd" in str(faults[0])
     # One that was named must be the one that is used.
     named = settings_for(tmp_path, calibration=tmp_path / RECORD_NAME)
-    with pytest.raises(StartError, match="was signed by another daemon"):
-        open_calibration(named, bundle)
+    with pytest.raises(StartError, match="was signed by another device"):
+        open_calibration(named, bundle, other)
 
 
 @pytest.mark.parametrize(
@@ -255,12 +211,12 @@ def test_a_record_without_its_key_is_told_and_not_used(
     ],
 )
 def test_a_record_of_another_camera_is_refused(
-    tmp_path: Path, key: SigningKey, bundle: Bundle, changes: dict[str, Any], what: str
+    tmp_path: Path, key: DeviceKey, bundle: Bundle, changes: dict[str, Any], what: str
 ) -> None:
     record = make_record(**{"geometry": geometry_of(bundle)} | changes)
     written(tmp_path / RECORD_NAME, record, key)
     with pytest.raises(StartError, match=f"another {what}.*run 'veilcamd calibrate'"):
-        open_calibration(settings_for(tmp_path), bundle)
+        open_calibration(settings_for(tmp_path), bundle, key)
 
 
 def test_geometries_differ() -> None:

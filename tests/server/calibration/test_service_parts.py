@@ -17,6 +17,7 @@ from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.calibration.targets import dark, white
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import CalibrationError
+from veilcam_server.sealing.identity import DeviceKey
 from veilcam_training.bundle import Bundle
 
 from .camera import Built
@@ -45,7 +46,9 @@ def test_a_simulated_camera_has_its_scenes_set(
     bundle: Bundle, tmp_path: Path, told: dict[str, Any]
 ) -> None:
     built, reports = Built(), list[CalibrationRun]()
-    service = CalibrationService(settings_for(tmp_path, settle=0.2, exposure=0.03), bundle)
+    service = CalibrationService(
+        settings_for(tmp_path, settle=0.2, exposure=0.03), bundle, DeviceKey.open(tmp_path)
+    )
     service.measure(built.device, service.begin(3, reports.append))
     assert told["means"] == [0.0, 1.0]
     assert (told["longest"], told["exposure"]) == (pytest.approx(0.6), 0.03)
@@ -71,7 +74,7 @@ def test_a_person_is_waited_for_behind_an_opaque_panel(
             done.append(str(run.scene))
             waits.release()
 
-    service = CalibrationService(settings_for(tmp_path), bundle)
+    service = CalibrationService(settings_for(tmp_path), bundle, DeviceKey.open(tmp_path))
     run = service.begin(2, report)
     measuring = threading.Thread(target=service.measure, args=(device, run))
     measuring.start()
@@ -84,7 +87,9 @@ def test_a_person_is_waited_for_behind_an_opaque_panel(
 
 def test_a_record_is_kept_where_the_daemon_looks(bundle: Bundle, tmp_path: Path) -> None:
     path = tmp_path / "elsewhere" / "record.json"
-    service = CalibrationService(settings_for(tmp_path, calibration=path), bundle)
+    service = CalibrationService(
+        settings_for(tmp_path, calibration=path), bundle, DeviceKey.open(tmp_path)
+    )
     with pytest.raises(CalibrationError, match="elsewhere"):
         service.begin(1, lambda _: None)
     path.parent.mkdir()

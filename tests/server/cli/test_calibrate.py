@@ -35,6 +35,7 @@ from veilcam_server.devices.base import Device
 from veilcam_server.devices.simulated.scenes import FileScene
 from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.masks.fresh import FreshReader, FreshSource
+from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, read_bundle
 
@@ -86,7 +87,8 @@ def test_the_command_keeps_what_was_found(
     assert signed.record.gain == found.record.gain
     assert read_frame(frame).imperfections == imperfections_of(signed.record)
     settings = settings_for(state, bundle=fresh_file, settle=0.02, exposure=0.001)
-    assert open_calibration(settings, read_bundle(fresh_file)) == signed
+    key = DeviceKey.open(state)
+    assert open_calibration(settings, read_bundle(fresh_file), key) == signed
 
 
 def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Path) -> None:
@@ -102,11 +104,12 @@ def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Pa
     assert set(tmp_path.iterdir()) == before
     assert "no such file" in refused(*state, "--bundle", "missing.veilcam")
     assert "--frame is for fresh masks" in refused(*state, "--frame", str(tmp_path / "frame"))
-    (tmp_path / "calibration-key").write_text("")
-    assert "calibration-key is of an earlier version" in refused(
+    earlier = tmp_path / "calibration-key.json"
+    earlier.write_text("")
+    assert "calibration-key.json is of an earlier version: rename it to device-key.json" in refused(
         *state, "--bundle", str(fresh_file)
     )
-    assert set(tmp_path.iterdir()) - before == {tmp_path / "calibration-key"}
+    assert set(tmp_path.iterdir()) - before == {earlier}
 
 
 def test_a_person_is_told_what_to_set(
@@ -174,7 +177,9 @@ async def test_the_record_is_served(running: Running, bench: Bench) -> None:
         answer = await client.get("/v1/calibration")
         assert answer.json() == {"signed": None, "run": None}
     signed = SignedCalibration(record=make_record(), public_key="a" * 64, signature="b" * 128)
-    bench.calibration = CalibrationService(settings_for(bench.state_dir), bench.bundle, signed)
+    bench.calibration = CalibrationService(
+        settings_for(bench.state_dir), bench.bundle, None, signed
+    )
     async with running() as client:
         answer = await client.get("/v1/calibration")
         assert CalibrationStatus.model_validate_json(answer.content).signed == signed

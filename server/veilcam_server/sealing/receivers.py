@@ -1,0 +1,146 @@
+"""Receivers that this device is paired with; a change of them holds from the next epoch on."""
+
+from __future__ import annotations
+
+import threading
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, field_validator
+
+from veilcam_client.keys.receivers import Receiver
+from veilcam_client.wire.sealing import MOST_RECEIVERS, PairedReceiver
+from veilcam_server.errors import (
+    ReceiverInvalidError,
+    ReceiverKnownError,
+    ReceiverStoreError,
+    StartError,
+    TooManyReceiversError,
+    UnknownReceiverError,
+)
+from veilcam_server.system.state_file import Report, StateFile, log_fault
+
+NAME = "receivers.json"
+"""Of the record in the state directory."""
+
+
+class _Paired(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    label: str
+    key: str
+    """``veilcam-receiver:BASE64``."""
+    added_at: AwareDatetime
+
+    @field_validator("key")
+    @classmethod
+    def _a_key(cls, key: str) -> str:
+        Receiver.parse(key)
+        return key
+
+    @property
+    def receiver(self) -> Receiver:
+        return Receiver.parse(self.key)
+
+    def told(self) -> PairedReceiver:
+        return PairedReceiver(id=self.receiver.id, label=self.label, added_at=self.added_at)
+
+
+class _Receivers(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    receivers: tuple[_Paired, ...] = Field(max_length=MOST_RECEIVERS)
+
+
+class ReceiverStore:
+    """``DIRECTORY/receivers.json``, changed by one process and any of its threads.
+
+    Args:
+        directory: the daemon's state directory.
+        report: takes what was damaged.
+
+    Raises:
+        StartError: the record is of another version.
+    """
+
+    def __init__(self, directory: Path, report: Report = log_fault) -> None:
+        self._file = StateFile(
+            directory / NAME,
+            _Receivers,
+            lost="nobody receives any more: pair receivers again with 'veilcam receiver add'",
+            report=report,
+        )
+        self._lock = threading.Lock()
+        self._take(self._file.read() or _Receivers(receivers=()))
+
+    @property
+    def paired(self) -> tuple[PairedReceiver, ...]:
+        """Whoever receives from the next epoch on, the oldest first."""
+        return self._told
+
+    @property
+    def keys(self) -> tuple[Receiver, ...]:
+        """Their public keys, in the same order."""
+        return self._keys
+
+    @property
+    def lost(self) -> bool:
+        """Whether there had been receivers, or a record that there were none, and it is lost."""
+        return self._file.lost
+
+    def add(self, label: str, receiver: Receiver) -> PairedReceiver:
+        """Pair with a receiver; it is on the disk at return.
+
+        Args:
+            label: for people.
+            receiver: its public key.
+
+        Raises:
+            ReceiverKnownError: it is paired already.
+            TooManyReceiversError: there are as many as there may be.
+            ReceiverStoreError: the disk does not take it.
+        """
+        made = _Paired(label=label, key=str(receiver), added_at=datetime.now(UTC))
+        with self._lock:
+            if receiver in self._keys:
+                raise ReceiverKnownError
+            if len(self._keys) == MOST_RECEIVERS:
+                raise TooManyReceiversError(MOST_RECEIVERS)
+            self._change(_Receivers(receivers=(*self._record.receivers, made)))
+        return made.told()
+
+    def remove(self, receiver_id: str) -> None:
+        """Seal nothing more to a receiver; that is on the disk at return.
+
+        Raises:
+            UnknownReceiverError: there is none of this id.
+            ReceiverStoreError: the disk does not take it.
+        """
+        with self._lock:
+            pairs = zip(self._record.receivers, self._told, strict=True)
+            left = tuple(each for each, told in pairs if told.id != receiver_id)
+            if len(left) == len(self._told):
+                raise UnknownReceiverError
+            self._change(_Receivers(receivers=left))
+
+    def _change(self, record: _Receivers) -> None:
+        try:
+            self._take(self._file.change(lambda _: record))
+        except (OSError, StartError) as error:
+            why = error.strerror if isinstance(error, OSError) else str(error)
+            raise ReceiverStoreError(
+                f"receivers cannot be recorded ({why}), and are what they were: check the state "
+                "directory's disk"
+            ) from None
+
+    def _take(self, record: _Receivers) -> None:
+        # Each is replaced whole: who looks from another thread sees one of the two records.
+        self._record = record
+        self._told = tuple(each.told() for each in record.receivers)
+        self._keys = tuple(each.receiver for each in record.receivers)
+
+
+def parse_receiver(text: str) -> Receiver:
+    """Read a receiver's public key; raises :class:`ReceiverInvalidError`."""
+    try:
+        return Receiver.parse(text)
+    except ValueError as error:
+        raise ReceiverInvalidError(str(error)) from None
