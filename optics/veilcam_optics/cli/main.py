@@ -3,7 +3,6 @@
 import typer
 
 from veilcam_optics.cli.accuracy import accuracy
-from veilcam_optics.cli.decode import decode
 from veilcam_optics.cli.plan import print_plan
 
 app = typer.Typer(
@@ -11,7 +10,6 @@ app = typer.Typer(
 )
 app.command()(accuracy)
 app.command("plan")(print_plan)
-app.command()(decode)
 
 
 @app.callback()

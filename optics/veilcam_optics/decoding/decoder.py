@@ -75,6 +75,13 @@ class Decoder:
     remaining: float
     """Share of the scene's variance that a measurement leaves unknown, in [0, 1]."""
 
+    def erase(self) -> None:
+        """Overwrite all that is the mask's, as well as Python lets us; nothing is decoded any more.
+
+        The mean and the basis are public, and shared with all other decoders.
+        """
+        overwrite(self.mean_measurement, self.estimator, self.noise, self.response, self.deviation)
+
     def coordinates(self, measurements: Tensor) -> Tensor:
         """Estimates as coordinates in the scene's basis, (batch, rank)."""
         flat = self.flatten(measurements)
@@ -156,7 +163,10 @@ class SceneDecoding:
             OpticsError: a mask or gain of another shape, or not finite.
         """
         transfer: Tensor = self.operator(weights.to(self.precision.products))
-        return self.prepare_transfer(transfer, gain=gain)
+        decoder = self.prepare_transfer(transfer, gain=gain)
+        if not transfer.requires_grad:  # a gradient needs it still
+            overwrite(transfer)
+        return decoder
 
     def prepare_transfer(self, transfer: Tensor, *, gain: float | Tensor = 1.0) -> Decoder:
         """Decoder for a transfer matrix (scene pixels, embedding pixels), e.g. a measured one."""
@@ -182,7 +192,7 @@ class SceneDecoding:
         variance = variance.clamp_min(1e-12)  # not 0, where the root has no gradient
         total = float(prior.sum())
         products = self.precision.products
-        return Decoder(
+        decoder = Decoder(
             scene=operator.scene,
             embedding=operator.embedding,
             mean_measurement=mean_measurement,
@@ -194,6 +204,9 @@ class SceneDecoding:
             deviation=variance.sqrt().to(products).reshape(operator.scene.shape),
             remaining=float(variance.detach().sum()) / total if total > 0 else 0.0,
         )
+        if not response.requires_grad:
+            overwrite(response, scaled, factor, estimator)
+        return decoder
 
     def _gain(self, gain: float | Tensor, device: torch.device) -> Tensor:
         value = torch.as_tensor(gain, dtype=self.precision.products, device=device)
@@ -208,6 +221,13 @@ class SceneDecoding:
         if not bool((value.isfinite() & (value > 0)).all()):
             raise OpticsError("gain is not valid: use finite numbers > 0")
         return value.reshape(-1, 1)
+
+
+def overwrite(*tensors: Tensor) -> None:
+    """Fill tensors with zeros, whatever mode they were made in; copies elsewhere stay."""
+    with torch.inference_mode():
+        for tensor in tensors:
+            tensor.zero_()
 
 
 def _cholesky(gram: Tensor) -> Tensor:

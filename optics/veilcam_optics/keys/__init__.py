@@ -1,1 +1,1 @@
-"""Masks and epoch names from a key."""
+"""Masks from a key."""

@@ -1,105 +1,23 @@
-"""Masks from a key: levels = expand(HKDF(secret; panel, device, epoch)).
+"""Masks from a key: 32 bytes that serve one mask, once.
 
-Whoever has the secret can make the mask of any epoch again, on any machine and byte for byte:
-everything here is whole numbers. Without it, the mask of one epoch says nothing about another's.
-An epoch must be used once; counting them, durably, is the device's duty.
+Everything here is whole numbers, so that whoever has the key makes the same mask again, on any
+machine and byte for byte. What a key is for, and for which device and bundle, is the affair of
+whoever derives it: two uses never share one.
 """
 
-import hmac
-import re
-import secrets
-import struct
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import NoReturn, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_optics.errors import (
-    OpticsError,
-    require,
-    require_count,
-    require_positive,
-    require_shape,
-)
+from veilcam_optics.errors import OpticsError, require, require_positive, require_shape
 
-SECRET_BYTES = 32
-MAX_EPOCH = 2**64 - 1
-MAX_DEVICE_BYTES = 255
-CONTEXT = b"veilcam mask levels, version 1"
+KEY_BYTES = 32
 
 Levels = npt.NDArray[np.uint8]
-
-
-class Secret:
-    """256 secret bits. They show in no ``repr``, ``str``, format, pickle or error of this class."""
-
-    __slots__ = ("_bytes",)
-
-    def __init__(self, value: bytes) -> None:
-        if not isinstance(value, bytes) or len(value) != SECRET_BYTES:
-            raise OpticsError(f"a secret is not valid: use {SECRET_BYTES} bytes")
-        self._bytes = value
-
-    @classmethod
-    def generate(cls) -> Self:
-        """Draw a secret from the operating system's random source."""
-        return cls(secrets.token_bytes(SECRET_BYTES))
-
-    @classmethod
-    def from_hex(cls, text: str) -> Self:
-        """Read 64 hexadecimal digits; white space around them does not count.
-
-        Raises:
-            OpticsError: anything else. The message does not repeat it.
-        """
-        digits = text.strip()
-        if re.fullmatch(rf"[0-9a-fA-F]{{{2 * SECRET_BYTES}}}", digits) is None:
-            raise OpticsError(f"a secret is not valid: use {2 * SECRET_BYTES} hexadecimal digits")
-        return cls(bytes.fromhex(digits))
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a file that holds 64 hexadecimal digits and that its owner alone may read.
-
-        Raises:
-            OpticsError: no such file, others may read it, or it holds something else.
-        """
-        try:
-            mode = path.stat().st_mode
-            text = path.read_text("ascii", "replace")
-        except OSError as error:
-            raise OpticsError(
-                f"secret {path} cannot be read ({error.strerror}): check the path"
-            ) from None
-        if mode & 0o077:
-            raise OpticsError(f"secret {path} is open to others: run chmod 600 {path}")
-        try:
-            return cls.from_hex(text)
-        except OpticsError as error:
-            raise OpticsError(f"{path}: {error}") from None
-
-    def reveal(self) -> bytes:
-        """The bytes themselves: for deriving keys and for storing, never for showing."""
-        return self._bytes
-
-    def __repr__(self) -> str:
-        return "Secret(...)"
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Secret):
-            return NotImplemented
-        return hmac.compare_digest(self._bytes, other._bytes)
-
-    __hash__ = None  # type: ignore[assignment]  # a hash would leak bits and invite dictionaries
-
-    def __reduce__(self) -> NoReturn:
-        raise TypeError("a secret is not pickled: store it with reveal(), deliberately")
 
 
 @dataclass(frozen=True)
@@ -109,7 +27,7 @@ class MaskDistribution:
     Every sub-pixel draws a whole number uniformly from ``lowest`` to ``highest``, both included,
     independently of the others, and shows the level that ``curve`` holds for it. The default is
     uniform over all levels. A curve that favours dark levels makes small embeddings tell more
-    apart; a range that a task has learned fixes a mask's centre, and the secret draws around it.
+    apart; a range that a task has learned fixes a mask's centre, and the key draws around it.
     """
 
     lowest: Levels = field(repr=False)
@@ -187,14 +105,18 @@ class MaskDistribution:
             chosen = wanting[good]
             numbers[chosen] = drawn[good] % counts[chosen]
             wanting = wanting[~good]
-        levels: Levels = self.curve[numbers.reshape(self.lowest.shape) + self.lowest]
+        numbers += self.lowest.reshape(-1)
+        levels: Levels = self.curve[numbers.reshape(self.lowest.shape)]
+        numbers.fill(0)  # they are the mask, too
         return levels
 
 
 class KeyStream:
     """ChaCha20's key stream (RFC 8439, block counter from 0, nonce 0) under a key used once."""
 
-    def __init__(self, key: bytes) -> None:
+    def __init__(self, key: bytes | bytearray) -> None:
+        if len(key) != KEY_BYTES:
+            raise OpticsError(f"a key is not valid: use {KEY_BYTES} bytes")
         self._encryptor = Cipher(algorithms.ChaCha20(key, bytes(16)), mode=None).encryptor()
 
     def read(self, count: int) -> npt.NDArray[np.uint8]:
@@ -202,29 +124,25 @@ class KeyStream:
         return np.frombuffer(self._encryptor.update(bytes(count)), np.uint8)
 
 
-def epoch_key(
-    secret: Secret, device: str, epoch: int, *, camera: Camera, distribution: MaskDistribution
-) -> bytes:
-    """Key of one epoch of one device: HKDF-SHA256 (RFC 5869) without salt, 32 bytes.
+def draw_levels(
+    key: bytes | bytearray, *, camera: Camera, distribution: MaskDistribution | None = None
+) -> Levels:
+    """The mask of a key, as levels for the panel.
 
-    The context (HKDF's ``info``) is ``CONTEXT``, the device's name with its length in front, the
-    epoch, the number of levels, the mask's shape and the distribution, so that no two uses share a
-    key.
+    Args:
+        key: 32 bytes, used for nothing else and never again.
+        camera: its window and the panel's number of levels.
+        distribution: to draw from, uniform over all that the panel can show by default.
+
+    Returns:
+        uint8 array of shape ``camera.mask_shape``: a secret, to be logged nowhere.
 
     Raises:
-        OpticsError: an empty or long device name, an epoch that is not in 0 to 2^64 - 1, a
-            distribution for another window or panel.
+        OpticsError: a key of another length, or a distribution for another window or panel; the
+            message holds no key.
     """
-    name = device.encode()
-    require(
-        1 <= len(name) <= MAX_DEVICE_BYTES,
-        "device",
-        device,
-        "",
-        f"a name of 1 to {MAX_DEVICE_BYTES} bytes",
-    )
-    require_count("epoch", epoch, least=0)
-    require(epoch <= MAX_EPOCH, "epoch", epoch, "", "at most 2^64 - 1")
+    if distribution is None:
+        distribution = MaskDistribution.uniform(camera)
     require(
         distribution.lowest.shape == camera.mask_shape,
         "distribution.shape",
@@ -239,49 +157,4 @@ def epoch_key(
         "levels",
         f"the panel's, {camera.panel.levels}",
     )
-    info = b"".join(
-        (
-            CONTEXT,
-            struct.pack(">B", len(name)),
-            name,
-            struct.pack(">QHHH", epoch, camera.panel.levels, *camera.mask_shape),
-            distribution.lowest.tobytes(),
-            distribution.highest.tobytes(),
-            distribution.curve.tobytes(),
-        )
-    )
-    return derived_key(secret.reveal(), info)
-
-
-def derived_key(material: bytes, info: bytes) -> bytes:
-    """HKDF-SHA256 (RFC 5869) without salt, 32 bytes; ``info`` keeps the uses of a key apart."""
-    return HKDF(algorithm=SHA256(), length=32, salt=None, info=info).derive(material)
-
-
-def epoch_levels(
-    secret: Secret,
-    device: str,
-    epoch: int,
-    *,
-    camera: Camera,
-    distribution: MaskDistribution | None = None,
-) -> Levels:
-    """The mask of one epoch, as levels for the panel.
-
-    Args:
-        secret: 256 bits that the device and its authorised decoders share.
-        device: name of the device; two devices with one secret have unrelated masks.
-        epoch: 0 to 2^64 - 1; never use one twice.
-        camera: its window and the panel's number of levels.
-        distribution: to draw from, uniform over all that the panel can show by default.
-
-    Returns:
-        uint8 array of shape ``camera.mask_shape``: a secret, to be logged nowhere.
-
-    Raises:
-        OpticsError: an argument is not valid; the message holds no secret.
-    """
-    if distribution is None:
-        distribution = MaskDistribution.uniform(camera)
-    key = epoch_key(secret, device, epoch, camera=camera, distribution=distribution)
     return distribution.draw(KeyStream(key))

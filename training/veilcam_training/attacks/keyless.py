@@ -6,32 +6,25 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.masks import to_levels
-from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
+from veilcam_optics.decoding.release import ReleaseForm, Whitening
+from veilcam_optics.keys.masks import KEY_BYTES
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.encoders.fresh import FreshCamera, PreparedMask
-from veilcam_training.errors import TrainingError
 
 
 @dataclass(frozen=True)
 class ReleasedMask(PreparedMask):
     """A mask whose holder releases measurements; who sees them has no decoder."""
 
-    form: ReleaseForm
     whitening: Whitening | None = field(repr=False)
+    """None: they leave raw."""
 
     def decode(self, measurements: Tensor) -> Tensor:
-        """The released form, (batch, E), each in units of its measurement's mean unless white."""
-        released = release(measurements, self.form, self.decoder, self.whitening)
-        if released is None:
-            raise TrainingError("form = none releases nothing: use raw, flat or white")
-        flat = released.flatten(1)
-        if self.form is ReleaseForm.WHITE:
-            return flat
-        scale = (
-            measurements if self.form is ReleaseForm.RAW else self.decoder.mean_measurement[None]
-        )
-        return flat / scale.mean(1, keepdim=True).clamp_min(torch.finfo(flat.dtype).tiny)
+        """What leaves, (batch, E): white, or raw in units of each measurement's mean."""
+        if self.whitening is not None:
+            return self.whitening.whiten(measurements)
+        scale = measurements.mean(1, keepdim=True)
+        return measurements / scale.clamp_min(torch.finfo(measurements.dtype).tiny)
 
 
 class KeylessCamera(FreshCamera):
@@ -49,11 +42,9 @@ class KeylessCamera(FreshCamera):
     def prepare(
         self, weights: Tensor, panels: Sequence[TransferOperator], choice: torch.Generator
     ) -> ReleasedMask:
-        """A mask behind one of ``panels``."""
-        mask = super().prepare(weights, panels, choice)
-        whitening = (
-            Whitening(mask.decoder, to_levels(weights, self.setup.camera.panel))
-            if self.form is ReleaseForm.WHITE
-            else None
-        )
-        return ReleasedMask(mask.transfer, mask.decoder, self.form, whitening)
+        """A mask behind one of ``panels``, and a rotation of its own."""
+        mask, whitening = super().prepare(weights, panels, choice), None
+        if self.form is ReleaseForm.WHITE:
+            key = torch.randint(256, (KEY_BYTES,), generator=choice, dtype=torch.uint8)
+            whitening = Whitening(mask.decoder, key.numpy().tobytes())
+        return ReleasedMask(mask.transfer, mask.decoder, whitening)

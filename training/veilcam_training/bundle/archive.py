@@ -99,7 +99,6 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         fresh=None
         if fresh is None
         else FreshManifest(
-            device=fresh.device,
             noise=fresh.noise,
             reach=fresh.reach,
             features=fresh.features,

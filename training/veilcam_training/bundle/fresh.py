@@ -13,7 +13,7 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import Decoder, MeasurementNoise, SceneFrame, SceneStatistics
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_key
+from veilcam_optics.keys.masks import KEY_BYTES, MaskDistribution, draw_levels
 from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.layers import LayerRecord
@@ -33,8 +33,6 @@ LEAST_BITS = 128.0
 class Fresh:
     """Key policy, scene statistics and the one classifier that serves all masks."""
 
-    device: str
-    """Label that enters the key derivation; two cameras with one secret need different ones."""
     distribution: MaskDistribution
     """What masks are drawn from; its curve holds the levels that the panel can show."""
     statistics: SceneStatistics
@@ -52,7 +50,7 @@ class Fresh:
         return len(self.features) * self.statistics.pixels
 
     def frame(self, camera: Camera, scene: Scene, embedding: Embedding) -> SceneFrame:
-        """All that decoding needs besides the secret."""
+        """All that decoding needs besides the key of a mask."""
         known = (self.statistics, self.noise, self.reach, self.distribution)
         return SceneFrame(camera, scene, embedding, *known)
 
@@ -78,10 +76,8 @@ def classifier_inputs(
 def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding) -> None:
     """Raise :class:`BundleError` unless key policy and statistics fit camera and scene."""
     try:
-        # The derivation itself knows what it can serve; this key is thrown away.
-        epoch_key(
-            Secret(bytes(32)), fresh.device, 0, camera=camera, distribution=fresh.distribution
-        )
+        # What draws knows what it can serve; nobody is ever shown this mask.
+        draw_levels(bytes(KEY_BYTES), camera=camera, distribution=fresh.distribution)
     except OpticsError as error:
         raise BundleError(f"key policy: {error}") from None
     require(

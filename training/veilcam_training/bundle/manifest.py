@@ -29,8 +29,9 @@ class FreshManifest(BaseModel, frozen=True, extra="forbid", strict=True):
     """Key policy, noise and the one classifier of mode ``fresh``."""
 
     scheme: Literal["veilcam mask levels, version 1"] = "veilcam mask levels, version 1"
-    """How a key becomes a mask: the context of :mod:`veilcam_optics.keys.masks`."""
-    device: str
+    """How a key becomes a mask: see :mod:`veilcam_optics.keys.masks`."""
+    device: str | None = Field(default=None, exclude=True)
+    """Of files that earlier versions wrote; it means nothing any more."""
     noise: MeasurementNoise
     reach: Reach
     features: tuple[Feature, ...]

@@ -103,7 +103,6 @@ def load_fresh(manifest: FreshManifest, parts: Mapping[str, bytes]) -> Fresh:
         own[name] = tensor
     try:
         return Fresh(
-            device=manifest.device,
             distribution=MaskDistribution(**arrays),
             statistics=SceneStatistics(**scenes),
             noise=manifest.noise,

@@ -42,9 +42,6 @@ def fit_fresh_command(
     out: Annotated[Path, typer.Option(help="Bundle to write, *.veilcam.")],
     config: Config = None,
     task: Annotated[str | None, typer.Option(help=f"One of {', '.join(TASKS)}.")] = None,
-    device_label: Annotated[
-        str, typer.Option(help="The camera's name in its key schedule.")
-    ] = "camera",
     epochs: Epochs = None,
     batch: Batch = None,
     seed: Seed = None,
@@ -77,7 +74,7 @@ def fit_fresh_command(
             )
         if not ranks.is_first:
             return
-        write_bundle(out, as_fresh_bundle(result, source, camera, device=device_label))
+        write_bundle(out, as_fresh_bundle(result, source, camera))
     console.print(
         f"test {100 * result.accuracy.value:.2f} % on {result.masks} unseen masks "
         f"({100 * result.wrong_key_accuracy:.2f} % with the wrong key)\n"
@@ -89,10 +86,10 @@ def frame_command(
     bundle: Annotated[Path, typer.Argument(help="Bundle of mode fresh.")],
     out: Annotated[Path, typer.Argument(help="Frame to write, *.safetensors.")],
 ) -> None:
-    """Write what decoding elsewhere needs besides the secret; none of it is secret."""
+    """Write what decoding elsewhere needs besides the key of a mask; none of it is secret."""
     contents = read_bundle(bundle)
     if contents.fresh is None:
         raise TrainingError(f"{bundle} holds pairs: use a bundle of mode fresh")
     check_file("OUT", out, ".safetensors")
     write_frame(out, contents.fresh.frame(contents.camera, contents.scene, contents.embedding))
-    console.print(f"wrote {out}; the camera's label is {contents.fresh.device!r}")
+    console.print(f"wrote {out}")

@@ -1,7 +1,7 @@
 """The camera whose mask changes all the time: masks from a distribution, and measurements decoded.
 
 Small embeddings tell little apart behind a mask drawn uniformly. So the distribution itself may be
-learned, together with the classifier: not a mask, but where the secret may draw. The ranges are
+learned, together with the classifier: not a mask, but where the key may draw. The ranges are
 public; each mask is drawn within them, is used and forgotten.
 """
 
@@ -21,7 +21,7 @@ from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.camera.imperfections import Imperfections, Spreads
 from veilcam_optics.camera.masks import quantise, to_weights
 from veilcam_optics.decoding import Decoder, SceneFrame, SceneStatistics, fit_statistics
-from veilcam_optics.keys.masks import SECRET_BYTES, Levels, MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import KEY_BYTES, Levels, MaskDistribution, draw_levels
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_training.bundle import classifier_inputs
@@ -164,7 +164,7 @@ class FreshCamera(Encoder):
 
     @property
     def frame(self) -> SceneFrame:
-        """All that decoding needs besides a secret."""
+        """All that decoding needs besides the key of a mask."""
         return replace(self._frame, distribution=self.distribution)
 
     def forward(self, scenes: Tensor, part: Region | None = None, grid: int = 0) -> Tensor:
@@ -235,24 +235,17 @@ class FreshCamera(Encoder):
         return self
 
     def draw_levels(self, *purpose: str | int) -> Levels:
-        """A mask of the key for a purpose, ``purpose[:-1]``, at the epoch ``purpose[-1]``."""
-        *name, epoch = purpose
-        seed = derive(self.schedule.seed, *name)
-        return epoch_levels(
-            Secret(np.random.default_rng(seed).bytes(SECRET_BYTES)),
-            "simulated",
-            int(epoch),
-            camera=self.setup.camera,
-            distribution=self.distribution,
-        )
+        """The mask for a purpose: its key comes from the schedule's seed."""
+        key = np.random.default_rng(derive(self.schedule.seed, *purpose)).bytes(KEY_BYTES)
+        return draw_levels(key, camera=self.setup.camera, distribution=self.distribution)
 
     @torch.no_grad()
     def masks(self, *purpose: str | int) -> Iterator[PreparedMask]:
-        """Prepared masks without end, one per epoch of a key, another key for every ``purpose``."""
+        """Prepared masks without end, none twice; others for every ``purpose``."""
         panels = self.panels(str(purpose[0]))
         choice = stream(self.schedule.seed, "panel", *purpose)
-        for epoch in itertools.count():
-            weights = to_weights(self.draw_levels(*purpose, epoch), self.setup.camera.panel)
+        for number in itertools.count():
+            weights = to_weights(self.draw_levels(*purpose, number), self.setup.camera.panel)
             yield self.prepare(weights.to(self._device), panels, choice)
 
     def prepare(

@@ -180,14 +180,13 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
     )
 
 
-def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera, *, device: str) -> Bundle:
+def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bundle:
     """Bundle of mode ``fresh``: no mask is in it, and one classifier for all.
 
     Args:
         result: of the fit.
         source: that it was fitted to.
         camera: that it was fitted for.
-        device: name of the camera in its key schedule.
     """
     best, frame, model = result.fit.best, result.camera.frame, result.fit.model
     record = provenance(result.settings.model_dump(mode="json"), source.digests())
@@ -205,7 +204,6 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera, *, devi
         embedding=frame.embedding,
         mode="fresh",
         fresh=Fresh(
-            device=device,
             distribution=result.camera.distribution,
             statistics=frame.statistics,
             noise=frame.noise,
