@@ -1,6 +1,6 @@
 #!/bin/sh
 # Installs veilcamd on this machine, or upgrades it: sudo deploy/install.sh
-# Run it from a checkout. It may be run again at any time, and keeps settings, state and secrets.
+# Run it from a checkout. It may be run again at any time, and keeps settings and state.
 set -eu
 
 here=$(cd "$(dirname "$0")" && pwd)
