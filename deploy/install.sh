@@ -44,7 +44,6 @@ install -D -m 644 "$here/veilcamd.socket" /etc/systemd/system/veilcamd.socket
 systemd-sysusers /etc/sysusers.d/veilcam.conf
 install -d -m 755 /etc/veilcam
 [ -e /etc/veilcam/veilcam.env ] || install -m 644 "$here/veilcam.env" /etc/veilcam/veilcam.env
-install -d -m 700 /etc/credstore.encrypted
 
 ln -sfn "$name" "$root/current.new"
 mv -T "$root/current.new" "$root/current"
