@@ -6,11 +6,11 @@ import os
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy.typing as npt
 
-from veilcam_client.camera import DEFAULT_URL
+from veilcam_client.camera import DEFAULT_URL, KeySource, opened, opener_of
 from veilcam_client.http import calls
 from veilcam_client.http.credentials import Credentials
 from veilcam_client.http.transport import AsyncHttpClient, AsyncTransport, Options, RetryPolicy
@@ -21,9 +21,13 @@ from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
+from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
+
+if TYPE_CHECKING:
+    from veilcam_client.keys.receivers import Receiver
 
 
 class AsyncCamera:
@@ -36,10 +40,13 @@ class AsyncCamera:
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
         max_retries: int = 2,
+        key: KeySource | None = None,
+        device: str | None = None,
         token: str | None = None,
         ca_file: str | os.PathLike[str] | None = None,
         http_client: AsyncHttpClient | None = None,
     ) -> None:
+        self._opener = opener_of(key, device)
         retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
         options = Options(url, connect_timeout, read_timeout, retry, credentials)
         self._transport = AsyncTransport(options, http_client)
@@ -84,12 +91,13 @@ class AsyncCamera:
         return await self._transport.send(calls.CANCEL_CALIBRATION)
 
     async def capture(self) -> Capture:
-        """Take one embedding; ``np.asarray`` of the result is the array."""
-        return await self._transport.send(calls.CAPTURE)
+        """Take one embedding, as :meth:`Camera.capture` does."""
+        return opened(await self._transport.send(calls.CAPTURE), self._opener)
 
     async def classify(self, *, include_embedding: bool = False) -> Classification:
         """Take one embedding and classify it on the device."""
-        return await self._transport.send(calls.classify(include_embedding))
+        answer = await self._transport.send(calls.classify(include_embedding))
+        return opened(answer, self._opener)
 
     async def rotation(self) -> Rotation:
         """The rotation policy and the present mask epoch."""
@@ -151,6 +159,18 @@ class AsyncCamera:
     async def revoke_token(self, token_id: str) -> Token:
         """Let a token do nothing any more."""
         return await self._transport.send(calls.revoke_token(token_id))
+
+    async def receivers(self) -> Receivers:
+        """To whom embeddings are sealed, and the key of the device that seals them."""
+        return await self._transport.send(calls.RECEIVERS)
+
+    async def add_receiver(self, label: str, key: Receiver | str) -> PairedReceiver:
+        """Seal to one receiver more, as :meth:`Camera.add_receiver` does."""
+        return await self._transport.send(calls.add_receiver(label, str(key)))
+
+    async def remove_receiver(self, receiver_id: str) -> None:
+        """Seal to a receiver no more, from the next mask on; what it has it still opens."""
+        await self._transport.send(calls.remove_receiver(receiver_id))
 
     async def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
         """Hold a picture up, or take it away, as :meth:`Camera.hold_scene` does."""

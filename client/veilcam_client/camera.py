@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self, TypeAlias, TypeVar
 
 import numpy.typing as npt
 
@@ -20,11 +20,38 @@ from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
+from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
 
+if TYPE_CHECKING:
+    from veilcam_client.keys.blocks import Opener
+    from veilcam_client.keys.receivers import Receiver, ReceiverKey
+
 DEFAULT_URL = "http://127.0.0.1:8787"
+KeySource: TypeAlias = "str | os.PathLike[str] | ReceiverKey"
+"""A receiver's private key, or its file."""
+
+TakenT = TypeVar("TakenT", Capture, Classification)
+
+
+def opener_of(key: KeySource | None, device: str | None) -> Opener | None:
+    """What opens sealed embeddings; None: nothing does."""
+    if key is None:
+        if device is not None:
+            raise ValueError("device= is checked when embeddings are opened: give key= as well")
+        return None
+    # Late: whoever opens nothing need not wait for the cryptography to load.
+    from veilcam_client.keys.blocks import Opener  # noqa: PLC0415
+    from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
+
+    return Opener(key if isinstance(key, ReceiverKey) else ReceiverKey.read(key), device)
+
+
+def opened(answer: TakenT, opener: Opener | None) -> TakenT:
+    """An answer with its embedding opened, where there is what opens it."""
+    return answer if opener is None else opener.open(answer)
 
 
 class Camera:
@@ -35,6 +62,10 @@ class Camera:
         connect_timeout: to reach the daemon [s].
         read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
         max_retries: how often a request that may succeed later is repeated.
+        key: private key of a receiver, or its file: embeddings come opened, each with its notes,
+            and one that is not sealed to it, or came before, raises ``SealedError``.
+        device: public key of the camera, 64 hexadecimal digits, as ``veilcam receiver add`` prints
+            it; that of the first embedding that is opened if None.
         token: made by ``veilcamd token create``; that in ``VEILCAM_TOKEN`` if None. It goes over
             https, unix sockets, and http to this machine, nowhere else.
         ca_file: PEM file of the authority that vouches for an https daemon; that in
@@ -42,7 +73,8 @@ class Camera:
         http_client: an ``httpx.Client`` to use instead of an own one; it is not closed.
 
     Raises:
-        ValueError: a URL, timeout, token or file that cannot be used.
+        ValueError: a URL, timeout, token, file or device that cannot be used.
+        KeyFileError: a key's file that cannot be used.
     """
 
     def __init__(
@@ -52,10 +84,13 @@ class Camera:
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
         max_retries: int = 2,
+        key: KeySource | None = None,
+        device: str | None = None,
         token: str | None = None,
         ca_file: str | os.PathLike[str] | None = None,
         http_client: HttpClient | None = None,
     ) -> None:
+        self._opener = opener_of(key, device)
         retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
         options = Options(url, connect_timeout, read_timeout, retry, credentials)
         self._transport = Transport(options, http_client)
@@ -100,12 +135,13 @@ class Camera:
         return self._transport.send(calls.CANCEL_CALIBRATION)
 
     def capture(self) -> Capture:
-        """Take one embedding; ``np.asarray`` of the result is the array."""
-        return self._transport.send(calls.CAPTURE)
+        """Take one embedding; ``np.asarray`` of the result is the array, if ``key`` opens it."""
+        return opened(self._transport.send(calls.CAPTURE), self._opener)
 
     def classify(self, *, include_embedding: bool = False) -> Classification:
         """Take one embedding and classify it on the device."""
-        return self._transport.send(calls.classify(include_embedding))
+        answer = self._transport.send(calls.classify(include_embedding))
+        return opened(answer, self._opener)
 
     def rotation(self) -> Rotation:
         """The rotation policy and the present mask epoch."""
@@ -170,6 +206,23 @@ class Camera:
     def revoke_token(self, token_id: str) -> Token:
         """Let a token do nothing any more."""
         return self._transport.send(calls.revoke_token(token_id))
+
+    def receivers(self) -> Receivers:
+        """To whom embeddings are sealed, and the key of the device that seals them."""
+        return self._transport.send(calls.RECEIVERS)
+
+    def add_receiver(self, label: str, key: Receiver | str) -> PairedReceiver:
+        """Seal to one receiver more, from the next mask on.
+
+        Args:
+            label: for whom or what it is; it stands in the status and in the audit log.
+            key: its public key, as ``veilcam receiver keygen`` prints it.
+        """
+        return self._transport.send(calls.add_receiver(label, str(key)))
+
+    def remove_receiver(self, receiver_id: str) -> None:
+        """Seal to a receiver no more, from the next mask on; what it has it still opens."""
+        self._transport.send(calls.remove_receiver(receiver_id))
 
     def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
         """Hold a picture up before a simulated camera that allows it; None takes it away.

@@ -1,7 +1,8 @@
 """Recordings: what a camera answered, in a file, for ``veilcamd serve --replay``.
 
-JSON lines. The first tells which camera it was, every other one is a capture as the API answered
-it, with its label where it was asked for. Whoever may read the file may read the embeddings.
+JSON lines. The first tells which camera it was, every other one is a capture as the SDK gave it,
+with its label where it was asked for. What came sealed stays sealed, unless the camera had a key:
+then it is raw, and whoever may read the file may read it.
 """
 
 import os
@@ -15,7 +16,7 @@ from pydantic import ValidationError
 
 from veilcam_client.errors import RecordingError
 from veilcam_client.wire.base import Answer
-from veilcam_client.wire.captures import Capture, Classification, Exposure, Prediction
+from veilcam_client.wire.captures import Capture, Classification, Prediction
 from veilcam_client.wire.status import Status
 
 MAX_BYTES = 2**28
@@ -29,7 +30,7 @@ class Header(Answer):
     version: Literal[1] = 1
     recorded_at: datetime
     status: Status
-    """Of the camera when the recording began."""
+    """Of the camera when the recording began; its ``release`` is the form in this file."""
 
 
 class Recorded(Answer):
@@ -37,13 +38,7 @@ class Recorded(Answer):
 
     capture: Capture
     verdict: Prediction | None = None
-
-    @property
-    def exposure(self) -> Exposure:
-        """Proof of the exposure, which every capture has that was not itself replayed."""
-        if self.capture.exposure is None:
-            raise ValueError("the capture was itself replayed: record a camera")
-        return self.capture.exposure
+    """With scores where the token had a scope for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +93,14 @@ def record(
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as stream:
-            _write(stream, Header(recorded_at=datetime.now(UTC), status=status))
-            for _ in range(count):
-                _write(stream, _take(camera, labels=labels))
+            for place in range(count):
+                taken = _take(camera, labels=labels)
+                if place == 0:
+                    # Only now is it known: a camera that has a key opens what is released sealed.
+                    form = taken.capture.embedding.form
+                    status = status.model_copy(update={"release": form})
+                    _write(stream, Header(recorded_at=datetime.now(UTC), status=status))
+                _write(stream, taken)
                 advance()
             return stream.tell()
     except FileExistsError:
@@ -146,13 +146,12 @@ def _take(camera: Recordable, *, labels: bool) -> Recorded:
     return Recorded(
         capture=Capture(
             id=answer.id,
-            taken_at=answer.taken_at,
             epoch=answer.epoch,
-            scene=answer.scene,
+            number=answer.number,
+            taken_at=answer.taken_at,
             embedding=answer.embedding,
-            exposure=answer.exposure,
             replay=answer.replay,
-            timing=answer.timing,
+            notes=answer.notes,
         ),
         verdict=Prediction(label=answer.label, confidence=answer.confidence, scores=answer.scores),
     )
@@ -167,15 +166,12 @@ def _recorded(header: Header, path: Path, number: int, line: bytes) -> Recorded:
     capture, bundle = recorded.capture, header.status.bundle
     form, release, verdict = capture.embedding.form, header.status.release, recorded.verdict
     for wrong, fault in (
-        (
-            capture.replay is not None or capture.exposure is None,
-            "was itself replayed: record a camera",
-        ),
+        (capture.replay is not None, "was itself replayed: record a camera"),
         (
             capture.embedding.shape != bundle.embedding_shape,
             "is of another camera: remove it",
         ),
-        (form != release, f"is {form}, and the camera released {release}: remove it"),
+        (form != release, f"is {form}, and the others are {release}: remove it"),
         (
             verdict is not None and verdict.label not in bundle.labels,
             "label is not one of the camera's: remove it",

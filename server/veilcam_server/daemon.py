@@ -18,7 +18,7 @@ from veilcam_server.bundles.loader import (
     Opener,
     last_good,
     note_start,
-    release_form,
+    release_terms,
     rotation_policy,
 )
 from veilcam_server.bundles.manager import BundleManager
@@ -26,9 +26,10 @@ from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.calibration.loading import open_calibration, settle_time, source_opener
 from veilcam_server.calibration.service import CalibrationService
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import open_device
@@ -43,14 +44,18 @@ from veilcam_server.errors import (
 )
 from veilcam_server.gate.server import Gate, GateServer, open_gate
 from veilcam_server.sealing.identity import DeviceKey
+from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import open_admission
 from veilcam_server.security.tls import server_context
+from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.replay import replay_service
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.listeners import Listener, open_listeners
 from veilcam_server.system.logs import log_defect
+from veilcam_server.system.memory import forbid_core_files
+from veilcam_server.system.state_file import HeldDirectory
 from veilcam_server.system.systemd import notify
 from veilcam_training.bundle import BundleError, read_bundle
 
@@ -69,11 +74,13 @@ def build_service(settings: Settings) -> Service:
     try:
         with ExitStack() as undo:
             # First of all: it keeps other daemons off the state.
-            epochs = EpochStore(settings.state_dir, report=faults.append)
-            undo.callback(epochs.close)
+            held = HeldDirectory(settings.state_dir)
+            undo.callback(held.close)
             bundle = read_bundle(settings.bundle)
-            form = release_form(settings, bundle)
             key = DeviceKey.open(settings.state_dir, faults.append)
+            receivers = ReceiverStore(settings.state_dir, faults.append)
+            terms = release_terms(settings, bundle, receivers)
+            budget = ReleaseBudget(settings.state_dir, settings.raw_budget, faults.append)
             signed = open_calibration(settings, bundle, key, faults.append)
             owners = Owners.open(settings.owner_keys)
             opener = Opener(bundle, source_opener(settings, signed), owners)
@@ -84,13 +91,14 @@ def build_service(settings: Settings) -> Service:
             policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
-            preparation = Preparation(keys.source, epochs)
+            preparation = Preparation(keys.source, key, terms, budget)
             undo.callback(preparation.close)
             camera = MaskedCamera(
                 device,
                 preparation,
                 bundle.embedding.shape,
                 OpticalSelfTest(bundle.camera, bundle.scene, bundle.embedding),
+                budget=budget,
                 fence=Fence(settle_time(settings, signed), settings.capture_timeout),
                 policy=policies.at_start(
                     rotation_policy(settings, bundle),
@@ -101,6 +109,7 @@ def build_service(settings: Settings) -> Service:
                 calibration=signed,
             )
             undo.pop_all()
+            undo.callback(held.close)
             undo.callback(camera.stop)
             _begin(camera)
             undo.pop_all()
@@ -114,20 +123,26 @@ def build_service(settings: Settings) -> Service:
         camera,
         Identity(
             DeviceInfo(
-                display=device.display.name, sensor=device.sensor.name, simulated=device.simulated
+                display=device.display.name,
+                sensor=device.sensor.name,
+                simulated=device.simulated,
+                key=key.public,
             ),
             keys.info,
             experiment="wrong-classifier" if settings.wrong_classifier else None,
         ),
         BundleManager(store, opener, keys, limit=settings.bundle_limit),
         CalibrationService(settings, bundle, key, signed),
-        form=form,
+        form=lambda: terms().form,
+        raw_budget=settings.raw_budget,
+        pairing=Pairing(receivers, key.public, camera.renew),
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
         scenes=device.scenes if settings.scene_api else None,
         break_device=device.set_faults if settings.scene_api else None,
         faults=faults,
         policies=policies,
+        held=held,
     )
 
 
@@ -190,6 +205,7 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
         StartError: the daemon cannot start; nothing else on this machine was disturbed.
     """
     configure_torch()
+    forbid_core_files()
     # The default would end the process at once and leave the mask on the panel.
     default = signal.signal(signal.SIGTERM, _exit)
     try:

@@ -90,15 +90,29 @@ class AuditError(
     """What was done cannot be written down durably, so no change is made, or acknowledged."""
 
 
-class EpochError(
+class ReleaseNotRecordedError(
     ProblemError,
-    code="epoch_not_recorded",
+    code="release_not_recorded",
     status=503,
-    title="The mask epoch is not durable",
+    title="That an embedding leaves is not durable",
     retryable=True,
     remedy="check_disk",
 ):
-    """A mask epoch could not be recorded, so no mask may be shown under it."""
+    """That an embedding leaves could not be recorded, so it stays."""
+
+
+class MasksSpentError(
+    ProblemError,
+    code="masks_spent",
+    status=409,
+    title="No mask may release anything more",
+    detail=(
+        "as many embeddings left behind every mask of this bundle as may: labels go on; install "
+        "another bundle for more"
+    ),
+    remedy="install_bundle",
+):
+    """The budget of released embeddings of all masks is used up."""
 
 
 class FenceError(

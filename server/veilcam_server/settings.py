@@ -81,8 +81,6 @@ class DoctorSettings(Wiring):
     """That of 'veilcamd serve'."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """That of 'veilcamd serve'."""
-    mask_secret: Path | None = None
-    """That of 'veilcamd serve'."""
 
 
 DEFAULT_PORT = 8787
@@ -104,7 +102,7 @@ _REPLAYED = frozenset(
     )
 )
 """Settings that a recording has too; all others are of a camera."""
-_OPTIONS = {"device": "simulate", "rotation": "every-seconds and --every-captures"}
+_OPTIONS = {"device": "simulate", "rotation": "every-seconds, --every-captures and --rotation-off"}
 """Options of another name than their setting's."""
 
 
@@ -141,19 +139,18 @@ class Settings(Wiring):
     """Origin whose pages may show this daemon's in a frame, as https://home.example. Give several,
     if need be. Default: none may."""
     state_dir: Path = Field(default_factory=default_state_dir)
-    """Where mask epochs, tokens and bundles are recorded."""
+    """Where the device's key, its receivers, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None
-    """When masks change."""
-    mask_secret: Path | None = None
-    """File with the secret of fresh masks, made by 'veilcamd secret'."""
+    """When masks change; by default after every capture for fresh masks, after ten for pairs."""
     calibration: Path | None = None
     """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
     one."""
-    device_label: str | None = Field(default=None, min_length=1, max_length=255)
-    """Label of this camera: no two with one secret may have the same."""
     release: Release | None = None
-    """How embeddings leave: none, flat, white or raw. Default: white for fresh masks, none for
-    pairs (raw when simulated)."""
+    """How embeddings leave: none, sealed, white or raw. Default: sealed as soon as a receiver is
+    paired; before that white for fresh masks, and none for pairs."""
+    raw_budget: int = Field(default=0, ge=0, le=1_000_000_000)
+    """Embeddings that may leave raw behind one mask, over its whole life; --release raw needs 1 or
+    more."""
     settle: float = Field(default=0.1, ge=0, le=60, allow_inf_nan=False)
     """Seconds for the panel to settle, never less than was measured."""
     exposure: float = Field(default=0.01, ge=0, le=10, allow_inf_nan=False)

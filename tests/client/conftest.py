@@ -11,15 +11,6 @@ from typing import Any, TypeAlias
 import httpx
 import pytest
 
-EXPOSURE = {"started_after_shown_s": 0.2, "settle_s": 0.1, "duration_s": 0.01}
-TIMING = {
-    "queue_s": 0.0,
-    "rotation_s": 0.0,
-    "settle_s": 0.0,
-    "capture_s": 0.02,
-    "inference_s": 0.001,
-    "total_s": 0.03,
-}
 ROTATION = {
     "policy": {"mode": "captures", "captures": 3},
     "epoch": "e1",
@@ -28,22 +19,29 @@ ROTATION = {
 }
 CAPTURE = {
     "id": "c1",
-    "taken_at": "2026-01-02T03:04:05Z",
     "epoch": "e1",
+    "number": 2,
+    "taken_at": "2026-01-02T03:04:05Z",
     "embedding": {"form": "raw", "shape": [2, 3], "values": [0.0, 1.0, 2.0, 3.0, 4.0, 5.5]},
-    "exposure": EXPOSURE,
-    "timing": TIMING,
 }
 CLASSIFICATION = {
     "id": "c1",
-    "taken_at": "2026-01-02T03:04:05Z",
     "epoch": "e1",
+    "number": 2,
+    "taken_at": "2026-01-02T03:04:05Z",
     "label": "7",
     "confidence": 0.9,
     "scores": {"7": 0.9, "1": 0.1},
     "embedding": None,
-    "exposure": EXPOSURE,
-    "timing": TIMING,
+}
+DEVICE = "d7" * 32
+RECEIVER = {"id": "ab" * 32, "label": "archive", "added_at": "2026-01-02T03:04:05Z"}
+RECEIVERS = {
+    "device": DEVICE,
+    "receivers": [
+        RECEIVER,
+        {"id": "abababab" + "cd" * 28, "label": "a tablet", "added_at": "2026-01-03T03:04:05Z"},
+    ],
 }
 STATUS = {
     "version": "9.9",
@@ -52,7 +50,9 @@ STATUS = {
     "uptime_s": 3.0,
     "captures": 5,
     "release": "raw",
-    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False},
+    "raw_budget": 100,
+    "receivers": [RECEIVER],
+    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False, "key": DEVICE},
     "bundle": {
         "digest": "0" * 64,
         "task": "mnist",
@@ -117,6 +117,8 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
     ("GET", "/v1/tokens"): {"tokens": [TOKEN], "next": None},
     ("POST", "/v1/tokens"): {**TOKEN, "secret": SECRET},
     ("DELETE", "/v1/tokens/0123456789ab"): {**TOKEN, "revoked_at": "2026-01-04T00:00:00Z"},
+    ("GET", "/v1/receivers"): RECEIVERS,
+    ("POST", "/v1/receivers"): RECEIVER,
     ("GET", "/v1/status"): STATUS,
     ("POST", "/v1/captures"): CAPTURE,
     ("POST", "/v1/classifications"): CLASSIFICATION,
@@ -159,6 +161,8 @@ class Daemon:
             if isinstance(answer, Exception):
                 raise answer
             return answer
+        if request.method == "DELETE" and request.url.path == f"/v1/receivers/{'ab' * 32}":
+            return httpx.Response(204)
         return httpx.Response(200, json=ANSWERS[request.method, request.url.path])
 
 

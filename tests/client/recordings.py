@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -12,8 +13,6 @@ from veilcam_client import Camera
 
 EPOCH = "9f86d081884c7d659a2feaa0c55ad015"
 AT = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-EXPOSURE = {"started_after_shown_s": 0.104, "settle_s": 0.1, "duration_s": 0.01}
-TIMING = {"queue_s": 0, "rotation_s": 0, "settle_s": 0, "capture_s": 0, "total_s": 0}
 STATUS: dict[str, Any] = {
     "version": "0.1.0",
     "api_version": 1,
@@ -21,7 +20,9 @@ STATUS: dict[str, Any] = {
     "uptime_s": 1.0,
     "captures": 0,
     "release": "white",
-    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False},
+    "raw_budget": 0,
+    "receivers": [],
+    "device": {"display": "ST7735R", "sensor": "IMX477", "simulated": False, "key": "d7" * 32},
     "bundle": {
         "digest": "0f" * 32,
         "task": "mnist",
@@ -44,26 +45,31 @@ def answer(number: int) -> dict[str, Any]:
     """The capture of this number, as the API answers it."""
     return {
         "id": f"{number:016x}",
-        "taken_at": (AT + timedelta(seconds=number)).isoformat(),
         "epoch": f"{number:032x}",
+        "number": 0,
+        "taken_at": (AT + timedelta(seconds=number)).isoformat(),
         "embedding": {
             "form": "white",
             "shape": [2, 3],
             "values": [number + k / 7 for k in range(6)],
         },
-        "exposure": EXPOSURE,
-        "timing": TIMING,
     }
 
 
-VERDICT = {"label": "1", "confidence": 0.75, "scores": {"0": 0.25, "1": 0.75}}
+VERDICT: dict[str, Any] = {"label": "1", "confidence": 0.75, "scores": {"0": 0.25, "1": 0.75}}
 
 
 class Daemon:
     """Answers so many captures, then 503."""
 
-    def __init__(self, captures: int = 100, **status: Any) -> None:
+    def __init__(
+        self,
+        captures: int = 100,
+        answers: Callable[[int], dict[str, Any]] = answer,
+        **status: Any,
+    ) -> None:
         self.status, self.left, self.taken = {**STATUS, **status}, captures, 0
+        self.answers, self.verdict = answers, VERDICT
 
     def __call__(self, request: httpx.Request) -> httpx.Response:
         if request.url.path == "/v1/status":
@@ -81,14 +87,14 @@ class Daemon:
             }
             headers = {"content-type": "application/problem+json"}
             return httpx.Response(503, content=json.dumps(problem), headers=headers)
-        taken = answer(self.taken)
+        taken = self.answers(self.taken)
         self.taken += 1
         if request.url.path == "/v1/classifications":
             assert json.loads(request.content) == {"include_embedding": True}
-            taken = {**taken, **VERDICT}
+            taken = {**taken, **self.verdict}
         return httpx.Response(200, json=taken)
 
-    def camera(self) -> Camera:
+    def camera(self, **options: Any) -> Camera:
         """An SDK that asks it."""
         http = httpx.Client(transport=httpx.MockTransport(self))
-        return Camera("http://localhost", http_client=http, max_retries=0)
+        return Camera("http://localhost", http_client=http, max_retries=0, **options)

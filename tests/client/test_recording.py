@@ -9,12 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.client.recordings import EXPOSURE, VERDICT, Daemon, answer
+from tests.client.recordings import VERDICT, Daemon, answer
+from tests.client.sealing import NOTES, VALUES, Device, Epoch
 from typer.testing import CliRunner
 
 from veilcam_client import DeviceError, RecordingError, read_recording, record
 from veilcam_client.cli.main import app
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.recording import MAX_BYTES
+from veilcam_client.wire.captures import Prediction
 
 Line = dict[str, Any]
 
@@ -38,13 +42,47 @@ def test_what_was_answered_is_what_is_read(path: Path, *, labels: bool) -> None:
     for number, recorded in enumerate(recording.captures):
         expected = answer(number)
         told = json.loads(recorded.capture.model_dump_json())
-        for name in ("id", "epoch", "embedding"):
+        for name in ("id", "epoch", "number", "embedding"):
             assert told[name] == expected[name]
         values = np.asarray(expected["embedding"]["values"], np.float32).reshape(2, 3)
         assert np.array_equal(np.asarray(recorded.capture), values)
-        assert recorded.exposure.model_dump() == EXPOSURE
         verdict = recorded.verdict
         assert (None if verdict is None else verdict.model_dump()) == (VERDICT if labels else None)
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_what_was_sealed_stays_sealed_unless_a_key_opens_it(
+    tmp_path: Path, *, labels: bool
+) -> None:
+    receiver, device = ReceiverKey.generate(), Device()
+    epochs = [Epoch(device, receiver) for _ in range(2)]
+    taken = [epoch.capture(0).model_dump(mode="json") for epoch in epochs]
+
+    def daemon() -> Daemon:
+        return Daemon(answers=lambda number: taken[number], release="sealed")
+
+    sealed, opened = tmp_path / "sealed", tmp_path / "opened"
+    record(daemon().camera(), sealed, count=2, labels=labels)
+    record(daemon().camera(key=receiver, device=device.public), opened, count=2, labels=labels)
+    closed, clear = read_recording(sealed), read_recording(opened)
+    assert (closed.header.status.release, clear.header.status.release) == ("sealed", "raw")
+    opener = Opener(receiver, device.public)
+    for one, other, came in zip(closed.captures, clear.captures, taken, strict=True):
+        assert json.loads(one.capture.embedding.model_dump_json()) == came["embedding"]
+        assert opener.open(one.capture) == other.capture
+        assert np.array_equal(np.asarray(other.capture), VALUES)
+        assert other.capture.notes == NOTES
+    sealed.write_bytes(sealed.read_bytes() + opened.read_bytes().split(b"\n")[1] + b"\n")
+    with pytest.raises(RecordingError, match="line 4: this is raw, and the others are sealed"):
+        read_recording(sealed)
+
+
+def test_a_label_is_kept_without_the_scores_that_did_not_come(path: Path) -> None:
+    daemon = Daemon()
+    daemon.verdict = {"label": "1"}
+    record(daemon.camera(), path, count=1, labels=True)
+    (recorded,) = read_recording(path).captures
+    assert recorded.verdict == Prediction(label="1")
 
 
 def test_what_was_written_before_a_failure_is_a_whole_recording(path: Path) -> None:
@@ -90,18 +128,14 @@ def no_captures(lines: list[Line]) -> None:
     ("change", "message"),
     [
         (changed(epoch=7), "line 3: this is no capture"),
-        (changed(exposure=None), "line 3: this was itself replayed"),
-        (
-            changed(replay={"capture": "1", "place": 0, "exposure": EXPOSURE}),
-            "line 3: this was itself replayed",
-        ),
+        (changed(replay={"capture": "1", "place": 0}), "line 3: this was itself replayed"),
         (
             changed(embedding={"form": "white", "shape": [1, 1], "values": [1.0]}),
             "line 3: this is of another camera",
         ),
         (
             changed(embedding={**answer(1)["embedding"], "form": "raw"}),
-            "line 3: this is raw, and the camera released white",
+            "line 3: this is raw, and the others are white",
         ),
         (strange_label, "line 3: this label is not one of the camera's"),
         (other_version, "is no recording of this version"),

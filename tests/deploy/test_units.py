@@ -89,6 +89,13 @@ def test_the_settings_that_come_along_are_settings(monkeypatch: pytest.MonkeyPat
     assert names <= Settings().model_fields_set  # type: ignore[call-arg]
 
 
+def test_keys_reach_neither_a_core_file_nor_swap() -> None:
+    unit = (DEPLOY / "veilcamd.service").read_text().splitlines()
+    assert {"LimitCORE=0", "MemorySwapMax=0"} <= set(unit)
+    # What opens nothing earlier is not handed to the daemon in the first place.
+    assert not any("Credential" in line for line in unit)
+
+
 def test_one_port_everywhere() -> None:
     assert f"ListenStream=127.0.0.1:{DEFAULT_PORT}\n" in (DEPLOY / "veilcamd.socket").read_text()
     announced = ET.parse(DEPLOY / "veilcam.avahi").findtext("service/port")

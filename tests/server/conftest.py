@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -23,25 +24,30 @@ from veilcam_client.wire.rotation import RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device as DeviceInfo
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
-from veilcam_optics.keys.masks import MaskDistribution, Secret
+from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.calibration.service import CalibrationService
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
-from veilcam_server.masks.source import MaskSource
+from veilcam_server.masks.source import MaskSource, Terms
+from veilcam_server.sealing.identity import DeviceKey
+from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
+from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import make_directory
 from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,
@@ -57,6 +63,8 @@ from veilcam_training.bundle.layers import (
 LABELS = tuple("0123456789")
 CAMERA = Camera(panel=Panel(), window=Window(rows=9, columns=5))
 EMBEDDING = Embedding(4, 5)
+DIGEST = "b0" * 32
+"""Of a bundle that was read from no file."""
 OFF = RotationOff()
 
 
@@ -83,6 +91,7 @@ def make_bundle(pairs: int = 3) -> Bundle:
         embedding=EMBEDDING,
         mode="pairs",
         pairs=tuple(pair() for _ in range(pairs)),
+        digest=DIGEST,
     )
 
 
@@ -110,17 +119,14 @@ def make_fresh_bundle() -> Bundle:
         embedding=EMBEDDING,
         mode="fresh",
         fresh=Fresh(
-            device="test camera",
             distribution=MaskDistribution.uniform(CAMERA),
             statistics=fit_statistics([digits], 24),
             noise=MeasurementNoise(40.0),
             layers=layers,
             weights=weights,
         ),
+        digest=DIGEST,
     )
-
-
-SECRET = Secret(bytes(range(32)))
 
 
 class FakeDisplay:
@@ -195,6 +201,7 @@ class Bench:
     state_dir: Path
     source: MaskSource
     release: Release = "raw"
+    raw_budget: int = 1_000_000
     display: FakeDisplay = field(default_factory=FakeDisplay)
     sensor: FakeSensor = field(default_factory=FakeSensor)
     test: FakeTest = field(default_factory=FakeTest)
@@ -211,14 +218,31 @@ class Bench:
         elif isinstance(event, StateChanged):
             self.states.append((event.state, event.detail))
 
+    @cached_property
+    def key(self) -> DeviceKey:
+        return DeviceKey.open(self.state_dir)
+
+    @cached_property
+    def receivers(self) -> ReceiverStore:
+        make_directory(self.state_dir)
+        return ReceiverStore(self.state_dir)
+
+    @property
+    def terms(self) -> Terms:
+        """What holds for an epoch that is prepared now."""
+        return Terms(self.release, self.receivers.keys)
+
     def camera(
         self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
     ) -> MaskedCamera:
+        make_directory(self.state_dir)
+        budget = ReleaseBudget(self.state_dir, self.raw_budget)
         camera = MaskedCamera(
             Device(self.display, self.sensor, simulated=True),
-            Preparation(self.source, EpochStore(self.state_dir)),
+            Preparation(self.source, self.key, lambda: self.terms, budget),
             self.bundle.embedding.shape,
             self.test,
+            budget=budget,
             fence=Fence(settle=settle),
             policy=policy,
             test_every=test_every,
@@ -250,12 +274,19 @@ class Bench:
         service = Service(
             camera,
             Identity(
-                DeviceInfo(display="fake panel", sensor="fake sensor", simulated=True),
+                DeviceInfo(
+                    display="fake panel",
+                    sensor="fake sensor",
+                    simulated=True,
+                    key=self.key.public,
+                ),
                 bundles.info,
             ),
             bundles,
             self.calibration or CalibrationService(settings, None, None),
-            form=self.release,
+            form=lambda: self.release,
+            raw_budget=self.raw_budget,
+            pairing=Pairing(self.receivers, self.key.public, camera.renew),
             queue_limit=queue_limit,
             heartbeat=0.05,
         )
@@ -307,14 +338,9 @@ def fresh_bundle() -> Bundle:
 
 
 @pytest.fixture
-def secret() -> Secret:
-    return SECRET
-
-
-@pytest.fixture
 def fresh_bench(fresh_bundle: Bundle, tmp_path: Path) -> Bench:
     """A bench whose masks are drawn from a key, and whose embeddings leave white."""
-    source = FreshSource(fresh_bundle, SECRET, form="white")
+    source = FreshSource(fresh_bundle)
     return Bench(fresh_bundle, tmp_path / "state", source, release="white")
 
 
@@ -358,14 +384,6 @@ def bundle_file(bundle: Bundle, tmp_path: Path) -> Path:
 def fresh_file(fresh_bundle: Bundle, tmp_path: Path) -> Path:
     path = tmp_path / "fresh.veilcam"
     write_bundle(path, fresh_bundle)
-    return path
-
-
-@pytest.fixture
-def secret_file(tmp_path: Path) -> Path:
-    path = tmp_path / "mask-secret"
-    path.touch(mode=0o600)
-    path.write_text(SECRET.reveal().hex())
     return path
 
 

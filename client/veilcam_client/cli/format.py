@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun, Quantity
-from veilcam_client.wire.captures import Capture, Classification
+from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
     BundleChanged,
@@ -30,6 +30,7 @@ from veilcam_client.wire.rotation import (
     RotationOff,
     RotationPolicy,
 )
+from veilcam_client.wire.sealing import PairedReceiver
 from veilcam_client.wire.status import Remedy, Status
 from veilcam_client.wire.tokens import Token
 
@@ -155,11 +156,23 @@ def status_in_words(status: Status) -> str:
         f"task      {status.bundle.task}, {rows} x {columns}, {masks}",
         rotation_in_words(status.rotation),
         f"next      {next_in_words(status.rotation.preparation)}",
-        f"release   {status.release}",
+        f"release   {release_in_words(status)}",
+        *(f"receiver  {receiver_in_words(receiver)}" for receiver in status.receivers),
         f"captures  {status.captures} in {status.uptime_s:.0f} s",
         f"version   {status.version}",
     ]
     return "\n".join(lines)
+
+
+def release_in_words(status: Status) -> str:
+    """In which form embeddings leave, and how many behind one mask where that is limited."""
+    limit = f", {status.raw_budget} a mask at most" if status.release == "raw" else ""
+    return f"{status.release}{limit}"
+
+
+def receiver_in_words(receiver: PairedReceiver) -> str:
+    """What a receiver is, in one line."""
+    return f"{receiver.id[:16]}  since {receiver.added_at:%Y-%m-%d}  {receiver.label}"
 
 
 def rotation_in_words(rotation: Rotation) -> str:
@@ -175,21 +188,19 @@ def lease_in_words(lease: Lease) -> str:
 
 
 def capture_in_words(capture: Capture) -> str:
-    """One embedding: its shape and its mean."""
-    values = np.asarray(capture)
-    shape = " x ".join(str(count) for count in values.shape)
+    """One embedding: its shape, its form and, where it is open, its mean."""
+    held = capture.embedding
+    shape = " x ".join(str(count) for count in held.shape)
+    mean = "" if isinstance(held, SealedEmbedding) else f"  mean {np.asarray(held).mean():.4g}"
     return (
-        f"{capture.id}  epoch {capture.epoch}  {shape} {capture.embedding.form}  "
-        f"mean {values.mean():.4g}  {1e3 * capture.timing.total_s:.0f} ms{replay_in_words(capture)}"
+        f"{capture.id}  epoch {capture.epoch}  {shape} {held.form}{mean}{replay_in_words(capture)}"
     )
 
 
 def classification_in_words(found: Classification) -> str:
     """What is in front of the camera."""
-    return (
-        f"{found.label}  {100 * found.confidence:.1f} %  epoch {found.epoch}  "
-        f"{1e3 * found.timing.total_s:.0f} ms{replay_in_words(found)}"
-    )
+    sure = "" if found.confidence is None else f"  {100 * found.confidence:.1f} %"
+    return f"{found.label}{sure}  epoch {found.epoch}{replay_in_words(found)}"
 
 
 def diagnostics_in_words(found: Diagnostics) -> str:
@@ -235,7 +246,7 @@ def event_in_words(event: Event) -> str:
 
 
 def _taken_in_words(event: Classified | CaptureTaken) -> str:
-    label = f"{event.label}  {100 * event.confidence:.1f} %  " if event.kind != "capture" else ""
+    label = f"{event.label}  " if event.kind != "capture" else ""
     return f"{label}epoch {event.epoch}{'  replay' if event.replay else ''}"
 
 

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import typer
 from pydantic import ValidationError
 
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.cli import bundles, calibrate, tokens
+from veilcam_client.cli import bundles, calibrate, receivers, tokens
 from veilcam_client.cli.format import (
     capture_in_words,
     classification_in_words,
@@ -22,7 +23,9 @@ from veilcam_client.cli.format import (
 )
 from veilcam_client.cli.terminal import (
     USAGE,
+    DeviceOption,
     JsonOption,
+    KeyOption,
     TimeoutOption,
     UrlOption,
     ask,
@@ -64,15 +67,17 @@ def record(
     labels: Annotated[
         bool, typer.Option("--labels", help="Classify each capture, and keep its label.")
     ] = False,
+    key: KeyOption = None,
+    device: DeviceOption = None,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 30.0,
 ) -> None:
     """Take captures and write them to a file, for 'veilcamd serve --replay'.
 
-    A token needs read:status and read:embedding, read:embedding:raw where embeddings leave raw, and
-    classify for labels.
+    Sealed ones stay sealed unless --key opens them. A token needs read:status and read:embedding,
+    read:embedding:raw where embeddings leave raw, and classify for labels.
     """
-    with errors(), Camera(url, read_timeout=timeout) as camera:
+    with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
         size = write_recording(camera, out, count=count, labels=labels)
     typer.echo(f"wrote {count} captures to {out}, {size / 1e6:.1f} MB")
 
@@ -83,12 +88,13 @@ app = typer.Typer(
     epilog="VEILCAM_TOKEN holds the token for a daemon that wants one, VEILCAM_CA_FILE the "
     "authority of an https one. Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request "
     "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
-    "12 leased, 13 recording.",
+    "12 leased, 13 recording, 14 key, 15 sealed.",
 )
 app.command()(calibrate.calibrate)
 app.command()(lease)
 app.add_typer(tokens.app, name="token")
 app.add_typer(bundles.app, name="bundle")
+app.add_typer(receivers.app, name="receiver")
 app.command()(record)
 
 
@@ -109,18 +115,17 @@ def status(
 def capture(
     *,
     out: Annotated[Path | None, typer.Option(help="Write the embedding to this .npy file.")] = None,
+    key: KeyOption = None,
+    device: DeviceOption = None,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 30.0,
     json: JsonOption = False,
 ) -> None:
     """Take one embedding."""
-    answer = ask(url, timeout, Camera.capture)
-    if out is not None:
-        try:
-            with out.open("wb") as stream:
-                np.save(stream, np.asarray(answer), allow_pickle=False)
-        except OSError as error:
-            fail(f"cannot write {out}: {error.strerror}", USAGE)
+    with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
+        answer = camera.capture()
+        if out is not None:
+            _save(out, np.asarray(answer))
     show(answer, capture_in_words, json=json)
 
 
@@ -199,6 +204,14 @@ def rotate(
         lambda camera: camera.rotate() if policy is None else camera.set_rotation(policy),
     )
     show(answer, rotation_in_words, json=json)
+
+
+def _save(out: Path, values: npt.NDArray[np.float32]) -> None:
+    try:
+        with out.open("wb") as stream:
+            np.save(stream, values, allow_pickle=False)
+    except OSError as error:
+        fail(f"cannot write {out}: {error.strerror}", USAGE)
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
 
 import typer
@@ -16,10 +17,12 @@ from veilcam_client.errors import (
     DeviceError,
     ForbiddenError,
     InvalidRequestError,
+    KeyFileError,
     LeasedError,
     ProtocolError,
     RecordingError,
     RequestTimeoutError,
+    SealedError,
     ServerError,
     UnauthorizedError,
     VeilcamError,
@@ -38,6 +41,8 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ForbiddenError, 11),
     (LeasedError, 12),
     (RecordingError, 13),
+    (KeyFileError, 14),
+    (SealedError, 15),
 )
 
 FoundT = TypeVar("FoundT")
@@ -48,6 +53,14 @@ UrlOption = Annotated[
     typer.Option(envvar="VEILCAM_URL", help="http://HOST:PORT or unix:///PATH."),
 ]
 TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, in seconds.")]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(help="Private key of a receiver, which opens sealed embeddings."),
+]
+DeviceOption = Annotated[
+    str | None,
+    typer.Option(help="Public key that the camera must have, as 'veilcam receiver add' prints it."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 

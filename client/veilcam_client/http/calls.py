@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
+from veilcam_client.wire.base import Nothing
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.calibration import (
     CalibrationRequest,
@@ -23,6 +24,7 @@ from veilcam_client.wire.captures import Capture, Classification, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
+from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_media_type
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
@@ -67,6 +69,7 @@ LEASE_STATE = Call("GET", "/v1/lease", Lease)
 DIAGNOSTICS = Call("GET", "/v1/diagnostics", Diagnostics)
 TAKE_SCENE_AWAY = Call("DELETE", "/v1/simulation/scene", HeldScene)
 BUNDLES = Call("GET", "/v1/bundles", InstalledBundles)
+RECEIVERS = Call("GET", "/v1/receivers", Receivers)
 
 
 def start_calibration(repeats: int) -> Call[CalibrationRun]:
@@ -119,6 +122,17 @@ def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Ca
 def revoke_token(token_id: str) -> Call[Token]:
     """DELETE /v1/tokens/ID."""
     return Call("DELETE", f"/v1/tokens/{quote(token_id, safe='')}", Token)
+
+
+def add_receiver(label: str, key: str) -> Call[PairedReceiver]:
+    """POST /v1/receivers."""
+    body = ReceiverRequest(label=label, key=key)
+    return Call("POST", "/v1/receivers", PairedReceiver, body, once=True)
+
+
+def remove_receiver(receiver_id: str) -> Call[Nothing]:
+    """DELETE /v1/receivers/ID."""
+    return Call("DELETE", f"/v1/receivers/{quote(receiver_id, safe='')}", Nothing)
 
 
 def hold_scene(picture: bytes) -> Call[HeldScene]:

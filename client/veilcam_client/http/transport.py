@@ -261,7 +261,7 @@ def _read(answer: type[AnswerT], response: httpx.Response) -> AnswerT:
     if not response.is_success:
         raise _error(response)
     try:
-        return answer.model_validate_json(response.content)
+        return answer.model_validate_json(response.content or b"{}")
     except ValidationError as error:
         raise _unreadable(response, f"an answer that is no {answer.__name__}") from error
 

@@ -28,6 +28,11 @@ class Signer(Protocol):
         """Signature of ``message`` (RFC 8032), 128 hexadecimal digits."""
 
 
+def canonical(*fields: object) -> bytes:
+    """One text for these fields, and no other fields have it: what is signed or sealed with."""
+    return json.dumps(fields, separators=(",", ":"), ensure_ascii=True).encode()
+
+
 def receivers_digest(ids: Iterable[str]) -> str:
     """SHA-256 of who receives, in the order of their names: 64 hexadecimal digits."""
     return hashlib.sha256("\n".join(sorted(ids)).encode()).hexdigest()
@@ -43,7 +48,10 @@ def seal_key(
         signer: the device.
         epoch: its name.
         bundle: SHA-256 of the bundle in use, as the key has it.
-        receivers: 1 to 8.
+        receivers: 1 to 8, none of them twice.
+
+    Raises:
+        ValueError: the receivers or a name are not valid, or the key was erased.
     """
     if not 1 <= len(receivers) <= MOST_RECEIVERS:
         raise ValueError(f"{len(receivers)} receivers are not valid: use 1 to {MOST_RECEIVERS}")
@@ -100,13 +108,9 @@ def open_key(envelope: Envelope, key: ReceiverKey, *, device: str | None) -> Epo
 
 
 def _info(device: str, epoch: str, receivers: str) -> bytes:
-    return _canonical("veilcam epoch key", ENVELOPE_VERSION, device, epoch, receivers)
+    return canonical("veilcam epoch key", ENVELOPE_VERSION, device, epoch, receivers)
 
 
 def _message(device: str, epoch: str, bundle: str, keys: Sequence[SealedKey]) -> bytes:
     sealed = [[each.receiver, each.key] for each in keys]
-    return _canonical("veilcam envelope", ENVELOPE_VERSION, device, epoch, bundle, sealed)
-
-
-def _canonical(*fields: object) -> bytes:
-    return json.dumps(fields, separators=(",", ":"), ensure_ascii=True).encode()
+    return canonical("veilcam envelope", ENVELOPE_VERSION, device, epoch, bundle, sealed)

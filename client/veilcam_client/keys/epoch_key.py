@@ -31,10 +31,10 @@ class EpochKey:
     def __init__(self, value: bytes | bytearray, *, device: str, bundle: str) -> None:
         if len(value) != KEY_BYTES:
             raise ValueError(f"an epoch's key is not valid: use {KEY_BYTES} bytes")
-        context = bytes.fromhex(device) + bytes.fromhex(bundle)
-        if len(context) != 2 * KEY_BYTES:
+        context = bytes.fromhex(device), bytes.fromhex(bundle)
+        if any(len(each) != KEY_BYTES for each in context):
             raise ValueError("device and bundle are not valid: use 64 hexadecimal digits each")
-        self._value, self._context = bytearray(value), context
+        self._value, self._context = bytearray(value), b"".join(context)
 
     @classmethod
     def generate(cls, *, device: str, bundle: str) -> Self:

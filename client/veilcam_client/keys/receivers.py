@@ -31,6 +31,7 @@ SUITE = Suite(KEM.MLKEM768_X25519, KDF.HKDF_SHA256, AEAD.CHACHA20_POLY1305)
 PUBLIC_BYTES = 1184 + 32
 _SEED_BYTES = 64
 PRIVATE_BYTES = _SEED_BYTES + 32
+_MOST_READ = 4096
 _PUBLIC_PREFIX = "veilcam-receiver:"
 _PRIVATE_PREFIX = "veilcam-receiver-private-key:"
 
@@ -46,6 +47,8 @@ class Receiver:
         if len(self.raw) != PUBLIC_BYTES:
             raise ValueError(f"a receiver's key has {len(self.raw)} bytes: use {PUBLIC_BYTES}")
         self._public()
+        # A point of low order agrees with nobody: nothing could be sealed to it.
+        X25519PrivateKey.generate().exchange(X25519PublicKey.from_public_bytes(self.raw[-32:]))
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -110,7 +113,9 @@ class ReceiverKey:
         """
         path = Path(path)
         try:
-            mode, text = path.stat().st_mode, path.read_text("ascii", "replace").strip()
+            with path.open("rb") as stream:
+                mode = os.fstat(stream.fileno()).st_mode
+                text = stream.read(_MOST_READ).decode("ascii", "replace").strip()
         except OSError as error:
             raise KeyFileError(
                 f"{path} cannot be read ({error.strerror}): check the path"

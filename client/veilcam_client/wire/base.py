@@ -20,6 +20,10 @@ class Answer(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
 
+class Nothing(Answer):
+    """Nothing but that it was done: HTTP 204, without a body."""
+
+
 class Question(BaseModel):
     """What a client asks: checked strictly, and closed to what is not known."""
 

@@ -153,10 +153,11 @@ class Prediction(Answer):
     """What a classifier makes of one embedding."""
 
     label: str
-    confidence: float
-    """Probability of ``label``, in [0, 1]."""
-    scores: Mapping[str, float]
-    """Probability of every label, in the order of the bundle's labels; they sum to 1."""
+    confidence: float | None = None
+    """Probability of ``label``, in [0, 1]; None where a recording was made without scores."""
+    scores: Mapping[str, float] | None = None
+    """Probability of every label, in the order of the bundle's labels; they sum to 1. None as
+    above."""
 
 
 class Classification(Answer):

@@ -5,21 +5,23 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
 
 ENVELOPE_VERSION: Literal[1] = 1
 MOST_RECEIVERS = 8
 """That a camera may have."""
+_NAME, _DIGEST, _SIGNATURE = (rf"^[0-9a-f]{{{digits}}}$" for digits in (32, 64, 128))
+_BASE64 = r"^[A-Za-z0-9+/]+={0,2}$"
 
 
 class SealedKey(Answer):
     """The key of an epoch, for one receiver."""
 
-    receiver: str
+    receiver: str = Field(pattern=_DIGEST)
     """SHA-256 of its public key."""
-    key: str = Field(repr=False)
+    key: str = Field(repr=False, pattern=_BASE64)
     """HPKE ciphertext, base64."""
 
 
@@ -27,14 +29,21 @@ class Envelope(Answer):
     """The key of an epoch, sealed to every receiver and signed by the device."""
 
     version: Literal[1] = ENVELOPE_VERSION
-    device: str
+    device: str = Field(pattern=_DIGEST)
     """Public Ed25519 key of the device, 64 hexadecimal digits."""
-    epoch: str
-    bundle: str
+    epoch: str = Field(pattern=_NAME)
+    bundle: str = Field(pattern=_DIGEST)
     """SHA-256 of the bundle in use."""
     keys: tuple[SealedKey, ...] = Field(min_length=1, max_length=MOST_RECEIVERS)
-    signature: str = Field(repr=False)
+    signature: str = Field(repr=False, pattern=_SIGNATURE)
     """Ed25519 signature of all the rest, 128 hexadecimal digits."""
+
+    @field_validator("keys")
+    @classmethod
+    def _once_each(cls, keys: tuple[SealedKey, ...]) -> tuple[SealedKey, ...]:
+        if len({each.receiver for each in keys}) != len(keys):
+            raise ValueError("a receiver stands in an envelope once")
+        return keys
 
 
 class ReceiverRequest(Question):

@@ -22,6 +22,7 @@ from veilcam_server.api.routes import (
     events,
     lease,
     public,
+    receivers,
     rotation,
     simulation,
     tokens,
@@ -39,8 +40,8 @@ _PASSING = (
 """Of what is done there a restart leaves nothing: a full disk under the audit log stops none of
 it, and its line may be lost where the power is."""
 _ROUTES = (
-    *(captures, rotation, events, lease, tokens, diagnostics, calibration, bundles, simulation),
-    public,
+    *(captures, rotation, events, lease, tokens, receivers, diagnostics, calibration, bundles),
+    *(simulation, public),
 )
 
 

@@ -51,7 +51,6 @@ DEVICE = (
     "sensor_failed",
     "sensor_timeout",
     "fence_violated",
-    "epoch_not_recorded",
 )
 """What a route that needs the device can answer with besides."""
 

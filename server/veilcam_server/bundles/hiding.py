@@ -9,7 +9,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_optics.keys.masks import KEY_BYTES, draw_levels
 from veilcam_optics.transfer.conditioning import Conditioning, ConditioningMeter
 from veilcam_server.errors import BundleRevealsError
 from veilcam_training.bundle import Bundle
@@ -52,17 +52,12 @@ class HidingCheck:
 
 
 def _masks(bundle: Bundle) -> Iterator[Tensor]:
-    """Weights of all stored masks, or of some that the bundle's rule draws from a known key."""
+    """Weights of all stored masks, or of some that the bundle's rule draws from known keys."""
     if bundle.fresh is None:
         for pair in bundle.pairs:
             yield to_weights(pair.levels, bundle.camera.panel)
         return
-    for epoch in range(DRAWN):
-        levels = epoch_levels(
-            Secret(bytes(32)),
-            bundle.fresh.device,
-            epoch,
-            camera=bundle.camera,
-            distribution=bundle.fresh.distribution,
-        )
+    for number in range(DRAWN):
+        key = bytes([number]) * KEY_BYTES  # always the same: what is refused stays refused
+        levels = draw_levels(key, camera=bundle.camera, distribution=bundle.fresh.distribution)
         yield to_weights(levels, bundle.camera.panel)

@@ -26,8 +26,8 @@ from veilcam_server.errors import (
 )
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
-from veilcam_server.masks.secret import find_secret
-from veilcam_server.masks.source import MaskSource
+from veilcam_server.masks.source import MaskSource, Terms
+from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
@@ -68,53 +68,83 @@ def open_source(
             learned for the nominal camera.
 
     Raises:
-        StartError: the bundle cannot be served as it is, or the secret is missing.
+        StartError: the bundle cannot be served as it is.
     """
     if bundle.mode == "fresh":
         return FreshSource(
-            bundle,
-            find_secret(settings.mask_secret),
-            device=settings.device_label,
-            form=release_form(settings, bundle),
-            wrong_decoder=settings.wrong_classifier,
-            imperfections=imperfections,
+            bundle, wrong_decoder=settings.wrong_classifier, imperfections=imperfections
         )
-    for option, value in (
-        ("--mask-secret", settings.mask_secret),
-        ("--device-label", settings.device_label),
-    ):
-        if value is not None:
-            raise StartError(f"{option} is for fresh masks: this bundle holds pairs")
     return load_pairs(bundle, wrong_classifier=settings.wrong_classifier)
 
 
-def release_form(settings: Settings, bundle: Bundle) -> Release:
-    """Return the form in which embeddings leave.
+def release_terms(
+    settings: Settings, bundle: Bundle, receivers: ReceiverStore
+) -> Callable[[], Terms]:
+    """Return what tells the terms of an epoch that is prepared now.
 
-    Unless it is said, embeddings of fresh masks leave white, of the forms that let
-    anything out the one that tells least; those of stored pairs stay inside, but for a simulated
-    camera, which sees nobody.
+    Args:
+        settings: checked.
+        bundle: that the daemon was started with; all others are of its mode.
+        receivers: of this device.
 
     Raises:
-        StartError: a form that needs scene statistics, and the bundle has none.
+        StartError: a form that the bundle does not have, or raw without a budget.
+    """
+    if bundle.mode == "pairs" and settings.release == "white":
+        raise StartError(
+            "--release white needs the scene statistics of a bundle of mode 'fresh': use none, "
+            "sealed or raw"
+        )
+    if settings.release == "raw" and settings.raw_budget < 1:
+        raise StartError(
+            "--release raw lets a mask be found out from what leaves behind it: say with "
+            "--raw-budget N how many embeddings may leave behind one mask, or use sealed"
+        )
+
+    def terms() -> Terms:
+        keys = receivers.keys
+        return Terms(_form(settings, bundle, paired=bool(keys) or receivers.lost), keys)
+
+    return terms
+
+
+def _form(settings: Settings, bundle: Bundle, *, paired: bool) -> Release:
+    """Of all forms that let anything out, unless it is said, the one that tells least.
+
+    White embeddings of fresh masks tell nothing; those of stored pairs have no such form.
     """
     if settings.release is not None:
-        if bundle.mode == "pairs" and settings.release in ("flat", "white"):
-            raise StartError(
-                f"--release {settings.release} needs the scene statistics of a bundle of mode "
-                "'fresh': use none or raw"
-            )
         return settings.release
-    if bundle.mode == "fresh":
-        return "white"
-    return "raw" if settings.device == "simulated" else "none"
+    if paired:
+        return "sealed"
+    return "white" if bundle.mode == "fresh" else "none"
+
+
+MANY = 10
+"""Captures behind one stored mask, unless another policy is given."""
 
 
 def rotation_policy(settings: Settings, bundle: Bundle) -> RotationPolicy:
-    """Return when masks change; unless it is said, fresh ones after every capture, pairs never."""
+    """Return when masks change.
+
+    Unless it is said, fresh ones after every capture and stored ones after ``MANY``. A lone one
+    cannot: behind it a simulated camera sees nobody, and a real one is told to go on.
+
+    Raises:
+        StartError: a real camera has a lone mask, and was not told.
+    """
     if settings.rotation is not None:
         return settings.rotation
-    return EveryCaptures(captures=1) if bundle.mode == "fresh" else RotationOff()
+    if bundle.mode == "fresh":
+        return EveryCaptures(captures=1)
+    if len(bundle.pairs) > 1:
+        return EveryCaptures(captures=MANY)
+    if settings.device == "simulated":
+        return RotationOff()
+    raise StartError(
+        "this bundle holds one mask only, which never changes: serve one with two or more, or say "
+        "that you want it with --rotation-off"
+    )
 
 
 @dataclass(frozen=True, slots=True)

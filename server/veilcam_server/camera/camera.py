@@ -15,18 +15,22 @@ from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 
 from veilcam_client.wire.calibration import SignedCalibration
+from veilcam_client.wire.captures import Exposure as ExposureNote
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import (
+    ActiveMask,
     Captured,
     Fence,
     Lateness,
+    MaskedCapture,
     check_exposure,
     due_in,
     reusable,
 )
 from veilcam_server.camera.engine import Condition, Publish
-from veilcam_server.camera.epochs import Preparation, Prepared
+from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
@@ -36,8 +40,12 @@ from veilcam_server.devices.errors import LightError, SensorError
 from veilcam_server.errors import (
     CalibratingError,
     FenceError,
+    MasksSpentError,
+    NoReceiverError,
     NotReadyError,
+    ProblemError,
     RotationImpossibleError,
+    WithheldError,
 )
 from veilcam_server.masks.source import MaskSource
 
@@ -56,6 +64,7 @@ class MaskedCamera:
         preparation: makes epochs ready; closed with this.
         shape: of an embedding.
         test: proves that the panel hides the scene.
+        budget: of embeddings that may leave behind one mask.
         fence: times to keep.
         policy: when masks change.
         test_every: longest time from one test to the next [s].
@@ -72,6 +81,7 @@ class MaskedCamera:
         shape: tuple[int, ...],
         test: SelfTest,
         *,
+        budget: ReleaseBudget,
         fence: Fence = Fence(),  # noqa: B008 - immutable
         policy: RotationPolicy = RotationOff(),  # noqa: B008 - immutable
         test_every: float = EVERY,
@@ -82,7 +92,7 @@ class MaskedCamera:
         self.preparation = preparation
         """What makes epochs ready."""
         self._device = calibrated(self._bare, calibration)
-        self._shape, self._fence = shape, fence
+        self._shape, self._fence, self._budget = shape, fence, budget
         self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
         self._panel = MaskedPanel(self._device.display, preparation, self._self_test)
         self._lock = threading.Lock()
@@ -118,7 +128,7 @@ class MaskedCamera:
     def present(self) -> tuple[str | None, int]:
         """Name of the epoch shown (None: no mask) and the captures taken under it."""
         active = self._panel.active
-        return (None, 0) if active is None else (active.epoch, active.captures)
+        return (None, 0) if active is None else (active.epoch.name, active.captures)
 
     @property
     def shown_for(self) -> float | None:
@@ -143,9 +153,16 @@ class MaskedCamera:
             ),
         )
 
-    def first_of(self, source: MaskSource) -> Prepared:
+    def first_of(self, source: MaskSource) -> Epoch:
         """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
         return self.preparation.first_of(source)
+
+    def renew(self) -> None:
+        """Prepare the next mask anew, as another form or other receivers hold from it on."""
+        with self._lock:
+            self.preparation.discard()
+            if self._panel.active is not None and self.preparation.renewable:
+                self.preparation.begin()
 
     def await_next(self) -> None:
         """Wait until no mask is being prepared."""
@@ -190,7 +207,7 @@ class MaskedCamera:
 
         Raises:
             NotReadyError: somebody else has it, or the daemon is stopping.
-            SelfTestError, SensorError, FenceError, EpochError, DisplayError: at the end, as
+            SelfTestError, SensorError, FenceError, DisplayError: at the end, as
                 :meth:`rotate`.
         """
         with self._lock:
@@ -224,26 +241,25 @@ class MaskedCamera:
             SelfTestError: the panel is not proven to hide the scene, and was made opaque.
             SensorError, FenceError: the sensor did not see whether it does.
             RotationImpossibleError: there is no other mask.
-            EpochError: its epoch could not be recorded.
             DisplayError: the panel did not take it; the mask shown before is back if possible,
                 else the state is ``safe``.
         """
         with self._lock:
             self._rotate()
 
-    def change_source(self, source: MaskSource, first: Prepared) -> None:
+    def change_source(self, source: MaskSource, first: Epoch) -> None:
         """Show a mask of another source: from then on masks and their readers come from there.
 
         Args:
             source: for a camera and an embedding like these.
-            first: of its epochs, prepared by this camera's preparation.
+            first: of its epochs, prepared by this camera's preparation; retired unless it is shown.
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and the source has one only.
-            SelfTestError, SensorError, FenceError, EpochError, DisplayError: as :meth:`rotate`;
-                the source before goes on.
+            SelfTestError, SensorError, FenceError, DisplayError: as :meth:`rotate`; the source
+                before goes on.
         """
-        with self._lock:
+        with self._lock, _retired_on_failure(first):
             if not (isinstance(self._policy, RotationOff) or source.renewable):
                 raise RotationImpossibleError(
                     "this bundle holds one mask only: turn the rotation of masks off first"
@@ -257,56 +273,83 @@ class MaskedCamera:
             if self.due_in() <= 0 and not self.preparation.under_way:
                 self._rotate()
 
-    def capture(self) -> Captured:
+    def capture(self, *, release: bool) -> Captured:
         """Take one measurement under one mask.
 
         If the mask is due and the next is not ready, what the policy says is done: this capture
-        reuses the mask, or it waits.
+        reuses the mask, or it waits. Where the mask may release nothing more, another one is waited
+        for whatever the policy says.
+
+        Args:
+            release: whether the embedding will leave; it is counted then, before this returns.
+
+        Returns:
+            The capture; whoever has it calls ``done`` at last.
 
         Raises:
             NotReadyError: no mask is shown, or the panel is not proven to hide the scene.
             SensorError: the sensor gave no measurement.
             FenceError: it gave one that cannot be trusted.
-            RotationImpossibleError, EpochError, DisplayError: the mask was due to change and
-                could not; it is not used beyond what the policy allows.
+            RotationImpossibleError, DisplayError: the mask was due to change and could not; it is
+                not used beyond what the policy allows.
+            WithheldError, NoReceiverError, MasksSpentError: the embedding may not leave.
+            ReleaseNotRecordedError: that it leaves cannot be made durable, so it stays.
         """
         with self._lock:
             begun = time.monotonic()
             self._require_running()
             if self.due_in() <= 0 and not self._may_reuse():
                 self._rotate()
+            if release:
+                self._require_releasing()
             self._panel.test()
             active = self._panel.active
             if active is None:
                 raise NotReadyError(self.state.detail or "no mask is shown yet: try again")
-            rotated = time.monotonic()
-            not_before = active.completed_at + self._fence.settle
-            taken_at = datetime.now(UTC)
-            exposure = self._exposed(not_before)
-            ended = time.monotonic()
-            # Counted before it is checked: the light was collected, whatever comes of it.
-            active.captures += 1
-            if self._panel.active is not active:
-                raise FenceError("the mask changed during the exposure, which was thrown away")
-            check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
-            scenes = self._device.scenes
-            scene = None if scenes is None else scenes.seen
-            if scenes is not None:
-                scenes.advance()
-            waited = max(0.0, not_before - rotated)
-            return Captured(
-                embedding=exposure.embedding,
-                taken_at=taken_at,
-                epoch=active.epoch,
-                reader=active.mask.reader,
-                started_after_shown=exposure.started_at - active.completed_at,
-                settle=self._fence.settle,
-                duration=exposure.ended_at - exposure.started_at,
-                rotation_time=rotated - begun,
-                settle_time=waited,
-                capture_time=max(0.0, ended - rotated - waited),
-                scene=scene,
-            )
+            active.epoch.hold()
+            try:
+                return self._captured(active, begun, release=release)
+            except BaseException:
+                active.epoch.let_go()
+                raise
+
+    def _captured(self, active: ActiveMask, begun: float, *, release: bool) -> MaskedCapture:
+        """Expose once behind the mask that is shown, and count what leaves."""
+        rotated = time.monotonic()
+        not_before = active.completed_at + self._fence.settle
+        taken_at = datetime.now(UTC).replace(microsecond=0)
+        number = active.captures
+        # Counted before it begins: a number is never used twice, whatever comes of it.
+        active.captures += 1
+        exposure = self._exposed(not_before)
+        ended = time.monotonic()
+        if self._panel.active is not active:
+            raise FenceError("the mask changed during the exposure, which was thrown away")
+        check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
+        scenes = self._device.scenes
+        scene = None if scenes is None else scenes.seen
+        if scenes is not None:
+            scenes.advance()
+        form = active.epoch.form if release else "none"
+        if form != "none":
+            self._budget.spend(active.epoch.mask, form)
+        waited = max(0.0, not_before - rotated)
+        return MaskedCapture(
+            measurement=exposure.embedding,
+            number=number,
+            taken_at=taken_at,
+            form=None if form == "none" else form,
+            active=active.epoch,
+            exposure=ExposureNote(
+                started_after_shown_s=exposure.started_at - active.completed_at,
+                settle_s=self._fence.settle,
+                duration_s=exposure.ended_at - exposure.started_at,
+            ),
+            rotation_s=rotated - begun,
+            settle_s=waited,
+            capture_s=max(0.0, ended - rotated - waited),
+            scene=scene,
+        )
 
     def stop(self) -> None:
         """Stop the sensor, show opaque and let go; waits for a capture that is under way.
@@ -354,11 +397,31 @@ class MaskedCamera:
             return False
         return active.reuse(reusable(self._policy), self.lateness)
 
+    def _require_releasing(self) -> None:
+        """Have a mask shown behind which an embedding may leave; another one if need be."""
+        active = self._panel.active
+        if active is None or self._withheld(active.epoch) is None:
+            return
+        if self.preparation.spent:
+            raise MasksSpentError
+        # The same mask again, if there is but one: under other terms it may release.
+        self._panel.show(self.preparation.take())
+        shown = self._panel.active
+        if shown is not None and (error := self._withheld(shown.epoch)) is not None:
+            raise error
+
+    def _withheld(self, epoch: Epoch) -> ProblemError | None:
+        """Why no embedding may leave behind the mask of an epoch."""
+        if epoch.form == "none":
+            return WithheldError("this daemon releases no embeddings: start it with --release")
+        if epoch.form == "sealed" and epoch.sealer is None:
+            return NoReceiverError()
+        return MasksSpentError() if self._budget.is_spent(epoch.mask, epoch.form) else None
+
     def _rotate(self) -> None:
         self._require_running()
         if self._panel.active is not None:
             self._require_another()
-        # The epoch is on the disk before its mask is on the panel, so none is ever shown twice.
         self._panel.show(self.preparation.take())
 
     @property
@@ -376,3 +439,13 @@ class MaskedCamera:
             raise RotationImpossibleError(
                 "the bundle holds one pair only: serve a bundle with two or more to change masks"
             )
+
+
+@contextmanager
+def _retired_on_failure(epoch: Epoch) -> Iterator[None]:
+    """Retire an epoch that could not be shown; twice does no harm."""
+    try:
+        yield
+    except BaseException:
+        epoch.retire()
+        raise

@@ -6,14 +6,27 @@ import math
 import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import Protocol
 
 import numpy as np
 
-from veilcam_client.wire.captures import Replay
+from veilcam_client.wire.captures import (
+    Embedding,
+    Form,
+    Notes,
+    Prediction,
+    Replay,
+    SealedEmbedding,
+    Timing,
+)
+from veilcam_client.wire.captures import (
+    Exposure as ExposureNote,
+)
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
+from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Exposure, Measurement
 from veilcam_server.errors import FenceError
-from veilcam_server.masks.source import Mask, Reader
+from veilcam_server.masks.source import Reader
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +99,9 @@ _RANDOM = secrets.SystemRandom()
 
 @dataclass(eq=False, slots=True)
 class ActiveMask:
-    """The mask on the panel: mask, epoch and time belong together and are replaced together."""
+    """The epoch on the panel; it and its times belong together and are replaced together."""
 
-    mask: Mask = field(repr=False)
-    epoch: str
-    """Name of the epoch."""
+    epoch: Epoch
     since: float
     """When it was first shown, monotonic [s]."""
     completed_at: float
@@ -98,6 +109,7 @@ class ActiveMask:
     chance: float = field(default_factory=_RANDOM.random)
     """How much of a policy's jitter it gets."""
     captures: int = 0
+    """Exposures that were begun behind it, whatever came of them."""
     overdue: int = 0
     """Captures taken while it was due and the next was not ready."""
     late: bool = False
@@ -120,24 +132,101 @@ class ActiveMask:
         return True
 
 
-@dataclass(frozen=True, slots=True)
-class Captured:
-    """One measurement, proof of its mask, and the one reader that may read it."""
+class Captured(Protocol):
+    """One measurement, which says no more than its label and leaves in its form."""
 
-    embedding: Measurement = field(repr=False)
+    @property
+    def epoch(self) -> str:
+        """Name of the epoch."""
+
+    @property
+    def number(self) -> int:
+        """Of the capture in its epoch, from 0 on; none comes twice."""
+
+    @property
+    def taken_at(self) -> datetime:
+        """UTC, to the second."""
+
+    @property
+    def form(self) -> Form | None:
+        """In which its embedding leaves; None: it stays."""
+
+    @property
+    def replay(self) -> Replay | None:
+        """From a recording: nothing was exposed."""
+
+    def classify(self) -> Prediction:
+        """Return the label, as the reader of its own mask tells it."""
+
+    def release(self, queue_s: float) -> Embedding | SealedEmbedding:
+        """Return the embedding as it leaves; once, and in the order of the captures.
+
+        Args:
+            queue_s: what the request waited for the device [s].
+        """
+
+    def done(self) -> None:
+        """Let go of the epoch, whatever came of it; twice does no harm."""
+
+
+@dataclass(eq=False, slots=True)
+class MaskedCapture:
+    """A capture of this camera. It holds its epoch until it is done.
+
+    ``release`` raises ValueError where nothing was to leave.
+    """
+
+    measurement: Measurement = field(repr=False)
+    number: int
     taken_at: datetime
-    epoch: str
-    reader: Reader = field(repr=False)
-    started_after_shown: float
-    settle: float
-    duration: float
-    rotation_time: float
-    settle_time: float
-    capture_time: float
-    scene: int | None = None
+    form: Form | None
+    active: Epoch
+    exposure: ExposureNote
+    rotation_s: float
+    settle_s: float
+    capture_s: float
+    scene: int | None
     """Number of what a simulated camera looked at."""
-    replay: Replay | None = None
-    """From a recording: nothing was exposed, and the times are the recording's."""
+    replay: None = field(default=None, init=False)
+    _done: bool = field(default=False, init=False, repr=False)
+
+    @property
+    def epoch(self) -> str:
+        """Name of the epoch."""
+        return self.active.name
+
+    @property
+    def reader(self) -> Reader:
+        """Of the mask that was shown."""
+        return self.active.mask.reader
+
+    def classify(self) -> Prediction:
+        """Return the label."""
+        return self.reader.classify(self.measurement)
+
+    def release(self, queue_s: float) -> Embedding | SealedEmbedding:
+        """Return the embedding in its form."""
+        if self.form == "white":
+            return Embedding.from_array(self.reader.whiten(self.measurement), form="white")
+        if self.form == "raw":
+            return Embedding.from_array(self.measurement, form="raw")
+        sealer = self.active.sealer
+        if self.form is None or sealer is None:
+            raise ValueError("nothing was to leave of this capture")
+        timing = Timing(
+            queue_s=queue_s,
+            rotation_s=self.rotation_s,
+            settle_s=self.settle_s,
+            capture_s=self.capture_s,
+        )
+        notes = Notes(exposure=self.exposure, timing=timing, scene=self.scene)
+        return sealer.seal(self.number, self.taken_at, self.measurement, notes)
+
+    def done(self) -> None:
+        """Let go of the epoch; twice does no harm."""
+        if not self._done:
+            self._done = True
+            self.active.let_go()
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from veilcam_client.wire.events import Event
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import Captured
-from veilcam_server.camera.epochs import Prepared
+from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Device
 from veilcam_server.masks.source import MaskSource
 
@@ -65,13 +65,16 @@ class CameraEngine(Protocol):
     def rotate_if_due(self) -> None:
         """Show another mask if the policy wants it and one is ready."""
 
-    def capture(self) -> Captured:
-        """Take one measurement under one mask."""
+    def capture(self, *, release: bool) -> Captured:
+        """Take one measurement under one mask, whose embedding may leave or may not."""
 
-    def first_of(self, source: MaskSource) -> Prepared:
+    def renew(self) -> None:
+        """Discard the mask prepared in advance: who receives has changed."""
+
+    def first_of(self, source: MaskSource) -> Epoch:
         """Prepare a mask of another source, while the camera goes on; any thread may ask."""
 
-    def change_source(self, source: MaskSource, first: Prepared) -> None:
+    def change_source(self, source: MaskSource, first: Epoch) -> None:
         """Show a mask of another source; the next ones come from there, too."""
 
     def exclusive(self) -> AbstractContextManager[Device]:

@@ -1,8 +1,7 @@
-"""Epochs: their durable counter, and the next one, made ready in the background."""
+"""Epochs: one showing of one mask each, and the next one, made ready in the background."""
 
 from __future__ import annotations
 
-import errno
 import secrets
 import threading
 import time
@@ -10,147 +9,87 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
-
-from veilcam_server.errors import EpochError, NotReadyError
-from veilcam_server.masks.source import Mask, MaskSource
-from veilcam_server.system.state_file import (
-    HeldDirectory,
-    Report,
-    StateFile,
-    log_fault,
-    refuse_earlier,
-)
-
-RESERVED = 1000
-"""So many epochs are made durable at once: the disk is not written for each."""
-
-
-class _Epochs(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid")
-    origin: int
-    """Random number of 63 bits, drawn for a new record."""
-    counter: int
-    """No epoch above this one was used."""
-    mark: str = ""
-    """Of the mask shown last, or about to be; empty if there was none."""
-
-
-class EpochStore:
-    """The counter in ``DIRECTORY/epochs.json``, for one process at a time.
-
-    The counter is made durable in advance, ``RESERVED`` epochs at a time; what was not used of
-    them when the daemon ends is left out for ever.
-
-    A record that is lost is begun anew at a random number of 63 bits. Whatever the clock says, N
-    epochs before and N after it have one in common with a chance below 2 N / 2^63, which is 2e-10
-    for a thousand million of them. At every start the counter is moved up by the clock as well, in
-    microseconds since 1970 from where the record began: that is far above what counting can have
-    reached, so that a directory restored from a backup brings no epoch back if the clock is right.
-
-    Args:
-        directory: the daemon's state directory, held until this is closed.
-        now: wall clock, seconds since 1970.
-        report: takes what was damaged.
-
-    Raises:
-        StartError: another daemon uses the directory, or it cannot be used.
-    """
-
-    def __init__(
-        self, directory: Path, now: Callable[[], float] = time.time, report: Report = log_fault
-    ) -> None:
-        self._held = HeldDirectory(directory)
-        self._file = StateFile(
-            directory / "epochs.json",
-            _Epochs,
-            lost="epochs go on from a random number",
-            report=report,
-        )
-        try:
-            refuse_earlier(directory / "epochs.sqlite3", "remove it, and start again")
-            record = self._file.read()
-        except BaseException:
-            self._held.close()
-            raise
-        if record is None:
-            record = _Epochs(origin=secrets.randbits(63), counter=0)
-        self._counter = max(record.counter, record.origin + int(1e6 * now()))
-        self._record = record.model_copy(update={"counter": self._counter})
-        # Two threads use it, one prepares epochs and one shows them.
-        self._lock = threading.Lock()
-
-    def next(self) -> int:
-        """Return the next epoch, which was made durable before.
-
-        Raises:
-            EpochError: it could not be made durable.
-        """
-        with self._lock:
-            if self._counter == self._record.counter:
-                self._write(counter=self._counter + RESERVED)
-            self._counter += 1
-            return self._counter
-
-    @property
-    def mark(self) -> str:
-        """Mark of the mask shown last, or about to be; empty if there was none."""
-        return self._record.mark
-
-    @mark.setter
-    def mark(self, mark: str) -> None:
-        with self._lock:
-            if mark != self._record.mark:
-                self._write(mark=mark)
-
-    def close(self) -> None:
-        """Let another daemon have the directory; nothing is recorded from now on."""
-        self._held.close()
-
-    def _write(self, **changes: int | str) -> None:
-        record = self._record.model_copy(update=changes)
-        try:
-            if self._held.closed:
-                raise OSError(errno.EBADF, "the daemon has ended")
-            self._file.change(lambda _: record)
-        except OSError as error:
-            raise EpochError(
-                f"the mask epoch cannot be recorded ({error.strerror}): "
-                "check the state directory's disk"
-            ) from None
-        self._record = record
-
+from veilcam_client.keys.blocks import Sealer
+from veilcam_client.keys.envelopes import Signer, seal_key
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.wire.captures import Release
+from veilcam_server.camera.budget import ReleaseBudget
+from veilcam_server.errors import NotReadyError
+from veilcam_server.masks.source import Mask, MaskSource, Terms
 
 LONGEST = 60.0
 """Longest wait for one epoch [s]."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Prepared:
-    """An epoch that is durable, its mask, and what reads behind it."""
+@dataclass(eq=False, slots=True)
+class Epoch:
+    """One showing of one mask: made of a key that is gone, and gone itself once nobody uses it.
 
-    epoch: str
-    """Its name, which goes over the wire; the counter grows for ever and stays here."""
+    It is erased when it is retired and the last capture behind it is done with, whatever comes
+    last. Any thread may hold it, let it go or retire it.
+    """
+
+    name: str
+    """128 random bits, 32 hexadecimal digits: what goes over the wire."""
     mask: Mask = field(repr=False)
+    form: Release
+    """In which embeddings leave, from its preparation to its end."""
+    sealer: Sealer | None = field(default=None, repr=False)
+    """Seals embeddings to the receivers; None: to nobody."""
+    erased: bool = field(default=False, init=False)
+    """Whether mask, readers and keys were overwritten."""
+    _uses: int = field(default=0, init=False, repr=False)
+    _retired: bool = field(default=False, init=False, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
+
+    def hold(self) -> None:
+        """Keep it from being erased until :meth:`let_go` is called as often."""
+        with self._lock:
+            self._uses += 1
+
+    def let_go(self) -> None:
+        """End one use."""
+        with self._lock:
+            self._uses -= 1
+            self._erase_if_over()
+
+    def retire(self) -> None:
+        """It will not be shown any more; twice does no harm."""
+        with self._lock:
+            self._retired = True
+            self._erase_if_over()
+
+    def _erase_if_over(self) -> None:
+        if self._retired and not self._uses and not self.erased:
+            self.erased = True
+            self.mask.erase()
+            if self.sealer is not None:
+                self.sealer.erase()
 
 
 class Preparation:
     """Prepares one epoch ahead. All but the properties is called by one thread at a time.
 
-    An epoch is committed to the disk before anything is drawn for it. One that is prepared and not
-    shown, because the daemon ended, is left out for ever.
-
     Args:
         source: of masks.
-        epochs: where epochs are recorded; closed with this.
+        signer: the device, whose key signs envelopes and is part of every key's context.
+        terms: what holds for an epoch that is prepared now; called on a thread of its own.
+        budget: of embeddings that may leave behind one mask.
     """
 
-    def __init__(self, source: MaskSource, epochs: EpochStore) -> None:
-        self._source, self._epochs = source, epochs
+    def __init__(
+        self,
+        source: MaskSource,
+        signer: Signer,
+        terms: Callable[[], Terms],
+        budget: ReleaseBudget,
+    ) -> None:
+        self._source, self._signer, self._terms, self._budget = source, signer, terms, budget
         self._thread = ThreadPoolExecutor(1, "preparation")
-        self._next: Future[Prepared] | None = None
+        self._next: Future[Epoch] | None = None
+        self.last_mark = ""
+        """Of the mask shown last, which does not come again if there is another."""
         self.count = 0
         """How many epochs were prepared."""
         self.took = 0.0
@@ -160,6 +99,12 @@ class Preparation:
     def renewable(self) -> bool:
         """Whether there is another mask to change to."""
         return self._source.renewable
+
+    @property
+    def spent(self) -> bool:
+        """Whether all masks are stored, and none of them may release anything more."""
+        marks = self._source.marks
+        return bool(marks) and marks == self._budget.spent(marks, self._terms().form)
 
     @property
     def under_way(self) -> bool:
@@ -173,7 +118,7 @@ class Preparation:
         future = self._next
         return future is not None and future.done() and not future.exception()
 
-    def begin(self) -> Future[Prepared]:
+    def begin(self) -> Future[Epoch]:
         """Start to prepare the next epoch, if none is prepared or under way, and return it."""
         if self._next is None:
             self._next = self._thread.submit(self._prepare, self._source)
@@ -186,12 +131,11 @@ class Preparation:
             with suppress(CancelledError):
                 self._next.exception()
 
-    def take(self) -> Prepared:
+    def take(self) -> Epoch:
         """Return the next epoch; waits for it if need be. It is gone from here, come what may.
 
         Raises:
             NotReadyError: it takes too long.
-            EpochError: it could not be made durable.
         """
         future = self.begin()
         wait([future], LONGEST)
@@ -200,35 +144,76 @@ class Preparation:
         self._next = None
         return future.result()
 
-    def first_of(self, source: MaskSource) -> Prepared:
+    def first_of(self, source: MaskSource) -> Epoch:
         """Prepare an epoch of another source, while this one goes on; any thread may ask.
+
+        Whoever does not show it retires it.
 
         Raises:
             NotReadyError: it takes too long.
-            EpochError: it could not be made durable.
         """
+        future = self._thread.submit(self._prepare, source)
         try:
-            return self._thread.submit(self._prepare, source).result(LONGEST)
+            return future.result(LONGEST)
         except TimeoutError:
+            _abandon(future)
             raise NotReadyError("the first mask is still being prepared: try again") from None
 
     def serve(self, source: MaskSource) -> None:
-        """Take epochs from another source from now on; one prepared before is left out."""
-        self._source, self._next = source, None
+        """Take epochs from another source from now on; one prepared before is discarded."""
+        self._source = source
+        self.discard()
 
-    def record(self, mask: Mask) -> None:
-        """Make durable that ``mask`` is about to be shown; raises :class:`EpochError`."""
-        self._epochs.mark = mask.mark
+    def discard(self) -> None:
+        """Erase the epoch that was prepared in advance, or is just being prepared."""
+        future, self._next = self._next, None
+        if future is not None:
+            _abandon(future)
 
     def close(self) -> None:
-        """End the background thread and close the epochs; twice does no harm."""
+        """End the background thread and erase what it prepared; twice does no harm."""
+        self.discard()
         self._thread.shutdown(cancel_futures=True)
-        self._epochs.close()
 
-    def _prepare(self, source: MaskSource) -> Prepared:
+    def _prepare(self, source: MaskSource) -> Epoch:
         begun = time.perf_counter()
-        counter = self._epochs.next()
-        prepared = Prepared(source.name(counter), source.make(counter, self._epochs.mark))
+        epoch = self._epoch(source, self._terms())
         self.took = time.perf_counter() - begun
         self.count += 1
-        return prepared
+        return epoch
+
+    def _epoch(self, source: MaskSource, terms: Terms) -> Epoch:
+        name = secrets.token_hex(16)
+        key = EpochKey.generate(device=self._signer.public, bundle=source.bundle)
+        try:
+            mask = source.make(key, terms.form, self._avoided(source, terms.form))
+            try:
+                return Epoch(name, mask, terms.form, self._sealer(key, name, source.bundle, terms))
+            except BaseException:
+                mask.erase()
+                raise
+        finally:
+            key.erase()
+
+    def _sealer(self, key: EpochKey, name: str, bundle: str, terms: Terms) -> Sealer | None:
+        if terms.form != "sealed" or not terms.receivers:
+            return None
+        envelope = seal_key(key, self._signer, epoch=name, bundle=bundle, receivers=terms.receivers)
+        return Sealer(key, envelope)
+
+    def _avoided(self, source: MaskSource, form: Release) -> frozenset[str]:
+        """Marks of the mask shown last, and of those that are spent, if any others are left."""
+        last = frozenset((self.last_mark,)) & source.marks
+        spent = self._budget.spent(source.marks, form)
+        return last if source.marks == last | spent else last | spent
+
+
+def _abandon(future: Future[Epoch]) -> None:
+    """Erase what comes of a preparation that nobody waits for any more."""
+
+    def erase(done: Future[Epoch]) -> None:
+        if not done.cancelled() and done.exception() is None:
+            done.result().retire()
+
+    future.cancel()
+    future.add_done_callback(erase)

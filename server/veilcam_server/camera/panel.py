@@ -2,24 +2,22 @@
 
 When a write fails, the mask shown before is put back; when that fails too, or a self test does, the
 panel is made opaque and no mask counts as shown: state ``safe``, or ``degraded`` where nothing says
-that the panel is at fault.
+that the panel is at fault. An epoch whose mask goes from the panel for good is retired.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
 from functools import partial
 
 from veilcam_client.wire.events import MaskChanged, StateChanged
 from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import ActiveMask
 from veilcam_server.camera.engine import Condition, Publish
-from veilcam_server.camera.epochs import Preparation, Prepared
+from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.self_test import SelfTestStatus
-from veilcam_server.devices.base import Display
+from veilcam_server.devices.base import Display, Shown
 from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.errors import (
-    EpochError,
     FenceError,
     ProblemError,
     UndecidedError,
@@ -56,25 +54,40 @@ class MaskedPanel:
         """Seconds until the panel must be tested; 0: now, or again after a test that failed."""
         return 0.0 if self.active is None else self._self_test.holds_for()
 
-    def show(self, prepared: Prepared, source: MaskSource | None = None) -> None:
+    def show(self, epoch: Epoch, source: MaskSource | None = None) -> None:
         """Show a mask, after a test if that is due.
 
         Args:
-            prepared: the mask and its epoch.
+            epoch: of the mask; it is retired unless it is shown.
             source: where it comes from; from then on the next ones do, too.
 
         Raises:
             SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
-            EpochError: the mask could not be recorded; nothing has changed.
             DisplayError: the panel did not take it.
         """
         previous = self.active
-        self._preparation.record(prepared.mask)
-        self._prove()
-        # From here on no mask counts as shown until the panel has confirmed one.
-        self.active = None
         try:
-            shown = self._display.show(prepared.mask.levels)
+            self._prove()
+            # From here on no mask counts as shown until the panel has confirmed one.
+            self.active = None
+            shown = self._write(epoch, previous)
+        except BaseException:
+            epoch.retire()
+            raise
+        self.active = ActiveMask(epoch, shown.completed_at, shown.completed_at)
+        self._preparation.last_mark = epoch.mask.mark
+        if previous is not None:
+            previous.epoch.retire()
+        if source is not None:
+            self._preparation.serve(source)
+        self._enter("ready")
+        self.publish(partial(MaskChanged, epoch=epoch.name))
+        self._prepare_next()
+
+    def _write(self, epoch: Epoch, previous: ActiveMask | None) -> Shown:
+        """Write a mask to the panel, or put back the one before."""
+        try:
+            return self._display.show(epoch.mask.levels)
         except DeviceError as error:
             self._put_back(previous, remedy_for(error))
             raise DisplayError(
@@ -83,14 +96,6 @@ class MaskedPanel:
         except BaseException as error:
             self._put_back(previous, remedy_for(error))
             raise
-        self.active = ActiveMask(
-            prepared.mask, prepared.epoch, shown.completed_at, shown.completed_at
-        )
-        if source is not None:
-            self._preparation.serve(source)
-        self._enter("ready")
-        self.publish(partial(MaskChanged, epoch=prepared.epoch))
-        self._prepare_next()
 
     def test(self) -> None:
         """Test the panel if a mask is shown and that is due, and put the mask back.
@@ -105,12 +110,12 @@ class MaskedPanel:
 
     def give_up(self, error: SensorError) -> None:
         """No mask is shown any more, as the sensor behind it fails."""
-        self.active = None
+        self._drop()
         self._make_opaque("degraded", str(error), error.remedy)
 
     def suspend(self) -> None:
         """No mask counts as shown: somebody has the panel for a calibration."""
-        self.active = None
+        self._drop()
         self._enter("calibrating", "the camera is being calibrated")
 
     def strand(self) -> None:
@@ -122,14 +127,20 @@ class MaskedPanel:
 
     def end(self) -> None:
         """No mask counts as shown any more."""
-        self.active = None
+        self._drop()
         self._enter("stopping", "the daemon is stopping")
+
+    def _drop(self) -> None:
+        """The mask that was shown does not come back."""
+        active, self.active = self.active, None
+        if active is not None:
+            active.epoch.retire()
 
     def _prove(self) -> None:
         """Test the panel if that is due; it then shows opaque, also after a test that failed."""
         if self._self_test.holds_for() > 0:
             return
-        self.active = None
+        tested, self.active = self.active, None
         if self._condition.state in ("starting", "ready", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
@@ -139,6 +150,8 @@ class MaskedPanel:
             blameless = isinstance(error, (UndecidedError, SensorError, FenceError))
             known = isinstance(error, ProblemError)
             reason = str(error) if known else "the self test broke off"
+            if tested is not None:
+                tested.epoch.retire()
             self._make_opaque("degraded" if blameless else "safe", reason, remedy_for(error))
             raise
 
@@ -146,15 +159,15 @@ class MaskedPanel:
         """After a failed write, or a test: the mask from before, or else opaque."""
         if previous is not None:
             try:
-                shown = self._display.show(previous.mask.levels)
-            except Exception as error:
+                shown = self._display.show(previous.epoch.mask.levels)
+            except BaseException as error:
+                previous.epoch.retire()
+                if not isinstance(error, Exception):
+                    raise
                 remedy = remedy_for(error)
             else:
                 previous.completed_at = shown.completed_at
                 self.active = previous
-                # Should it not be recorded, another mask than the next is left out: no harm.
-                with suppress(EpochError):
-                    self._preparation.record(previous.mask)
                 self._prepare_next()
                 self._enter("ready")
                 return

@@ -35,20 +35,6 @@ def veilcamd() -> None:
 
 
 @app.command()
-def secret(
-    file: Annotated[Path, typer.Argument(help="New file; its owner alone may read it.")],
-) -> None:
-    """Make the secret that fresh masks are derived from. Keep a copy where you keep keys."""
-    from veilcam_server.masks.secret import write_secret  # noqa: PLC0415 - it loads torch
-
-    try:
-        write_secret(file)
-    except StartError as error:
-        fail(str(error))
-    typer.echo(f"wrote {file}; give it to the daemon with --mask-secret {file}")
-
-
-@app.command()
 def show(
     *,
     scene: Annotated[

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings
 
-from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 from veilcam_server.cli.terminal import fail, one_line
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Wiring
@@ -118,6 +118,7 @@ _ROTATION = (
     _parameter(
         "reuse", int, "Captures that a mask may still serve when the next is not ready; 0 waits."
     ),
+    _parameter("rotation_off", bool, "Never change the mask: a lone one needs this."),
 )
 
 
@@ -136,7 +137,13 @@ def _policy(
     every_captures: int | None,
     jitter: float | None,
     reuse: int | None,
+    *,
+    rotation_off: bool | None,
 ) -> RotationPolicy | None:
+    if rotation_off:
+        if (every_seconds, every_captures, jitter, reuse) != (None, None, None, None):
+            raise StartError("with --rotation-off no mask changes: leave out what says when")
+        return RotationOff()
     if every_seconds is not None and every_captures is not None:
         raise StartError("give --every-seconds or --every-captures, not both")
     if jitter is not None and every_seconds is None:

@@ -16,12 +16,11 @@ from veilcam_server.devices.registry import drivers
 from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import BundleUntrustedError, StartError
-from veilcam_server.masks.secret import find_secret
 from veilcam_server.settings import DoctorSettings, Wiring, unknown_names
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
-LEAST_SYSTEMD = 250
-"""The first with encrypted credentials."""
+LEAST_SYSTEMD = 248
+"""The first that keeps a service from running what it wrote (``NoExecPaths=``)."""
 LEAST_ROOM = 200 * 2**20
 """On the disk of the state directory [bytes]."""
 
@@ -63,7 +62,7 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
         ("environment", lambda: [_environment()]),
         ("state directory", lambda: [_state_dir(machine, settings.state_dir)]),
         ("disk", lambda: [_room(machine, settings.state_dir)]),
-        ("bundle", lambda: _bundle(machine, settings)),
+        ("bundle", lambda: _bundle(settings)),
         ("wall clock", lambda: [_wall_clock(machine)]),
         ("systemd", lambda: [_systemd(machine)]),
     )
@@ -260,42 +259,28 @@ def _room(machine: Machine, directory: Path) -> Finding:
     free = machine.free(_nearest(machine.path(directory)))
     found = f"{free / 2**20:,.0f} MiB free"
     if free < LEAST_ROOM:
-        return Finding("disk", "bad", found, "make room: without it no mask can be shown")
+        return Finding("disk", "bad", found, "make room: without it no change is made")
     return Finding("disk", "ok", found)
 
 
-def _bundle(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
+def _bundle(settings: DoctorSettings) -> Iterator[Finding]:
     if settings.bundle is None:
         yield Finding("bundle", "bad", "none named", "give --bundle, or VEILCAM_BUNDLE")
-        yield from _without_bundle()
+        yield _without_bundle()
         return
     try:
         bundle = read_bundle(settings.bundle)
     except BundleError as error:
         found, remedy = _halves(error, settings.bundle)
         yield Finding("bundle", "bad", f"{settings.bundle}: {found}", remedy)
-        yield from _without_bundle()
+        yield _without_bundle()
         return
     yield Finding("bundle", "ok", f"{settings.bundle}: {bundle.task}, {bundle.mode}")
     yield _owner(settings, bundle)
-    if bundle.mode != "fresh":
-        yield Finding("mask secret", "ok", "none needed: the bundle holds pairs")
-        return
-    sealed = Path("/etc/credstore.encrypted/veilcam.mask-key")
-    if settings.mask_secret is None and machine.path(sealed).exists():
-        yield Finding("mask secret", "ok", f"{sealed}, given by systemd")
-        return
-    try:
-        find_secret(settings.mask_secret)
-    except StartError as error:
-        yield Finding("mask secret", "bad", *_halves(error))
-    else:
-        yield Finding("mask secret", "ok", f"{settings.mask_secret or 'credential'}, yours alone")
 
 
-def _without_bundle() -> Iterator[Finding]:
-    for name in ("owner", "mask secret"):
-        yield Finding(name, "skipped", "needs the bundle")
+def _without_bundle() -> Finding:
+    return Finding("owner", "skipped", "needs the bundle")
 
 
 def _owner(settings: DoctorSettings, bundle: Bundle) -> Finding:
@@ -316,7 +301,7 @@ def _wall_clock(machine: Machine) -> Finding:
         "wall clock",
         "bad",
         "not synchronised" if told == "no" else "timedatectl does not say",
-        "sudo timedatectl set-ntp true; a lost state directory is safe with the right time only",
+        "sudo timedatectl set-ntp true; captures are dated by it, and tokens end by it",
     )
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 
 import torch
 
-from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.wire.captures import Prediction, Release
 from veilcam_server.devices.base import Measurement
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
@@ -20,25 +21,33 @@ from veilcam_training.bundle import Bundle, Pair
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PairReader:
-    """The classifier that was trained for one mask; embeddings leave raw or not at all."""
+    """The classifier that was trained for one mask; it cannot whiten."""
 
     classifier: Classifier = field(repr=False)
 
-    def classify(self, embedding: Measurement) -> Prediction:
+    def classify(self, measurement: Measurement) -> Prediction:
         """Classify one embedding of any shape."""
-        return self.classifier.classify(torch.from_numpy(embedding).reshape(1, -1))
+        return self.classifier.classify(torch.from_numpy(measurement).reshape(1, -1))
 
-    def release(self, embedding: Measurement, form: Form) -> Measurement:
-        """Return the embedding as it was read."""
-        if form != "raw":
-            raise ValueError(f"a pair has no scene statistics to make {form!r} with: use raw")
-        return embedding
+    def whiten(self, measurement: Measurement) -> Measurement:  # noqa: ARG002 - it cannot
+        """Refused: there are no scene statistics."""
+        raise ValueError("a pair has no scene statistics to whiten with: use sealed or raw")
+
+    def erase(self) -> None:
+        """Nothing: all of it stands in the bundle."""
 
 
 class PairSource:
-    """Pairs in an order that cannot be predicted from the network, never one twice in a row."""
+    """Pairs in an order that cannot be predicted from the network.
 
-    def __init__(self, masks: Sequence[Mask]) -> None:
+    Args:
+        bundle: SHA-256 of its file.
+        masks: one or more, with marks that differ.
+    """
+
+    def __init__(self, bundle: str, masks: Sequence[Mask]) -> None:
+        self.bundle = bundle
+        """SHA-256 of its file."""
         self._masks = tuple(masks)
         self._random = secrets.SystemRandom()
 
@@ -47,13 +56,14 @@ class PairSource:
         """Whether there are two pairs or more."""
         return len(self._masks) > 1
 
-    def name(self, counter: int) -> str:  # noqa: ARG002 - chance alone
-        """Return a random name."""
-        return secrets.token_hex(16)
+    @property
+    def marks(self) -> frozenset[str]:
+        """Of all pairs."""
+        return frozenset(mask.mark for mask in self._masks)
 
-    def make(self, counter: int, last_mark: str) -> Mask:  # noqa: ARG002 - chance decides
-        """Return any pair but the last one; a lone pair comes again."""
-        others = [mask for mask in self._masks if mask.mark != last_mark]
+    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:  # noqa: ARG002 - chance decides
+        """Return any pair but those to avoid, or any at all if no other is left."""
+        others = [mask for mask in self._masks if mask.mark not in avoid]
         return self._random.choice(others or self._masks)
 
 
@@ -85,10 +95,11 @@ def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
     if wrong_classifier:
         readers = readers[1:] + readers[:1]
     return PairSource(
+        bundle.digest,
         [
             Mask(pair.levels, reader, mark)
             for pair, reader, mark in zip(bundle.pairs, readers, _marks(bundle.pairs), strict=True)
-        ]
+        ],
     )
 
 

@@ -8,25 +8,36 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import Receiver
+from veilcam_client.wire.captures import Prediction, Release
 from veilcam_server.devices.base import Levels, Measurement
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What holds for an epoch from its preparation to its end."""
+
+    form: Release
+    """In which embeddings leave."""
+    receivers: tuple[Receiver, ...] = ()
+    """To whom its key is sealed, where the form is ``sealed``."""
 
 
 class Reader(Protocol):
     """Makes sense of embeddings taken behind one mask. It is as secret as the mask."""
 
-    def classify(self, embedding: Measurement) -> Prediction:
+    def classify(self, measurement: Measurement) -> Prediction:
         """Return the label of one embedding."""
 
-    def release(self, embedding: Measurement, form: Form) -> Measurement:
-        """Bring one embedding into the form in which it may leave.
+    def whiten(self, measurement: Measurement) -> Measurement:
+        """Return one embedding as a direction alone; only if it was made to."""
 
-        Raises:
-            SensorError: the measurement has no such form, for want of light.
-        """
+    def erase(self) -> None:
+        """Overwrite what belongs to the mask alone, as well as Python lets us."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(eq=False, slots=True)
 class Mask:
     """Levels for the panel and what reads behind them; they are replaced together."""
 
@@ -35,22 +46,36 @@ class Mask:
     mark: str = ""
     """Tells it from the source's other masks, also after a restart, and tells nothing else; empty
     for a mask that never comes again."""
+    released: int = 0
+    """Embeddings that left behind it, for a mask that never comes again."""
+
+    def erase(self) -> None:
+        """Overwrite a mask that never comes again; stored ones stand in their bundle."""
+        if not self.mark:
+            self.levels.fill(0)
+            self.reader.erase()
 
 
 class MaskSource(Protocol):
     """Where masks come from."""
 
     @property
+    def bundle(self) -> str:
+        """SHA-256 of the bundle's file, 64 hexadecimal digits."""
+
+    @property
     def renewable(self) -> bool:
         """Whether there is another mask to change to."""
 
-    def name(self, counter: int) -> str:
-        """Return the name by which the network knows epoch ``counter``: 32 hexadecimal digits."""
+    @property
+    def marks(self) -> frozenset[str]:
+        """Of all masks, where they are stored; none where every mask is a new one."""
 
-    def make(self, counter: int, last_mark: str) -> Mask:
-        """Return the mask of epoch ``counter``; takes its time, on a thread of its own.
+    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
+        """Return the mask of an epoch; takes its time, on a thread of its own.
 
         Args:
-            counter: never used before.
-            last_mark: of the mask shown last, which is not returned if there is another.
+            key: of the epoch, which is erased afterwards.
+            form: in which embeddings will leave.
+            avoid: marks of masks that are not returned if there are others.
         """

@@ -24,7 +24,11 @@ class Caller:
     scopes: frozenset[str]
     expires: float | None = None
 
+    def may(self, scope: Scope) -> bool:
+        """Whether the caller has this scope."""
+        return scope in self.scopes
+
     def require(self, scope: Scope) -> None:
         """Raise :class:`ForbiddenError` unless the caller has this scope."""
-        if scope not in self.scopes:
+        if not self.may(scope):
             raise ForbiddenError(f"this token lacks the scope {scope}: ask for one that has it")

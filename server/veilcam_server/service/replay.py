@@ -9,15 +9,20 @@ from __future__ import annotations
 import math
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from veilcam_client.errors import RecordingError
 from veilcam_client.recording import Recorded, Recording, read_recording
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import Form, Prediction, Replay
+from veilcam_client.wire.captures import (
+    Embedding,
+    Form,
+    Prediction,
+    Replay,
+    SealedEmbedding,
+)
 from veilcam_client.wire.events import StateChanged
 from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device as DeviceInfo
@@ -25,13 +30,13 @@ from veilcam_server.bundles.loader import Identity
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import Condition, Publish
-from veilcam_server.camera.epochs import EpochStore, Prepared
+from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices import Device
-from veilcam_server.devices.base import Measurement
 from veilcam_server.errors import ReplayingError, ReplayOverError, StartError
 from veilcam_server.masks.source import MaskSource
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
+from veilcam_server.system.state_file import HeldDirectory
 
 
 def replay_service(settings: Settings, path: Path) -> Service:
@@ -47,22 +52,26 @@ def replay_service(settings: Settings, path: Path) -> Service:
     status = recording.header.status
     if status.release == "none":  # no camera released these
         raise StartError(f"{path} was recorded from a camera that releases nothing: record another")
+    form = status.release
     return Service(
-        ReplayedCamera(recording, EpochStore(settings.state_dir)),
+        ReplayedCamera(recording),
         Identity(
             DeviceInfo(
                 display=f"replay of {status.device.display}",
                 sensor=f"replay of {status.device.sensor}",
                 simulated=status.device.simulated,
+                key=status.device.key,
             ),
             status.bundle,
             experiment=status.experiment,
         ),
         None,
         CalibrationService(settings, None, None),
-        form=status.release,
+        form=lambda: form,
+        raw_budget=status.raw_budget,
         queue_limit=settings.queue_limit,
         heartbeat=settings.heartbeat,
+        held=HeldDirectory(settings.state_dir),
     )
 
 
@@ -71,11 +80,10 @@ class ReplayedCamera:
 
     Args:
         recording: of a camera.
-        epochs: never used; holding them keeps a second daemon off. Closed with this.
     """
 
-    def __init__(self, recording: Recording, epochs: EpochStore) -> None:
-        self._recording, self._epochs = recording, epochs
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
         self._place, self._stopping = 0, False
 
     @property
@@ -130,11 +138,11 @@ class ReplayedCamera:
     def rotate_if_due(self) -> None:
         """No mask is ever due."""
 
-    def first_of(self, source: MaskSource) -> Prepared:  # noqa: ARG002 - nothing shows it
+    def first_of(self, source: MaskSource) -> Epoch:  # noqa: ARG002 - nothing shows it
         """Refused."""
         raise ReplayingError
 
-    def change_source(self, source: MaskSource, first: Prepared) -> None:  # noqa: ARG002 - as above
+    def change_source(self, source: MaskSource, first: Epoch) -> None:  # noqa: ARG002 - as above
         """Refused."""
         raise ReplayingError
 
@@ -147,13 +155,15 @@ class ReplayedCamera:
         raise ReplayingError
 
     def stop(self) -> None:
-        """Let another daemon use the state directory."""
+        """Give nothing more."""
         if not self._stopping:
             self._stopping = True
             self._publish(partial(StateChanged, **self.state._asdict()))
-            self._epochs.close()
 
-    def capture(self) -> Captured:
+    def renew(self) -> None:
+        """No mask is prepared."""
+
+    def capture(self, *, release: bool) -> Captured:  # noqa: ARG002 - it was released long ago
         """Return the next recorded capture.
 
         Raises:
@@ -164,21 +174,7 @@ class ReplayedCamera:
             raise ReplayOverError(len(captures))
         place, recorded = self._place, captures[self._place]
         self._place += 1
-        capture, exposure = recorded.capture, recorded.exposure
-        return Captured(
-            embedding=np.asarray(capture),
-            taken_at=capture.taken_at,
-            epoch=capture.epoch,
-            reader=_Recollection(recorded),
-            started_after_shown=exposure.started_after_shown_s,
-            settle=exposure.settle_s,
-            duration=exposure.duration_s,
-            rotation_time=0.0,
-            settle_time=0.0,
-            capture_time=0.0,
-            scene=capture.scene,
-            replay=Replay(capture=capture.id, place=place, exposure=exposure),
-        )
+        return _Recollection(recorded, place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,8 +182,35 @@ class _Recollection:
     """Tells of a capture what was recorded of it."""
 
     recorded: Recorded = field(repr=False)
+    place: int
 
-    def classify(self, embedding: Measurement) -> Prediction:  # noqa: ARG002 - nothing is inferred
+    @property
+    def epoch(self) -> str:
+        """Of the mask that was shown."""
+        return self.recorded.capture.epoch
+
+    @property
+    def number(self) -> int:
+        """As it was then."""
+        return self.recorded.capture.number
+
+    @property
+    def taken_at(self) -> datetime:
+        """As it was then."""
+        return self.recorded.capture.taken_at
+
+    @property
+    def form(self) -> Form:
+        """In which it left."""
+        return self.recorded.capture.embedding.form
+
+    @property
+    def replay(self) -> Replay:
+        """Where it comes from."""
+        return Replay(capture=self.recorded.capture.id, place=self.place)
+
+    def classify(self) -> Prediction:
+        """Nothing is inferred: what was told then."""
         verdict = self.recorded.verdict
         if verdict is None:
             raise ReplayingError(
@@ -195,6 +218,9 @@ class _Recollection:
             )
         return verdict
 
-    def release(self, embedding: Measurement, form: Form) -> Measurement:  # noqa: ARG002 - it was checked
+    def release(self, queue_s: float) -> Embedding | SealedEmbedding:  # noqa: ARG002 - as it left
         """It was released before it was recorded."""
-        return embedding
+        return self.recorded.capture.embedding
+
+    def done(self) -> None:
+        """There is no mask to let go of."""

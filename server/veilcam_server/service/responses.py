@@ -1,33 +1,38 @@
-"""Responses of the API, made from what the engine knows."""
+"""Responses of the API: what may be said in the clear, and nothing else.
+
+All else that is known of a capture depends on the light or tells of other callers; it is sealed
+with the embedding, or stays here.
+"""
 
 from __future__ import annotations
 
-import time
+from collections.abc import Mapping
+from typing import Literal
 
 from veilcam_client.wire.captures import (
     Capture,
     Classification,
     Embedding,
-    Exposure,
     Prediction,
-    Timing,
+    SealedEmbedding,
 )
 from veilcam_server.camera.capture import Captured
 
+Scores = Literal["none", "rounded", "all"]
+"""What is told of a label's probability: nothing, tenths, or all of it."""
+
 
 def capture_response(
-    name: str, captured: Captured, embedding: Embedding, timing: Timing
+    name: str, captured: Captured, embedding: Embedding | SealedEmbedding
 ) -> Capture:
     """One embedding as it may leave."""
     return Capture(
         id=name,
-        taken_at=captured.taken_at,
         epoch=captured.epoch,
-        scene=captured.scene,
+        number=captured.number,
+        taken_at=captured.taken_at,
         embedding=embedding,
-        exposure=_exposure(captured),
         replay=captured.replay,
-        timing=timing,
     )
 
 
@@ -35,45 +40,42 @@ def classification_response(
     name: str,
     captured: Captured,
     prediction: Prediction,
-    embedding: Embedding | None,
-    timing: Timing,
+    embedding: Embedding | SealedEmbedding | None,
+    scores: Scores,
 ) -> Classification:
     """One label, with the embedding where it was asked for."""
+    told = _told(prediction, scores)
     return Classification(
         id=name,
-        taken_at=captured.taken_at,
         epoch=captured.epoch,
-        scene=captured.scene,
-        label=prediction.label,
-        confidence=prediction.confidence,
-        scores=prediction.scores,
+        number=captured.number,
+        taken_at=captured.taken_at,
+        label=told.label,
+        confidence=told.confidence,
+        scores=told.scores,
         embedding=embedding,
-        exposure=_exposure(captured),
         replay=captured.replay,
-        timing=timing,
     )
 
 
-def timing(
-    captured: Captured, queued: float, begun: float, inference: float | None = None
-) -> Timing:
-    """Where the time went since ``begun``, monotonic [s]."""
-    return Timing(
-        queue_s=queued,
-        rotation_s=captured.rotation_time,
-        settle_s=captured.settle_time,
-        capture_s=captured.capture_time,
-        inference_s=inference,
-        total_s=time.monotonic() - begun,
+def _told(prediction: Prediction, scores: Scores) -> Prediction:
+    """A prediction as a caller may see it."""
+    if scores == "all":
+        return prediction
+    if scores == "none":
+        return Prediction(label=prediction.label)
+    return Prediction(
+        label=prediction.label,
+        confidence=_tenth(prediction.confidence),
+        scores=_tenths(prediction.scores),
     )
 
 
-def _exposure(captured: Captured) -> Exposure | None:
-    if captured.replay is not None:
-        # Whoever looks for the proof finds none: what was recorded stands in `replay`.
+def _tenth(score: float | None) -> float | None:
+    return None if score is None else round(score, 1)
+
+
+def _tenths(scores: Mapping[str, float] | None) -> Mapping[str, float] | None:
+    if scores is None:
         return None
-    return Exposure(
-        started_after_shown_s=captured.started_after_shown,
-        settle_s=captured.settle,
-        duration_s=captured.duration,
-    )
+    return {label: round(score, 1) for label, score in scores.items()}

@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,9 @@ from veilcam_client.wire.captures import (
     Capture,
     Classification,
     Embedding,
-    Form,
     Prediction,
     Release,
+    SealedEmbedding,
 )
 from veilcam_client.wire.events import (
     BundleChanged,
@@ -49,6 +49,7 @@ from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.images import PictureError, as_scene
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
+    NoReceiverError,
     PolicyStoreError,
     ProblemError,
     ReplayingError,
@@ -58,18 +59,17 @@ from veilcam_server.errors import (
 )
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
+from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.queue import DeviceQueue
-from veilcam_server.service.responses import (
-    capture_response,
-    classification_response,
-    timing,
-)
+from veilcam_server.service.responses import Scores, capture_response, classification_response
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 from veilcam_server.system.logs import log_unhandled
+from veilcam_server.system.state_file import HeldDirectory
 
 log = structlog.get_logger()
 ResultT = TypeVar("ResultT")
+_Leaving: TypeAlias = Embedding | SealedEmbedding
 
 
 class Service:
@@ -80,13 +80,17 @@ class Service:
         identity: for the status.
         bundles: of which one is in use; None: labels and masks come from a recording.
         calibration: that measures the camera.
-        form: in which embeddings leave.
+        form: tells in which embeddings leave, from the next epoch on.
+        raw_budget: embeddings that may leave raw behind one mask; for the status.
+        pairing: with receivers; None: a recording is replayed, and there are none.
         queue_limit: how many requests may wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
         break_device: breaks and mends a simulated device; None: nobody may.
         faults: what was found before; told of once this is open.
         policies: where the rotation policy is kept; None: it lasts no longer than this.
+        held: state directory, which other daemons may have once this has stopped; None: there is
+            none.
     """
 
     def __init__(
@@ -96,19 +100,21 @@ class Service:
         bundles: BundleManager | None,
         calibration: CalibrationService,
         *,
-        form: Release = "none",
+        form: Callable[[], Release],
+        raw_budget: int = 0,
+        pairing: Pairing | None = None,
         queue_limit: int = 8,
         heartbeat: float = 10.0,
         scenes: Scenes | None = None,
         break_device: Callable[[Faults], None] | None = None,
         faults: Sequence[ProblemError] = (),
         policies: PolicyStore | None = None,
+        held: HeldDirectory | None = None,
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
-        self.release = form
-        """In which form embeddings leave."""
+        self._form, self._raw_budget, self._pairing = form, raw_budget, pairing
         self._bundles, self._scenes, self._policies = bundles, scenes, policies
-        self._break = break_device
+        self._break, self._held = break_device, held
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
@@ -157,6 +163,7 @@ class Service:
         finally:
             self._queue.close()
             self._inference_thread.shutdown()
+            self._let_go()
 
     def report(self, fault: ProblemError) -> None:
         """Tell of a fault that ended nothing; from whatever thread, and before this is open too."""
@@ -173,7 +180,14 @@ class Service:
 
     def stop(self) -> None:
         """Show opaque and let go of the device, without an event loop; twice does no harm."""
-        self._camera.stop()
+        try:
+            self._camera.stop()
+        finally:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        if self._held is not None:
+            self._held.close()
 
     def end_streams(self) -> None:
         """End all event streams, so that the server need not wait for who listens to them."""
@@ -185,6 +199,18 @@ class Service:
         if self._bundles is None:
             raise ReplayingError
         return self._bundles
+
+    @property
+    def release(self) -> Release:
+        """In which form embeddings leave, from the next epoch on."""
+        return self._form()
+
+    @property
+    def pairing(self) -> Pairing:
+        """With receivers; raises :class:`ReplayingError` where there are none."""
+        if self._pairing is None:
+            raise ReplayingError
+        return self._pairing
 
     @property
     def upload_limit(self) -> int:
@@ -202,6 +228,8 @@ class Service:
             uptime_s=time.monotonic() - self._since,
             captures=self.history.events["capture"],
             release=self.release,
+            raw_budget=self._raw_budget,
+            receivers=() if self._pairing is None else self._pairing.paired,
             device=self._identity.device,
             bundle=self._identity.bundle,
             rotation=self.rotation(),
@@ -240,50 +268,46 @@ class Service:
         """Take one embedding; raises as :meth:`CameraEngine.capture`, or the queue is full.
 
         Raises:
-            WithheldError: this daemon releases no embeddings.
+            WithheldError, NoReceiverError: this daemon releases no embeddings, or to nobody.
         """
-        begun = time.monotonic()
-        form = self._require_released()
+        self._require_released()
         with self._admitted():
-            captured, queued, released = await self._take(
-                begun, lambda captured: _released(captured, form)
-            )
+            captured, released = await self._take(_released, release=True)
             name = self._taken(captured)
             embedding = await asyncio.wrap_future(released)
-        return capture_response(name, captured, embedding, timing(captured, queued, begun))
+        return capture_response(name, captured, embedding)
 
-    async def classify(self, *, include_embedding: bool) -> Classification:
+    async def classify(self, *, include_embedding: bool, scores: Scores = "none") -> Classification:
         """Take one embedding and classify it with the reader of its own mask.
 
-        Raises:
-            WithheldError: the embedding is wanted, and this daemon releases none.
-        """
-        begun = time.monotonic()
-        form = self._require_released() if include_embedding else None
+        Args:
+            include_embedding: whether that leaves, too.
+            scores: what is told beside the label.
 
-        def infer(captured: Captured) -> tuple[Prediction, Embedding | None, float]:
-            started = time.perf_counter()
-            prediction = captured.reader.classify(captured.embedding)
-            took = time.perf_counter() - started
-            return prediction, _released(captured, form) if form else None, took
+        Raises:
+            WithheldError, NoReceiverError: the embedding is wanted, and it may not leave.
+        """
+        if include_embedding:
+            self._require_released()
+
+        def infer(captured: Captured, queued: float) -> tuple[Prediction, _Leaving | None]:
+            prediction = captured.classify()
+            return prediction, _released(captured, queued) if include_embedding else None
 
         with self._admitted():
-            captured, queued, inferred = await self._take(begun, infer)
+            captured, inferred = await self._take(infer, release=include_embedding)
             name = self._taken(captured)
-            prediction, embedding, inference = await asyncio.wrap_future(inferred)
+            prediction, embedding = await asyncio.wrap_future(inferred)
         self._events.publish(
             partial(
                 Classified,
                 capture=name,
                 epoch=captured.epoch,
                 label=prediction.label,
-                confidence=prediction.confidence,
                 replay=captured.replay is not None,
             )
         )
-        return classification_response(
-            name, captured, prediction, embedding, timing(captured, queued, begun, inference)
-        )
+        return classification_response(name, captured, prediction, embedding, scores)
 
     async def hold_scene(self, content: bytes | None) -> HeldScene:
         """Hold a picture up before a simulated camera, between two captures; None: take it away.
@@ -345,25 +369,40 @@ class Service:
             yield
 
     async def _take(
-        self, begun: float, aside: Callable[[Captured], ResultT]
-    ) -> tuple[Captured, float, Future[ResultT]]:
-        """Take one measurement, and begin ``aside`` on it while the device serves the next one."""
+        self, aside: Callable[[Captured, float], ResultT], *, release: bool
+    ) -> tuple[Captured, Future[ResultT]]:
+        """Take one measurement, and begin ``aside`` on it while the device serves the next one.
 
-        def work() -> tuple[Captured, float, Future[ResultT]]:
+        Args:
+            aside: is given the capture, and what the request waited for the device [s].
+            release: whether the embedding leaves.
+        """
+        begun = time.monotonic()
+
+        def work() -> tuple[Captured, Future[ResultT]]:
             queued = time.monotonic() - begun
-            captured = self._camera.capture()
-            # From here and not from the event loop, which would only hand it on.
-            return captured, queued, self._inference_thread.submit(aside, captured)
+            captured = self._camera.capture(release=release)
+            try:
+                # From here and not from the event loop, which would only hand it on.
+                future = self._inference_thread.submit(aside, captured, queued)
+            except BaseException:
+                captured.done()
+                raise
+            # Also of one that is called off before its turn, as nobody waits for it any more.
+            future.add_done_callback(lambda _: captured.done())
+            return captured, future
 
         return await self._queue.run(work)
 
-    def _require_released(self) -> Form:
-        if self.release == "none":
+    def _require_released(self) -> None:
+        form = self.release
+        if form == "none":
             raise WithheldError(
                 "this daemon releases no embeddings: ask for a classification, "
                 "or start it with --release"
             )
-        return self.release
+        if form == "sealed" and self._pairing is not None and not self._pairing.paired:
+            raise NoReceiverError
 
     def _taken(self, captured: Captured) -> str:
         name = secrets.token_hex(8)
@@ -385,5 +424,5 @@ def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
         raise SceneInvalidError(f"this {error}") from None
 
 
-def _released(captured: Captured, form: Form) -> Embedding:
-    return Embedding.from_array(captured.reader.release(captured.embedding, form), form=form)
+def _released(captured: Captured, queued: float) -> _Leaving:
+    return captured.release(queued)

@@ -548,3 +548,26 @@ def test_the_rotation_has_a_gradient_also_at_zero() -> None:
     assert float(slope) == pytest.approx(
         (float(total(1e-4)) - float(total(-1e-4))) / 2e-4, rel=1e-6
     )
+
+
+@pytest.mark.parametrize("precision", list(Precision))
+def test_what_a_decoder_was_made_of_is_overwritten_unless_a_gradient_needs_it(
+    precision: Precision,
+) -> None:
+    decoding = make(Embedding(4, 5), precision=precision)
+    made: list[Tensor] = []
+    decoding.operator.register_forward_hook(lambda _, __, transfer: made.append(transfer))
+    decoder = decoding.prepare(mask())
+    assert not bool(made[0].any())
+    assert bool(decoder.estimator.any())
+    assert bool(decoder.response.any())
+    learned = mask().requires_grad_()
+    decoding.prepare(learned).estimator.sum().backward()  # type: ignore[no-untyped-call]
+    assert bool(made[1].any())
+    assert learned.grad is not None
+    assert bool(learned.grad.any())
+    # One that the caller gave is the caller's.
+    given = decoding.operator(mask().to(precision.products))
+    again = decoding.prepare_transfer(given)
+    assert bool(given.any())
+    assert torch.equal(again.estimator, decoder.estimator)

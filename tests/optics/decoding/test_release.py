@@ -1,28 +1,31 @@
-"""Released forms: what they hide, that they come back with the key, and only with it."""
+"""White embeddings: a direction that is uniform whatever was seen, and no length."""
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
+import hashlib
 
 import numpy as np
 import pytest
 import torch
+from scipy.stats import chi2
 from torch import Tensor
-from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.masks import random_mask, to_levels, to_weights
-from veilcam_optics.cli.main import app
-from veilcam_optics.decoding import Decoder, SceneDecoding, SceneFrame, fit_statistics, write_frame
-from veilcam_optics.decoding.release import ReleaseForm, Whitening, recover, release
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.decoding import Decoder, Precision, SceneDecoding, fit_statistics
+from veilcam_optics.decoding.release import ReleaseForm, Whitening
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.keys.epoch_names import EpochNames
-from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 
-CAMERA, SCENE, EMBEDDING = Camera(), Scene(10, 10), Embedding(6, 8)
+CAMERA, SCENE, EMBEDDING = Camera(), Scene(10, 10), Embedding(4, 5)
+SIZE = EMBEDDING.size
+
+
+def key_of(name: str) -> bytes:
+    """A key of its own for every name."""
+    return hashlib.sha256(name.encode()).digest()
 
 
 def smooth_scenes(count: int, seed: int) -> Tensor:
@@ -35,226 +38,190 @@ def smooth_scenes(count: int, seed: int) -> Tensor:
     return (y * x).sum(1).clamp(0, 1)
 
 
+def make_decoding(precision: Precision = Precision.MIXED) -> SceneDecoding:
+    statistics = fit_statistics([smooth_scenes(3000, 0)], 60)
+    operator = TransferOperator(CAMERA, SCENE, EMBEDDING, dtype=precision.products)
+    return SceneDecoding(operator, statistics, precision=precision)
+
+
 @pytest.fixture(scope="module")
 def decoding() -> SceneDecoding:
-    statistics = fit_statistics([smooth_scenes(3000, 0)], 60)
-    return SceneDecoding(TransferOperator(CAMERA, SCENE, EMBEDDING), statistics)
+    return make_decoding()
 
 
-def make(
-    decoding: SceneDecoding, seed: int, count: int = 400
-) -> tuple[Decoder, Whitening, Tensor, Tensor]:
-    """Decoder and whitening of a random mask, scenes, and measurements of them behind that mask."""
-    generator = torch.Generator().manual_seed(seed)
-    levels = to_levels(random_mask(CAMERA, generator), CAMERA.panel)
-    weights = to_weights(levels, CAMERA.panel)
-    scenes = smooth_scenes(count, seed + 1000)
-    measurements = shot_noise(decoding.operator.embed(scenes, weights), 40.0, generator)
+def make(decoding: SceneDecoding, name: str, count: int = 400) -> tuple[Decoder, Tensor]:
+    """Decoder of a random mask, and measurements behind it."""
+    weights = to_weights(draw_levels(key_of(name), camera=CAMERA), CAMERA.panel)
     decoder = decoding.prepare(weights)
-    return decoder, Whitening(decoder, levels), scenes, measurements
+    random = torch.Generator().manual_seed(len(name))
+    dtype = decoding.precision.products
+    scenes = smooth_scenes(count, 1000 + len(name)).to(dtype)
+    measurements = decoding.operator.embed(scenes, weights.to(dtype)).float()
+    return decoder, shot_noise(measurements, 40.0, random)
 
 
-def test_none_releases_nothing(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, measurements = make(decoding, 1)
-    assert release(measurements, ReleaseForm.NONE, decoder) is None
+def require_length_one(white: Tensor) -> None:
+    """Every value is rounded by at most half of 2^-23 of itself, so their length is, too."""
+    assert white.dtype == torch.float32
+    assert float((white.double().norm(dim=1) - 1).abs().max()) <= 2.0**-24 + 1e-15
 
 
-def test_raw_is_the_measurement(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, measurements = make(decoding, 1)
-    raw = release(measurements, ReleaseForm.RAW, decoder)
-    assert raw is not None
-    assert torch.equal(raw, measurements)
-    assert torch.equal(recover(raw, ReleaseForm.RAW, decoder), measurements)
-
-
-def test_flat_has_neither_exposure_nor_mean(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, measurements = make(decoding, 2)
-    flat = release(measurements, ReleaseForm.FLAT, decoder)
-    brighter = release(3 * measurements, ReleaseForm.FLAT, decoder)
-    assert flat is not None
-    assert brighter is not None
-    assert torch.allclose(flat, brighter, atol=1e-6 * float(measurements.max()))
-    assert float(flat.sum((1, 2)).abs().max()) < 1e-5 * float(measurements.sum((1, 2)).mean())
-    assert float(flat.mean(0).norm()) < 0.2 * float(measurements.mean(0).norm())
-
-
-def test_flat_comes_back_at_the_mean_exposure(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, measurements = make(decoding, 2)
-    flat = release(measurements, ReleaseForm.FLAT, decoder)
-    assert flat is not None
-    restored = recover(flat, ReleaseForm.FLAT, decoder)
-    exposure = measurements.sum((1, 2), keepdim=True) / decoder.mean_measurement.sum()
-    assert torch.allclose(restored, measurements / exposure, rtol=1e-5, atol=1e-7)
-
-
-def test_white_is_white(decoding: SceneDecoding) -> None:
-    decoder, whitening, _, measurements = make(decoding, 3, count=20_000)
-    white = release(measurements, ReleaseForm.WHITE, decoder, whitening)
-    assert white is not None
-    flat = white.flatten(1).double()
-    covariance = flat.T @ flat / len(flat)
-    assert float(flat.mean(0).abs().max()) < 0.1
-    assert float((covariance - torch.eye(EMBEDDING.size)).abs().max()) < 0.25
-    # The raw measurements of the same mask are anything but.
-    raw = measurements.flatten(1).double()
-    correlation = torch.corrcoef(raw.T) - torch.eye(EMBEDDING.size)
-    assert float(correlation.abs().max()) > 0.9
-
-
-@pytest.mark.parametrize("form", [ReleaseForm.WHITE, ReleaseForm.RAW, ReleaseForm.FLAT])
-def test_decodes_with_the_key_and_is_noise_without(
-    decoding: SceneDecoding, form: ReleaseForm
+@pytest.mark.parametrize("times", [1.0, 1e-20, 1e20])
+def test_a_white_embedding_has_length_one_whatever_was_measured(
+    decoding: SceneDecoding, times: float
 ) -> None:
-    decoder, whitening, scenes, measurements = make(decoding, 4)
-    other, other_whitening, _, _ = make(decoding, 5)
-    released = release(measurements, form, decoder, whitening)
-    assert released is not None
-    exposure = measurements.sum((1, 2), keepdim=True) / decoder.mean_measurement.sum()
-    wanted = scenes / exposure if form is ReleaseForm.FLAT else scenes
-    right = decoder(recover(released, form, decoder, whitening))
-    wrong = other(recover(released, form, other, other_whitening))
-    spread = (wanted - decoder.mean.reshape(SCENE.shape)).square().mean()
-    assert float((right - wanted).square().mean() / spread) < 0.2
-    assert float((wrong - wanted).square().mean() / spread) > 0.8  # the mean scene has 1
-    direct = (
-        decoder(measurements) if form is not ReleaseForm.FLAT else decoder(measurements / exposure)
-    )
-    assert torch.allclose(right, direct, atol=2e-3)
+    decoder, measurements = make(decoding, "a")
+    white = Whitening(decoder, key_of("turn")).whiten(times * measurements)
+    assert white.shape == (len(measurements), SIZE)
+    require_length_one(white)
 
 
-def test_white_comes_back(decoding: SceneDecoding) -> None:
-    decoder, whitening, _, measurements = make(decoding, 6)
-    white = release(measurements, ReleaseForm.WHITE, decoder, whitening)
-    assert white is not None
-    restored = recover(white, ReleaseForm.WHITE, decoder, whitening)
-    error = (restored - measurements).norm() / measurements.norm()
-    assert float(error) < 1e-5
-    again = release(measurements, ReleaseForm.WHITE, decoder, whitening)
-    assert again is not None
-    assert torch.allclose(white, again, atol=1e-5)
+def test_it_is_the_whitened_measurement_turned_and_without_its_length(
+    decoding: SceneDecoding,
+) -> None:
+    """By the formula, without a factor: angles are those that C^-1 gives."""
+    decoder, measurements = make(decoding, "a", count=30)
+    white = Whitening(decoder, key_of("turn")).whiten(measurements).double()
+    response = decoder.response.double()
+    covariance = response @ response.T + torch.diag(decoder.noise.double())
+    centred = measurements.flatten(1).double() - decoder.mean_measurement.double()
+    products = centred @ torch.linalg.solve(covariance, centred.T)
+    lengths = products.diagonal().sqrt()
+    assert torch.allclose(white @ white.T, products / torch.outer(lengths, lengths), atol=1e-6)
 
 
-def test_mean_of_each_mask_is_gone(decoding: SceneDecoding) -> None:
-    """Between masks, raw means differ by far more than the scatter; white ones do not."""
-    means: dict[ReleaseForm, list[Tensor]] = {ReleaseForm.RAW: [], ReleaseForm.WHITE: []}
-    scatter: dict[ReleaseForm, list[float]] = {ReleaseForm.RAW: [], ReleaseForm.WHITE: []}
-    for seed in range(10, 16):
-        decoder, whitening, _, measurements = make(decoding, seed)
-        exposed = measurements / measurements.sum((1, 2), keepdim=True)
-        for form, values in ((ReleaseForm.RAW, exposed), (ReleaseForm.WHITE, measurements)):
-            released = release(values, form, decoder, whitening)
-            assert released is not None
-            means[form].append(released.mean(0).flatten())
-            error = released.var(0).sum() / len(released)
-            scatter[form].append(math.sqrt(float(error)))
-    ratio = {
-        form: float(torch.stack(means[form]).std(0).norm()) / max(scatter[form]) for form in means
-    }
-    assert ratio[ReleaseForm.RAW] > 5
-    assert ratio[ReleaseForm.WHITE] < 1.5
+def test_the_rotation_is_the_key_s_alone(decoding: SceneDecoding) -> None:
+    decoder, measurements = make(decoding, "a", count=3)
+    first = Whitening(decoder, key_of("turn")).whiten(measurements)
+    assert torch.equal(Whitening(decoder, bytearray(key_of("turn"))).whiten(measurements), first)
+    other = Whitening(decoder, key_of("turned")).whiten(measurements)
+    # Of 20 dimensions: two directions that are unrelated seldom have a product of 0.9.
+    assert float((first * other).sum(1).abs().max()) < 0.9
+    with pytest.raises(OpticsError, match="a key is not valid: use 32 bytes"):
+        Whitening(decoder, key_of("turn")[:31])
 
 
-def test_refuses_what_cannot_be_released(decoding: SceneDecoding) -> None:
-    decoder, _whitening, _, measurements = make(decoding, 7, count=3)
-    with pytest.raises(OpticsError, match=r"measurements\.shape"):
-        release(measurements[:, :5], ReleaseForm.RAW, decoder)
-    dark = torch.zeros_like(measurements)
-    with pytest.raises(OpticsError, match="holds no light"):
-        release(dark, ReleaseForm.FLAT, decoder)
-    assert release(measurements[:0], ReleaseForm.FLAT, decoder) is not None
-    with pytest.raises(OpticsError, match="needs the mask's whitening"):
-        release(measurements, ReleaseForm.WHITE, decoder)
-    with pytest.raises(OpticsError, match="needs the mask's whitening"):
-        recover(measurements, ReleaseForm.WHITE, decoder)
-    with pytest.raises(OpticsError, match="holds nothing to recover"):
-        recover(measurements, ReleaseForm.NONE, decoder)
+def require_uniform(directions: Tensor) -> None:
+    """Moments of directions, against those of the uniform distribution over the sphere.
 
-
-def test_whitening_shows_nothing_of_the_mask(decoding: SceneDecoding) -> None:
-    decoder, whitening, _, _ = make(decoding, 8)
-    assert repr(whitening) == "Whitening(embedding=Embedding(rows=6, columns=8))"
-    assert "tensor" not in repr(decoder)
-
-
-def make_frame(distribution: MaskDistribution | None) -> SceneFrame:
-    return SceneFrame(
-        CAMERA,
-        SCENE,
-        EMBEDDING,
-        fit_statistics([smooth_scenes(3000, 0)], 60),
-        distribution=distribution,
-    )
+    With n dimensions: E u = 0, E u u' = I / n, E u_i^2 u_j^2 = 1 / (n (n + 2)) and
+    E u_i^4 = 3 / (n (n + 2)). Means of N of them are nearly normal, so sums of their squares, each
+    over its variance, follow chi^2; each bound is passed by chance once in 10^9. The terms of the
+    fourth moment are bounded by Bernstein's inequality at the same chance: sum u_i^4 lies in
+    [1/n, 1] and its variance is below its mean square, (3 / (n + 2))^2.
+    """
+    u, count = directions.double(), len(directions)
+    chance = 1e-9
+    assert count * SIZE * float(u.mean(0).square().sum()) < chi2.isf(chance, SIZE)
+    second = (u.T @ u) / count
+    apart = second[np.triu_indices(SIZE, 1)]
+    scaled = count * SIZE * (SIZE + 2) * float(apart.square().sum())
+    assert scaled < chi2.isf(chance, len(apart))
+    # Var u_i^2 = 2 (n - 1) / (n^2 (n + 2)); the n of them sum to 1, so n - 1 are free, and each
+    # direction of those has variance 2 / (n (n + 2)).
+    along = second.diagonal() - 1 / SIZE
+    assert count * SIZE * (SIZE + 2) / 2 * float(along.square().sum()) < chi2.isf(chance, SIZE - 1)
+    expected = 3 / (SIZE + 2)
+    log = np.log(2 / chance)
+    bound = np.sqrt(2 * expected**2 * log / count) + 2 * log / (3 * count)
+    assert abs(float(u.pow(4).sum(1).mean()) - expected) < bound
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("exponent", [None, 4.0])
-@pytest.mark.parametrize("form", ["white", "raw", "flat"])
-def test_decode_on_the_command_line(
-    decoding: SceneDecoding, tmp_path: Path, form: str, exponent: float | None
+@pytest.mark.parametrize("what", ["scene", "brighter", "dark", "mean", "nan"])
+def test_over_fresh_rotations_a_direction_is_uniform_whatever_was_seen(
+    decoding: SceneDecoding, what: str
 ) -> None:
-    distribution = None if exponent is None else MaskDistribution.power(CAMERA, exponent)
-    frame, secret = make_frame(distribution), Secret.generate()
-    write_frame(tmp_path / "frame.safetensors", frame)
-    (tmp_path / "secret").write_text(secret.reveal().hex())
-    (tmp_path / "secret").chmod(0o600)
-    levels = epoch_levels(secret, "cam", 5, camera=CAMERA, distribution=distribution)
-    weights = to_weights(levels, CAMERA.panel)
-    scenes = smooth_scenes(60, 77)
-    exposed = frame.decoding().prepare(weights)
-    measurements = decoding.operator.embed(scenes, weights)
-    wanted = scenes
-    if form == "flat":
-        wanted = scenes * exposed.mean_measurement.sum() / measurements.sum((1, 2), keepdim=True)
-    released = release(measurements, ReleaseForm(form), exposed, Whitening(exposed, levels))
-    assert released is not None
-    np.save(tmp_path / "in.npy", released.numpy())
-
-    def decoded(device: str, epoch: int | str) -> Tensor:
-        command = [
-            *("decode", str(tmp_path / "in.npy"), str(tmp_path / "out.npy"), "--form", form),
-            *("--frame", str(tmp_path / "frame.safetensors"), "--device", device),
-            *("--secret", str(tmp_path / "secret"), "--epoch", str(epoch)),
-        ]
-        result = CliRunner().invoke(app, command)
-        assert result.exit_code == 0, result.output
-        assert secret.reveal().hex()[:16] not in result.output
-        return torch.from_numpy(np.load(tmp_path / "out.npy"))
-
-    spread = (wanted - wanted.mean(0)).square().mean()
-    assert float((decoded("cam", 5) - wanted).square().mean() / spread) < 0.2
-    name = EpochNames(Secret.read(tmp_path / "secret"), "cam").name(5)
-    assert torch.equal(decoded("cam", name), decoded("cam", 5))
-    for device, epoch in (("cam", 6), ("other", 5), ("other", name)):
-        assert float((decoded(device, epoch) - wanted).square().mean() / spread) > 0.8
+    decoder, measurements = make(decoding, "a", count=1)
+    seen = {
+        "scene": measurements,
+        "brighter": 3 * measurements,
+        "dark": torch.zeros_like(measurements),
+        "mean": decoder.mean_measurement.reshape(1, *EMBEDDING.shape),
+        "nan": torch.full_like(measurements, torch.nan),
+    }[what]
+    directions = torch.cat(
+        [Whitening(decoder, key_of(f"{what} {i}")).whiten(seen) for i in range(3000)]
+    )
+    require_length_one(directions)
+    require_uniform(directions)
 
 
-def test_decode_says_what_is_wrong(tmp_path: Path) -> None:
-    write_frame(tmp_path / "frame", make_frame(None))
-    (tmp_path / "secret").write_text("0" * 64)
-    (tmp_path / "secret").chmod(0o600)
-    np.save(tmp_path / "good.npy", np.zeros((6, 8)))
-    np.save(tmp_path / "bad.npy", np.full((6, 8), np.nan))
-    np.save(tmp_path / "words.npy", np.array(["a"]))
-    (tmp_path / "text.npy").write_text("no array")
+def test_the_bounds_of_uniformity_would_tell(decoding: SceneDecoding) -> None:
+    """Without a rotation of its own, a measurement's directions are anything but uniform."""
+    decoder, measurements = make(decoding, "a", count=3000)
+    white = Whitening(decoder, key_of("turn")).whiten(measurements)
+    with pytest.raises(AssertionError):
+        require_uniform(white)
+    random = torch.Generator().manual_seed(1)
+    drawn = torch.randn(3000, SIZE, generator=random)
+    require_uniform(drawn / drawn.norm(dim=1, keepdim=True))
+    with pytest.raises(AssertionError):  # the corners of a cube: the fourth moment alone differs
+        require_uniform(drawn.sign() / SIZE**0.5)
 
-    def run(released: str, **changes: str) -> str:
-        options = {"frame": "frame", "secret": "secret", **changes}
-        paths = {name: str(tmp_path / options.pop(name)) for name in ("frame", "secret")}
-        options = {"device": "cam", "epoch": "1", **paths, **options}
-        flat = [part for name, value in options.items() for part in (f"--{name}", value)]
-        result = CliRunner().invoke(
-            app, ["decode", str(tmp_path / released), str(tmp_path / "out.npy"), *flat]
-        )
-        assert result.exit_code != 0
-        assert not (tmp_path / "out.npy").exists()
-        return result.output
 
-    assert "cannot be read" in run("missing.npy")
-    assert "is not an array" in run("text.npy")
-    assert "does not hold numbers" in run("words.npy")
-    assert "holds NaN" in run("bad.npy")
-    assert "form = whit is not valid: use white, flat or raw" in run("good.npy", form="whit")
-    assert "holds nothing" in run("good.npy", form="none")
-    assert "cannot be read" in run("good.npy", frame="nothing")
-    (tmp_path / "secret").chmod(0o644)
-    assert "chmod 600" in run("good.npy")
+@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
+def test_what_has_no_direction_gets_one_from_the_kernel_and_others_keep_theirs(
+    decoding: SceneDecoding, value: float
+) -> None:
+    decoder, measurements = make(decoding, "a", count=4)
+    whitening = Whitening(decoder, key_of("turn"))
+    expected = whitening.whiten(measurements)
+    broken = measurements.clone()
+    broken[1, 2, 3] = value
+    broken[2] = decoder.mean_measurement.reshape(EMBEDDING.shape)
+    once, again = whitening.whiten(broken), whitening.whiten(broken)
+    require_length_one(once)
+    assert torch.allclose(once[[0, 3]], expected[[0, 3]], atol=1e-6)
+    for row in (1, 2):
+        assert not torch.allclose(once[row], again[row], atol=1e-3)
+        assert not torch.allclose(once[row], expected[row], atol=1e-3)
+
+
+def test_refuses_another_shape(decoding: SceneDecoding) -> None:
+    decoder, measurements = make(decoding, "a", count=3)
+    whitening = Whitening(decoder, key_of("turn"))
+    with pytest.raises(OpticsError, match=r"measurements\.shape"):
+        whitening.whiten(measurements[:, :3])
+    assert whitening.whiten(measurements[:0]).shape == (0, SIZE)
+    flat = whitening.whiten(measurements.flatten(1))
+    assert torch.equal(flat, whitening.whiten(measurements))
+
+
+def test_whitening_shows_nothing_of_the_mask(decoding: SceneDecoding) -> None:
+    decoder, _ = make(decoding, "a", count=1)
+    whitening = Whitening(decoder, key_of("turn"))
+    assert repr(whitening) == "Whitening(embedding=Embedding(rows=4, columns=5))"
+    assert "tensor" not in repr(decoder)
+
+
+@pytest.mark.parametrize("precision", list(Precision))
+@pytest.mark.parametrize("inference", [True, False])
+def test_what_is_erased_is_zeros_and_what_is_another_s_stays(
+    precision: Precision, inference: bool
+) -> None:
+    decoding = make_decoding(precision)
+    with torch.inference_mode(inference):
+        decoder, measurements = make(decoding, "a", count=2)
+        whitening = Whitening(decoder, key_of("turn"))
+        neighbour, seen = make(decoding, "another", count=2)
+        expected = neighbour(seen)
+    estimate = decoder(measurements)
+    own = (whitening._factor, whitening._rotation, whitening._mean, whitening._deviation)
+    assert all(bool(tensor.any()) for tensor in own)
+    whitening.erase()
+    assert not any(bool(tensor.any()) for tensor in own)
+    assert torch.equal(decoder(measurements), estimate)  # the decoder is as it was
+    known = (
+        *(decoder.mean_measurement, decoder.estimator, decoder.noise),
+        *(decoder.response, decoder.deviation),
+    )
+    assert all(bool(tensor.any()) for tensor in known)
+    decoder.erase()
+    assert not any(bool(tensor.any()) for tensor in known)
+    assert torch.equal(neighbour(seen), expected)
+    assert torch.equal(decoding.statistics.mean, decoder.mean)
+
+
+def test_forms_have_the_names_of_the_wire() -> None:
+    assert [form.value for form in ReleaseForm] == ["white", "raw"]

@@ -67,10 +67,11 @@ async def test_capture_as_json_and_as_npy(running: Running, bench: Bench) -> Non
     assert answer.headers["cache-control"] == npy.headers["cache-control"] == "no-store"
     assert capture.epoch == bench.epochs[0]
     assert np.array_equal(np.asarray(capture), bench.sensor.measurement)
-    assert capture.exposure is not None
-    assert capture.exposure.started_after_shown_s >= capture.exposure.settle_s == 0.01
+    assert capture.number == 0
+    assert capture.notes is None
     assert npy.headers["content-type"] == NPY_MEDIA_TYPE
     assert npy.headers["veilcam-epoch"] == capture.epoch
+    assert (npy.headers["veilcam-number"], npy.headers["veilcam-form"]) == ("1", "raw")
     assert npy.headers["veilcam-capture"] != capture.id
     assert np.array_equal(np.load(io.BytesIO(npy.content)), bench.sensor.measurement)
 
@@ -89,6 +90,7 @@ async def test_classification_is_what_the_pair_s_own_network_says(
             weights = bench.bundle.pairs[index].weights["0.weight"].numpy()
             logits = weights @ bench.sensor.measurement.ravel()
             assert result.label == bench.bundle.labels[int(np.argmax(logits))]
+            assert result.scores is not None
             assert result.confidence == max(result.scores.values())
             assert sum(result.scores.values()) == pytest.approx(1)
             assert result.embedding is not None

@@ -25,13 +25,14 @@ from veilcam_server.bundles import store as bundle_store
 from veilcam_server.bundles.loader import LoadedBundle, Opener, last_good
 from veilcam_server.bundles.owners import Used
 from veilcam_server.bundles.store import BundleStore
-from veilcam_server.camera.epochs import EpochStore
+from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.devices import DisplayError
 from veilcam_server.errors import (
     BundleInvalidError,
     BundlesBusyError,
     BundlesFullError,
     BundleStoreError,
+    NotReadyError,
     ProblemError,
     StartError,
     StateLostError,
@@ -213,20 +214,18 @@ async def test_a_panel_that_fails_keeps_the_bundle_or_is_opaque(
     assert not (bench.state_dir / "bundles" / "in-use.json").exists()
 
 
-async def test_an_epoch_that_cannot_be_recorded_keeps_the_bundle(
+async def test_a_first_mask_that_cannot_be_made_keeps_the_bundle(
     running: Running, bench: Bench, data: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from veilcam_server.errors import EpochError
-
-    def full(_: object) -> int:
-        raise EpochError("the disk is full")
+    def fail(*_: object) -> Epoch:
+        raise NotReadyError("the first mask is still being prepared: try again")
 
     async with running() as client:
         before = await active(client)
         installed = await install(client, data)
         with monkeypatch.context() as patch:
-            patch.setattr(EpochStore, "next", full)
-            assert code(await activate(client, installed.digest)) == "epoch_not_recorded"
+            patch.setattr(Preparation, "first_of", fail)
+            assert code(await activate(client, installed.digest)) == "not_ready"
         assert await active(client) == before
         assert (await activate(client, installed.digest)).status_code == 200
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from typer.testing import CliRunner
 
-from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.cli.main import app
 from veilcam_server.settings import DoctorSettings, Settings, Wiring
 
@@ -46,10 +46,9 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "socket": (("--socket", "s"), Path("s")),
     "state_dir": (("--state-dir", "state"), Path("state")),
     "rotation": (("--every-captures", "3", "--reuse", "2"), EveryCaptures(captures=3, reuse=2)),
-    "mask_secret": (("--mask-secret", "m"), Path("m")),
     "calibration": (("--calibration", "c.json"), Path("c.json")),
-    "device_label": (("--device-label", "door"), "door"),
-    "release": (("--release", "flat"), "flat"),
+    "release": (("--release", "sealed"), "sealed"),
+    "raw_budget": (("--raw-budget", "3"), 3),
     "settle": (("--settle", "0"), 0.0),
     "exposure": (("--exposure", "0.02"), 0.02),
     "snr_db": (("--snr-db", "30"), 30.0),
@@ -117,6 +116,20 @@ def test_every_option_changes_its_setting(told: list[Any], name: str) -> None:
 def test_masks_change_every_so_many_seconds(told: list[Any]) -> None:
     run("serve", "--simulate", "--every-seconds", "30", "--jitter", "10", "--reuse", "1")
     assert told[0].rotation == EverySeconds(seconds=30, jitter=10, reuse=1)
+
+
+def test_masks_never_change(told: list[Any]) -> None:
+    run("serve", "--simulate", "--rotation-off")
+    assert told[0].rotation == RotationOff()
+    for more in (
+        ("--every-seconds", "3"),
+        ("--every-captures", "3"),
+        ("--jitter", "0"),
+        ("--reuse", "0"),
+    ):
+        result = runner.invoke(app, ["serve", "--simulate", "--rotation-off", *more])
+        assert result.exit_code == 1
+        assert "with --rotation-off no mask changes" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,12 @@ import pytest
 from structlog.testing import capture_logs
 from tests.server.service.waiting import until
 
+from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.camera.engine import Condition
-from veilcam_server.errors import EpochError, SelfTestError
+from veilcam_server.camera.epochs import Epoch
+from veilcam_server.errors import NotReadyError, PolicyStoreError, SelfTestError
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
 from veilcam_server.service.scheduler import Scheduler
@@ -68,7 +70,7 @@ async def test_a_camera_that_is_ready_is_degraded_while_a_task_fails() -> None:
         for _ in range(2):
             found.sound("self test", RuntimeError(SECRET))
     assert found.state == DEFECT
-    found.sound("change of masks", EpochError("disk full"))
+    found.sound("change of masks", PolicyStoreError("disk full"))
     assert found.state == DEFECT
     found.clear("self test")
     assert found.state == FULL
@@ -93,7 +95,7 @@ async def test_what_a_camera_tells_of_itself_goes_before() -> None:
 
 async def test_a_camera_that_says_it_is_ready_is_not_believed_while_a_task_fails() -> None:
     found, told = alarms(Camera())
-    found.sound("change of masks", EpochError("disk full"))
+    found.sound("change of masks", PolicyStoreError("disk full"))
     safe = Condition("safe", "no answer", "check_panel_wiring")
     found.pass_on(partial(StateChanged, **safe._asdict()))
     found.pass_on(partial(StateChanged, state="ready"))
@@ -190,30 +192,30 @@ async def test_a_task_that_meets_a_defect_goes_on(
     camera.stop()
 
 
-async def test_a_disk_that_is_full_for_a_while_stops_no_task(
+async def test_a_mask_that_cannot_be_made_for_a_while_stops_no_task(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=1))
     camera.await_next()
-    full = True
-    record = camera.preparation.record
+    failing = True
+    take = camera.preparation.take
 
-    def recorded(mask: Any) -> None:
-        if full:
-            raise EpochError("the mask epoch cannot be recorded (database or disk is full)")
-        record(mask)
+    def taken() -> Epoch:
+        if failing:
+            raise NotReadyError("the next mask is still being prepared: try again")
+        return take()
 
-    monkeypatch.setattr(camera.preparation, "record", recorded)
+    monkeypatch.setattr(camera.preparation, "take", taken)
     scheduler, alarms, _ = scheduled(bench, camera)
     async with scheduler.running():
-        camera.capture()
+        camera.capture(release=False).done()
         scheduler.wake()
-        await until(lambda: alarms.state.remedy == "check_disk")
-        with pytest.raises(EpochError):
-            camera.capture()
-        full = False
+        await until(lambda: alarms.state.state == "degraded")
+        with pytest.raises(NotReadyError):
+            camera.capture(release=False)
+        failing = False
         await until(lambda: alarms.state.state == "ready")
-        camera.capture()
+        camera.capture(release=False).done()
     camera.stop()
 
 
@@ -226,7 +228,7 @@ async def test_a_policy_that_wants_no_mask_any_more_ends_the_alarm(
     alarms = Alarms(camera, told)
     scheduler = Scheduler(camera, DeviceQueue(8, lambda _: None), alarms, first_pause=600.0)
     async with scheduler.running():
-        camera.capture()
+        camera.capture(release=False).done()
         scheduler.wake()
         await until(lambda: alarms.state.state == "degraded")
         camera.policy = EveryCaptures(captures=100)
@@ -240,7 +242,8 @@ async def test_the_threads_of_queue_preparation_and_inference_outlive_defects(
 ) -> None:
     camera = bench.camera()
     service = bench.service(camera)
-    reader = type(camera.capture().reader)
+    key = EpochKey.generate(device="d7" * 32, bundle="b0" * 32)
+    reader = type(bench.source.make(key, "raw", frozenset()).reader)
     async with service.open():
         for place, name in (
             (camera, "capture"),

@@ -47,7 +47,7 @@ async def test_a_test_that_failed_is_tried_until_it_passes(bench: Bench) -> None
     bench.test.faults = [UndecidedError("it is too dark")] * 4
     bench.display.resets += 1
     with pytest.raises(NotReadyError):
-        camera.capture()
+        camera.capture(release=False).done()
     async with scheduler(bench, camera).running():
         await until(lambda: camera.state[0] == "ready")
     assert bench.test.runs == 6
@@ -80,7 +80,7 @@ async def test_masks_change_while_nobody_captures(bench: Bench) -> None:
     kept = scheduler(bench, camera)
     async with kept.running():
         for number in range(2, 5):
-            camera.capture()
+            camera.capture(release=False).done()
             while len(bench.epochs) < number:
                 kept.wake()
                 await asyncio.sleep(0.002)
@@ -214,8 +214,8 @@ def test_a_sensor_that_is_not_let_go_is_the_watchdogs_business(bench: Bench) -> 
 
     bench.sensor.before = hang
     with pytest.raises(SensorHungError):
-        camera.capture()
+        camera.capture(release=False).done()
     assert not camera.healthy()
     bench.sensor.before = lambda: None
-    camera.capture()
+    camera.capture(release=False).done()
     assert camera.healthy()

@@ -15,14 +15,17 @@ from veilcam_client.wire.captures import (
     Capture,
     Classification,
     ClassificationRequest,
+    Release,
 )
 from veilcam_server.api.dependencies import BODY, DEVICE, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.problems import NotAcceptableError
 from veilcam_server.api.scopes import CallerDep, requires
 from veilcam_server.security.caller import Caller
+from veilcam_server.service.responses import Scores
 from veilcam_server.service.service import Service
 
-_REFUSALS = (*BODY, "leased", *DEVICE, "replaying", "replay_over", "embedding_withheld")
+_RELEASE = ("embedding_withheld", "no_receiver", "masks_spent", "release_not_recorded")
+_REFUSALS = (*BODY, "leased", *DEVICE, "replaying", "replay_over", *_RELEASE)
 
 router = APIRouter(prefix="/v1", redirect_slashes=False)
 
@@ -42,18 +45,26 @@ async def capture(
     once: OnceDep,
     accept: Annotated[str, Header()] = "*/*",
 ) -> Response:
-    """Take one embedding; ``Accept: application/x-npy`` gives the array alone, as float32."""
+    """Take one embedding; ``Accept: application/x-npy`` gives the array alone, as float32.
+
+    A sealed embedding is no array: it comes as JSON.
+    """
     _require_embedding(caller, service)
     media_type = preferred(accept, ("application/json", NPY_MEDIA_TYPE))
     if media_type is None:
         raise NotAcceptableError(f"captures come as application/json or {NPY_MEDIA_TYPE}")
+    if media_type == NPY_MEDIA_TYPE:
+        _require_array(service.release)
     taken = await once(service.capture)
     if media_type == NPY_MEDIA_TYPE:
+        # Another receiver may have been paired since, or one before the mask that is shown.
+        _require_array(taken.embedding.form)
         buffer = io.BytesIO()
         np.save(buffer, np.asarray(taken), allow_pickle=False)
         names = {
             "Veilcam-Capture": taken.id,
             "Veilcam-Epoch": taken.epoch,
+            "Veilcam-Number": str(taken.number),
             "Veilcam-Form": taken.embedding.form,
         }
         if taken.replay is not None:
@@ -73,11 +84,29 @@ async def classify(
     once: OnceDep,
     question: ClassificationRequest | None = None,
 ) -> Classification:
-    """Take one embedding and classify it with what reads behind its own mask."""
+    """Take one embedding and classify it with what reads behind its own mask.
+
+    Scores are told for `read:scores`, and in tenths for `read:scores:rounded`.
+    """
     include_embedding = question is not None and question.include_embedding
     if include_embedding:
         _require_embedding(caller, service)
-    return await once(lambda: service.classify(include_embedding=include_embedding))
+    scores = _scores_for(caller)
+    return await once(lambda: service.classify(include_embedding=include_embedding, scores=scores))
+
+
+def _scores_for(caller: Caller) -> Scores:
+    if caller.may("read:scores"):
+        return "all"
+    return "rounded" if caller.may("read:scores:rounded") else "none"
+
+
+def _require_array(form: Release) -> None:
+    if form == "sealed":
+        raise NotAcceptableError(
+            "embeddings leave sealed, which are no arrays: accept application/json, and open them "
+            "with a receiver's private key"
+        )
 
 
 def _require_embedding(caller: Caller, service: Service) -> None:

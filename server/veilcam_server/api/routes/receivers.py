@@ -1,0 +1,51 @@
+"""REST API of receivers: to whom the keys of epochs are sealed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request
+
+from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
+from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems
+from veilcam_server.api.scopes import requires
+
+_CHANGE = (*CHANGE, "receivers_not_stored", "replaying")
+
+ReceiverId = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", examples=["0f" * 32])]
+
+router = APIRouter(prefix="/v1/receivers", redirect_slashes=False)
+
+
+@router.get("", dependencies=[requires("read:status")], responses=problems("replaying"))
+async def receivers(service: ServiceDep) -> Receivers:
+    """Every receiver, and the device, whose key receivers check."""
+    return service.pairing.all()
+
+
+@router.post(
+    "",
+    status_code=201,
+    dependencies=[requires("admin:receivers")],
+    responses=problems(
+        *(*BODY, *_CHANGE, "receiver_invalid", "receiver_known", "too_many_receivers")
+    ),
+)
+async def add(
+    request: Request, service: ServiceDep, once: OnceDep, question: ReceiverRequest
+) -> PairedReceiver:
+    """Seal to this receiver, too, from the next epoch on."""
+    made = await once(lambda: service.pairing.add(question))
+    request.state.noted = {"receiver": made.id, "named": made.label}
+    return made
+
+
+@router.delete(
+    "/{receiver_id}",
+    status_code=204,
+    dependencies=[requires("admin:receivers")],
+    responses=problems(*_CHANGE, "invalid_request", "unknown_receiver"),
+)
+async def remove(service: ServiceDep, receiver_id: ReceiverId) -> None:
+    """Seal nothing more to this receiver, from the next epoch on; what it has it can open."""
+    await service.pairing.remove(receiver_id)

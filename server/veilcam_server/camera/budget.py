@@ -1,0 +1,100 @@
+"""How many embeddings may leave behind one mask over its whole life, and how many did.
+
+What is sealed is for its receivers, who have the mask anyway. Of what leaves in the clear, several
+behind one mask give the mask away: one white embedding may leave, and as many raw ones as the
+operator says. For stored masks, which come again, the number is made durable before an embedding
+leaves; a mask that is drawn for one showing takes its number along.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, NonNegativeInt
+
+from veilcam_client.wire.captures import Release
+from veilcam_server.errors import ReleaseNotRecordedError
+from veilcam_server.masks.source import Mask
+from veilcam_server.system.state_file import Report, StateFile, log_fault
+
+NAME = "released.json"
+"""Of the record in the state directory."""
+
+
+class _Released(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+    counts: Mapping[str, NonNegativeInt] = {}
+    """Embeddings that left raw, by the mark of their mask."""
+
+
+class ReleaseBudget:
+    """Counts what leaves in the clear. Used by any thread that holds the camera.
+
+    A record that is lost says of no stored mask how much left behind it: all of them are spent from
+    then on.
+
+    Args:
+        directory: the daemon's state directory, which is held by whoever makes this.
+        raw: embeddings that may leave raw behind one mask.
+        report: takes what was damaged.
+
+    Raises:
+        ValueError: a number that cannot be.
+        StartError: the record is of another version of this software.
+    """
+
+    def __init__(self, directory: Path, raw: int, report: Report = log_fault) -> None:
+        if raw < 0:
+            raise ValueError(f"raw = {raw} is not valid: use 0 or more")
+        self._limits: dict[Release, float] = {"sealed": math.inf, "white": 1, "raw": raw}
+        self._file = StateFile(
+            directory / NAME,
+            _Released,
+            lost="no embedding leaves raw behind a stored mask any more; to forget what left, move "
+            f"{NAME}.lock away",
+            report=report,
+        )
+        self._counts = dict((self._file.read() or _Released()).counts)
+        self._lost = self._file.lost
+
+    def is_spent(self, mask: Mask, form: Release) -> bool:
+        """Whether no more embeddings may leave behind ``mask`` in this form."""
+        limit = self._limits.get(form, 0)
+        if not mask.mark:
+            return mask.released >= limit
+        return limit < math.inf and (self._lost or self._counts.get(mask.mark, 0) >= limit)
+
+    def spent(self, marks: frozenset[str], form: Release) -> frozenset[str]:
+        """Those of stored masks behind which no more embeddings may leave in this form."""
+        limit = self._limits.get(form, 0)
+        if self._lost and limit < math.inf:
+            return marks
+        return frozenset(mark for mark in marks if self._counts.get(mark, 0) >= limit)
+
+    def spend(self, mask: Mask, form: Release) -> None:
+        """Count one embedding, before it leaves.
+
+        Raises:
+            ReleaseNotRecordedError: that cannot be made durable.
+        """
+        if not mask.mark:
+            mask.released += 1
+        elif self._limits[form] < math.inf:
+            self._record(mask.mark)
+
+    def _record(self, mark: str) -> None:
+        def counted(record: _Released | None) -> _Released:
+            counts = dict((record or _Released()).counts)
+            # More than either says may have left: a disk that failed half way wrote one of them.
+            counts[mark] = max(counts.get(mark, 0), self._counts.get(mark, 0)) + 1
+            return _Released(counts=counts)
+
+        try:
+            self._counts = dict(self._file.change(counted).counts)
+        except OSError as error:
+            raise ReleaseNotRecordedError(
+                f"that an embedding leaves cannot be recorded ({error.strerror}): "
+                "check the state directory's disk"
+            ) from None
