@@ -36,17 +36,23 @@ KeySource: TypeAlias = "str | os.PathLike[str] | ReceiverKey"
 TakenT = TypeVar("TakenT", Capture, Classification)
 
 
+def receiver_key(source: KeySource) -> ReceiverKey:
+    """A receiver's private key; raises ``KeyFileError``."""
+    # Late: whoever opens nothing need not wait for the cryptography to load.
+    from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
+
+    return source if isinstance(source, ReceiverKey) else ReceiverKey.read(source)
+
+
 def opener_of(key: KeySource | None, device: str | None) -> Opener | None:
     """What opens sealed embeddings; None: nothing does."""
     if key is None:
         if device is not None:
             raise ValueError("device= is checked when embeddings are opened: give key= as well")
         return None
-    # Late: whoever opens nothing need not wait for the cryptography to load.
-    from veilcam_client.keys.blocks import Opener  # noqa: PLC0415
-    from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
+    from veilcam_client.keys.blocks import Opener  # noqa: PLC0415 - late, as above
 
-    return Opener(key if isinstance(key, ReceiverKey) else ReceiverKey.read(key), device)
+    return Opener(receiver_key(key), device)
 
 
 def opened(answer: TakenT, opener: Opener | None) -> TakenT:
