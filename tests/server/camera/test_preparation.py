@@ -77,7 +77,7 @@ def held(bench: Bench, gated: Gated, policy: RotationPolicy) -> MaskedCamera:
     gated.gate.clear()
     camera.rotate()
     camera.policy = policy
-    camera.capture()
+    camera.capture(release=False)
     return camera
 
 
@@ -87,8 +87,8 @@ def test_the_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gat
     assert (camera.preparation.count, len(gated.counters)) == (2, 2)
     assert camera.preparation.took > 0
     gated.gate.clear()  # nothing of what follows may need another one
-    camera.capture()
-    camera.capture()
+    camera.capture(release=False)
+    camera.capture(release=False)
     assert camera.present == (bench.epochs[1], 1)
     assert (camera.lateness.late, camera.lateness.reused) == (0, 0)
 
@@ -113,7 +113,7 @@ def test_a_dump_of_threads_names_the_one_that_prepares(bench: Bench, gated: Gate
 def test_late_and_told_to_wait(bench: Bench, gated: Gated) -> None:
     camera = held(bench, gated, EveryCaptures(captures=1))
     taken: list[str] = []
-    waiting = threading.Thread(target=lambda: taken.append(camera.capture().epoch))
+    waiting = threading.Thread(target=lambda: taken.append(camera.capture(release=False).epoch))
     waiting.start()
     while not camera.lateness.late:
         time.sleep(0.001)
@@ -128,10 +128,10 @@ def test_late_and_told_to_wait(bench: Bench, gated: Gated) -> None:
 
 def test_late_and_told_to_reuse_but_no_more_often_than_that(bench: Bench, gated: Gated) -> None:
     camera = held(bench, gated, EveryCaptures(captures=1, reuse=2))
-    assert [camera.capture().epoch for _ in range(2)] == [bench.epochs[1]] * 2
+    assert [camera.capture(release=False).epoch for _ in range(2)] == [bench.epochs[1]] * 2
     assert (camera.lateness.late, camera.lateness.reused) == (1, 2)
     taken: list[str] = []
-    waiting = threading.Thread(target=lambda: taken.append(camera.capture().epoch))
+    waiting = threading.Thread(target=lambda: taken.append(camera.capture(release=False).epoch))
     waiting.start()
     waiting.join(0.05)
     assert waiting.is_alive()
@@ -145,7 +145,7 @@ def test_a_mask_that_is_due_by_time_may_be_reused_too(bench: Bench, gated: Gated
     camera = held(bench, gated, EverySeconds(seconds=0.1, reuse=1))
     while camera.due_in() > 0:
         time.sleep(0.01)
-    assert camera.capture().epoch == bench.epochs[1]
+    assert camera.capture(release=False).epoch == bench.epochs[1]
     assert (camera.lateness.late, camera.lateness.reused) == (1, 1)
 
 
@@ -164,11 +164,11 @@ def test_a_preparation_that_fails_is_not_a_licence_to_reuse(bench: Bench, gated:
     captures = bench.sensor.captures
     for _ in range(2):
         with pytest.raises(RuntimeError, match="no decoder"):
-            camera.capture()
+            camera.capture(release=False)
     assert bench.sensor.captures == captures
     assert not camera.preparation.ready
     gated.fault = None
-    assert camera.capture().epoch == bench.epochs[2]
+    assert camera.capture(release=False).epoch == bench.epochs[2]
 
 
 def test_every_mask_has_an_epoch_of_its_own_even_if_it_failed(
@@ -191,10 +191,10 @@ def test_a_wait_without_end_is_ended(
     camera = held(bench, gated, EveryCaptures(captures=1))
     monkeypatch.setattr(preparation_module, "LONGEST", 0.01)
     with pytest.raises(NotReadyError, match="still being prepared"):
-        camera.capture()
+        camera.capture(release=False)
     gated.gate.set()
     settled(camera)
-    assert camera.capture().epoch == bench.epochs[2]
+    assert camera.capture(release=False).epoch == bench.epochs[2]
 
 
 def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
@@ -303,7 +303,7 @@ async def test_the_status_says_so(running: Running, bench: Bench, gated: Gated) 
 def test_preparing_takes_no_time_of_the_panel_s_lock(bench: Bench, gated: Gated) -> None:
     camera = held(bench, gated, EveryCaptures(captures=9))
     assert camera.preparation.under_way
-    assert [camera.capture().epoch for _ in range(3)] == [bench.epochs[1]] * 3
+    assert [camera.capture(release=False).epoch for _ in range(3)] == [bench.epochs[1]] * 3
 
 
 def test_closing_twice_does_no_harm(bench: Bench) -> None:
