@@ -287,6 +287,7 @@ SIEGE: Figures = {
         "state_faults_tried": ("damaged state: starts tried", "{:.0f}"),
         "starts_refused": ("of them refused", "{:.0f}"),
         "silent_rollbacks": ("that rolled something back in silence", "{:.0f}"),
+        "beyond_budget": ("embeddings beyond the budget of their mask", "{:.0f}"),
         "kills": ("kills", "{:.0f}"),
         "kills_lost": ("what was acknowledged and lost", "{:.0f}"),
         "epochs_repeated": ("epochs that came again", "{:.0f}"),
