@@ -8,6 +8,7 @@ import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,18 @@ import numpy as np
 import pytest
 import structlog
 import uvicorn
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from tests.stress import api_fuzz, leaks
 
+from veilcam_client.keys.blocks import Sealer
+from veilcam_client.keys.envelopes import seal_key
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.captures import Capture, Exposure, Notes, Timing
 from veilcam_server.api.app import create_app
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.source import Mask
+from veilcam_server.sealing.identity import KEY_NAME, DeviceKey
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.audit import DONE, REFUSED, AuditLog
 from veilcam_server.security.limits import RateLimit
@@ -84,7 +94,10 @@ def test_nothing_fails_and_nothing_leaks(
     assert found.made
 
 
-LEVELS = "a mask's levels"
+NOTES = Notes(
+    exposure=Exposure(started_after_shown_s=0.1, settle_s=0.1, duration_s=0.01),
+    timing=Timing(queue_s=0.0, rotation_s=0.0, settle_s=0.0, capture_s=0.0),
+)
 
 
 def as_text(levels: Any) -> list[int]:
@@ -152,22 +165,62 @@ def test_secrets_are_found(bundle: Bundle, store: TokenStore) -> None:
         assert planted.found_in(content) == {"a token"}
 
 
-def test_masks_and_decoders_of_fresh_epochs_are_found(fresh_bundle: Bundle, secret: Any) -> None:
-    from veilcam_server.masks.fresh import FreshSource
+def make_key(number: int) -> EpochKey:
+    return EpochKey(number.to_bytes(32, "big"), device="0f" * 32, bundle="0f" * 32)
 
+
+def test_masks_decoders_and_keys_of_epochs_are_found(fresh_bundle: Bundle) -> None:
+    keys = [make_key(2**255 // number) for number in range(1, 7)]
     planted = leaks.Planted()
-    leaks.plant_fresh(planted, fresh_bundle, secret, range(70, 75))
-    source = FreshSource(fresh_bundle, secret, form="white")
-    for counter in (70, 74):
-        levels = source.make(counter, "").levels
-        assert planted.found_in(repr(levels.tolist()).encode()) == {f"mask of epoch {counter}"}
-    levels = source.make(75, "").levels
-    assert planted.found_in(repr(levels.tolist()).encode()) == set()
-    reader: Any = source.make(71, "").reader
+    leaks.plant_epochs(planted, fresh_bundle, keys[:5])
+    source = FreshSource(fresh_bundle)
+
+    def mask(number: int) -> Mask:
+        return source.make(keys[number], "white", frozenset())
+
+    for number in (0, 4):
+        levels = repr(mask(number).levels.tolist()).encode()
+        assert planted.found_in(levels) == {f"mask of epoch {number}"}
+    assert planted.found_in(repr(mask(5).levels.tolist()).encode()) == set()
+    reader: Any = mask(1).reader
     estimator = repr(reader.decoder.estimator.numpy().tolist()).encode()
     [found] = planted.found_in(estimator)
-    assert found.endswith("estimator of epoch 71")
-    assert planted.found_in(repr(list(secret.reveal())).encode()) == {"the mask secret"}
+    assert found.endswith("estimator of epoch 1")
+    for derived, name in (
+        (keys[3].reveal(), "the key of epoch 3"),
+        (keys[3].levels(), "the key of levels of epoch 3"),
+        (keys[3].rotation(), "the key of the rotation of epoch 3"),
+        (keys[3].sealing(), "the sealing key of epoch 3"),
+    ):
+        assert planted.found_in(repr(list(derived)).encode()) == {name}
+        assert planted.found_in(base64.b64encode(derived)) == {name}
+
+
+def test_private_keys_are_found(tmp_path: Path) -> None:
+    receiver, device = ReceiverKey.generate(), DeviceKey.open(tmp_path)
+    planted = leaks.Planted()
+    leaks.plant_receiver(planted, receiver, tmp_path)
+    leaks.plant_device(planted, tmp_path)
+    for path, name in (("receiver", "a receiver's"), (KEY_NAME, "the device's")):
+        assert planted.found_in((tmp_path / path).read_bytes()) == {f"{name} private key"}
+    public = f"{receiver.public} {device.public} {device.sign(b'')}".encode()
+    assert planted.found_in(public) == set()
+
+
+def test_what_a_receiver_opens_is_found_where_it_stands_open(fresh_bundle: Bundle) -> None:
+    receiver, key = ReceiverKey.generate(), make_key(2**255)
+    signer = DeviceKey(Ed25519PrivateKey.generate())
+    envelope = seal_key(
+        key, signer, epoch="0" * 32, bundle="0f" * 32, receivers=[receiver.public]
+    )
+    at, values = datetime(2026, 1, 1, tzinfo=UTC), np.linspace(0.1, 0.7, 20, dtype=np.float32)
+    sealed = Sealer(key, envelope).seal(0, at, values, NOTES)
+    taken = Capture(id="1", epoch="0" * 32, number=0, taken_at=at, embedding=sealed)
+    planted = leaks.Planted()
+    api_fuzz.plant_sealed(planted, fresh_bundle, receiver, [taken])
+    assert planted.found_in(taken.model_dump_json().encode()) == set()
+    assert planted.found_in(repr(values.tolist()).encode()) == {"an embedding that left sealed"}
+    assert planted.found_in(bytes(key.reveal())) == {"the key of epoch 0"}
 
 
 @pytest.mark.slow

@@ -410,17 +410,6 @@ def test_a_killed_table_ends_with_the_same_numbers(
     assert [epoch.loss for epoch in epochs][: len(done)] == [epoch["loss"] for epoch in done]
 
 
-@pytest.mark.slow
-def test_workers_give_the_same_numbers(call: Call, digit_folder: Path, tmp_path: Path) -> None:
-    options = ("--data", digit_folder, "--epochs", 2, "--classifiers", "LR", "--embeddings", "3x4")
-    for workers in (1, 2):
-        work = tmp_path / str(workers)
-        chosen = ("--encoders", "lens,digital", "--workers", workers, "--work", work)
-        assert call("mnist", *options, *chosen) == 0
-    assert len(numbers(tmp_path / "1")) == 2
-    assert numbers(tmp_path / "1") == numbers(tmp_path / "2")
-
-
 def test_budget(
     call: Call,
     capsys: pytest.CaptureFixture[str],
