@@ -30,7 +30,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import KEY_BYTES, MaskDistribution, draw_levels
 from veilcam_optics.transfer.conditioning import Conditioning, ConditioningMeter
 from veilcam_server.bundles.hiding import LEAST, HidingCheck
 from veilcam_server.demo_data import BUNDLE, FRESH
@@ -46,10 +46,9 @@ app = typer.Typer(pretty_exceptions_enable=False)
 def drawn(camera: Camera, exponent: float, count: int) -> Iterator[Tensor]:
     """Masks that a key draws."""
     distribution = MaskDistribution.power(camera, exponent)
-    for epoch in range(count):
-        levels = epoch_levels(
-            Secret(bytes(range(32))), "benchmark", epoch, camera=camera, distribution=distribution
-        )
+    for number in range(count):
+        key = number.to_bytes(KEY_BYTES)
+        levels = draw_levels(key, camera=camera, distribution=distribution)
         yield to_weights(levels, camera.panel)
 
 

@@ -22,7 +22,8 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import quantise, random_mask, to_weights
 from veilcam_optics.decoding import Precision, SceneDecoding
-from veilcam_optics.decoding.release import ReleaseForm, Whitening, release
+from veilcam_optics.decoding.release import ReleaseForm, Whitening
+from veilcam_optics.keys.masks import KEY_BYTES
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
@@ -100,9 +101,7 @@ def accuracy(
         f"{result.camera.distribution.bits:.0f} bits a mask"
     )
     if work is not None:
-        write_bundle(
-            work / f"{task}.veilcam", as_fresh_bundle(result, source, camera, device="camera")
-        )
+        write_bundle(work / f"{task}.veilcam", as_fresh_bundle(result, source, camera))
     record(
         figures,
         {
@@ -153,7 +152,6 @@ def clusters(
     generator = torch.Generator().manual_seed(7)
     released: dict[ReleaseForm, list[Tensor]] = {
         ReleaseForm.RAW: [],
-        ReleaseForm.FLAT: [],
         ReleaseForm.WHITE: [],
     }
     for index in range(masks):
@@ -162,11 +160,10 @@ def clusters(
         mask = fresh.prepare(weights, fresh.panels("clusters"), generator)
         part = slice(index * captures, (index + 1) * captures)
         measurements = shot_noise(mask.embed(images.scenes(part)), 40.0, generator)
-        whitening = Whitening(mask.decoder, levels)
-        for form, parts in released.items():
-            out = release(measurements, form, mask.decoder, whitening)
-            if out is not None:
-                parts.append(out.flatten(1))
+        # One rotation for all captures of a mask: what more than one embedding a mask would give.
+        whitening = Whitening(mask.decoder, index.to_bytes(KEY_BYTES))
+        released[ReleaseForm.RAW].append(measurements.flatten(1))
+        released[ReleaseForm.WHITE].append(whitening.whiten(measurements))
     labels = torch.arange(masks).repeat_interleave(captures)
     values: dict[str, float] = {}
     for form, parts in released.items():
@@ -187,7 +184,7 @@ def clusters(
 
 @app.command()
 def keyless(
-    form: Annotated[str, typer.Argument(help="raw, flat or white.")],
+    form: Annotated[str, typer.Argument(help="raw or white.")],
     *,
     data: Data,
     exponent: Annotated[float, typer.Option(help="Of the masks' distribution.")] = 1.0,
