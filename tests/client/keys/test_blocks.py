@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import hmac
 from datetime import timedelta, timezone
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-from tests.client.sealing import AT, NOTES, VALUES, Device, Epoch
+from tests.client.sealing import AT, BUNDLE, NOTES, VALUES, Device, Epoch
 
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.blocks import NOTES_BYTES, Opener
@@ -60,6 +63,23 @@ def test_what_was_sealed_is_opened_bit_by_bit(
     assert np.asarray(opened).shape == values.shape
     assert opened.notes == NOTES
     assert opened.number == number
+
+
+def test_a_block_is_what_its_format_says(device: Device, receiver: ReceiverKey) -> None:
+    """Opened here by the standard alone, as another implementation would."""
+    epoch = Epoch(device, receiver)
+    capture = epoch.capture(258)
+    info = b"veilcam embedding sealing 1\0" + bytes.fromhex(device.public) + bytes.fromhex(BUNDLE)
+    key = hmac.digest(epoch.key.reveal(), info + b"\x01", hashlib.sha256)
+    digest = hashlib.sha256(receiver.public.id.encode()).hexdigest()
+    data = (
+        f'["veilcam sealed embedding",1,"{device.public}","{epoch.name}",258,"sealed",[2,3],'
+        f'"float32","{BUNDLE}","2026-01-02T03:04:05+00:00","{digest}"]'
+    )
+    block = base64.b64decode(_sealed(capture).block)
+    opened = ChaCha20Poly1305(key).decrypt(bytes(10) + b"\x01\x02", block, data.encode())
+    assert opened[:24] == VALUES.astype("<f4").tobytes()
+    assert opened[24:] == NOTES.model_dump_json().encode().ljust(512)
 
 
 def test_its_size_tells_nothing(epoch: Epoch) -> None:
