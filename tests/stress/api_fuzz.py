@@ -5,8 +5,8 @@
 Schemathesis makes requests from the daemon's own OpenAPI document, valid ones and others. A real
 daemon gets them over TCP, from callers with each single scope, with all, with none, and with tokens
 that are revoked or missing; with stored masks and raw embeddings, and with fresh masks whose
-embeddings leave white or sealed. No answer may be a 5xx but a documented 503, nor have a status, a media type or a shape
-that the document does not name.
+embeddings leave white or sealed. No answer may be a 5xx but a documented 503, nor have a status, a
+media type or a shape that the document does not name.
 
 Then every byte that left is searched for what must not leave (``leaks``). What left is every header
 and body, the log, the metrics, the events and the audit files. Keys of epochs are those that a
@@ -63,6 +63,8 @@ RAW_BUDGET = 200
 """Embeddings that may leave raw behind one mask: so few that all masks are spent on the way."""
 BUNDLE_BYTES = 1_000_000
 """Files of a state directory that are larger are bundles."""
+TAKING = ("/v1/captures", "/v1/classifications")
+"""Routes whose answers hold embeddings."""
 PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
 
 # Made-up bytes, as for every file.
@@ -188,7 +190,7 @@ class Fuzz:
         if path == "/v1/tokens" and answer.status_code == 201:
             findings.made.add(answer.json()["secret"])
             content = b""
-        if answer.ok and b'"form":"sealed"' in content:
+        if path in TAKING and answer.ok and b'"form":"sealed"' in content:
             taken = Capture.model_validate_json(content)
             findings.sealed[taken.epoch, taken.number] = taken
         head = "".join(f"{key}: {value}\n" for key, value in answer.headers.items())
@@ -306,7 +308,11 @@ def ask_daemon(
     if setting.receiver is not None:
         plant_receiver(closed, setting.receiver, directory)
         plant_sealed(closed, bundle, setting.receiver, list(fuzz.findings.sealed.values()))
-    kept = [f"{path.name}: {name}" for path in _kept(state) for name in closed.found_in(path.read_bytes())]
+    kept = [
+        f"{path.name}: {name}"
+        for path in _kept(state)
+        for name in closed.found_in(path.read_bytes())
+    ]
     planted = plant(bundle, tokens)
     plant_device(planted, state)
     planted.include(closed)

@@ -40,7 +40,7 @@ from veilcam_client.errors import SealedError
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.wire.captures import Capture, Release
 from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.capture import Captured
+from veilcam_server.camera.capture import Captured, MaskedCapture
 from veilcam_server.devices import DeviceError
 from veilcam_server.devices.base import Levels
 from veilcam_server.errors import FenceError, NotReadyError
@@ -101,11 +101,11 @@ def attempt(rig: Rig, opener: Opener, outcome: Outcome) -> None:
 
 def judge(captured: Captured, opener: Opener, outcome: Outcome) -> None:
     """Answer as a request would, and compare what leaves with the mask."""
-    reader = captured.reader
-    assert isinstance(reader, Marked)
+    assert isinstance(captured, MaskedCapture)
+    assert isinstance(captured.reader, Marked)
     outcome.captures += 1
     outcome.epochs.append(captured.epoch)
-    reader.classify(captured.measurement)
+    captured.classify()
     answer = Capture(
         id="",
         epoch=captured.epoch,
@@ -117,7 +117,7 @@ def judge(captured: Captured, opener: Opener, outcome: Outcome) -> None:
     if captured.form == "sealed":
         measured = np.asarray(opener.open(answer).embedding)
     seen = measured * (CAMERA.panel.levels - 1)
-    outcome.mixed += bool(np.abs(seen - reader.corner).max() > 0.1)
+    outcome.mixed += bool(np.abs(seen - captured.reader.corner).max() > 0.1)
 
 
 @contextmanager

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import hashlib
 import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,13 +19,14 @@ import pytest
 import structlog
 import uvicorn
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from tests.server.conftest import Bench
 from tests.stress import api_fuzz, leaks
 
 from veilcam_client.keys.blocks import Sealer
 from veilcam_client.keys.envelopes import seal_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.captures import Capture, Exposure, Notes, Timing
+from veilcam_client.wire.captures import Capture, Exposure, Notes, Release, Timing
 from veilcam_server.api.app import create_app
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Mask
@@ -35,8 +38,6 @@ from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
-    from tests.server.conftest import Bench
-
     from veilcam_training.bundle import Bundle
 
 
@@ -48,6 +49,12 @@ def store(tmp_path: Path) -> TokenStore:
 @pytest.fixture
 def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
     """URL of an application that listens, with a log and audit files."""
+    with serving(bench, store, tmp_path) as url:
+        yield url
+
+
+@contextmanager
+def serving(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
     audit, refused = AuditLog(tmp_path / DONE), AuditLog(tmp_path / REFUSED)
     admission = Admission(store, Site(), audit, refused, RateLimit(1e6, 1000))
     service = bench.service(bench.camera())
@@ -57,6 +64,7 @@ def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
         socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener,
     ):
         listener.bind(("127.0.0.1", 0))
+        listener.listen()  # who asks before the server has started waits for it
         structlog.configure(logger_factory=structlog.PrintLoggerFactory(log))
         config = uvicorn.Config(
             create_app(service, admission), log_config=None, server_header=False
@@ -64,34 +72,81 @@ def daemon(bench: Bench, store: TokenStore, tmp_path: Path) -> Iterator[str]:
         server = uvicorn.Server(config)
         thread = threading.Thread(target=lambda: asyncio.run(server.serve([listener])))
         thread.start()
-        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
-        service.end_streams()
-        server.should_exit = True
-        thread.join(30)
+        try:
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            service.end_streams()
+            server.should_exit = True
+            thread.join(30)
     audit.close()
     refused.close()
 
 
-@pytest.mark.slow
-def test_nothing_fails_and_nothing_leaks(
-    daemon: str, store: TokenStore, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def ask_everything(
+    bench: Bench,
+    store: TokenStore,
+    callers: dict[str, str | None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> api_fuzz.Findings:
     monkeypatch.setattr(api_fuzz, "LISTENED", 0.1)
     monkeypatch.setattr(api_fuzz, "MORE", 2)
-    callers, tokens = api_fuzz.make_callers(store)
-    fuzz = api_fuzz.Fuzz(daemon, callers, examples=1, seed=3)
-    fuzz.run()
-    found = fuzz.findings
-    planted = leaks.plant(bench.bundle, tokens)
+    with serving(bench, store, tmp_path) as url:
+        fuzz = api_fuzz.Fuzz(url, callers, examples=1, seed=3)
+        fuzz.run()
     for path in ("log", DONE, REFUSED):
         text = (tmp_path / path).read_bytes()
         assert text
-        found.left[text] = path
+        fuzz.findings.left[text] = path
+    return fuzz.findings
+
+
+@pytest.mark.slow
+def test_nothing_fails_and_nothing_leaks(
+    bench: Bench, store: TokenStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    callers, tokens = api_fuzz.make_callers(store)
+    found = ask_everything(bench, store, callers, tmp_path, monkeypatch)
+    planted = leaks.plant(bench.bundle, tokens)
     assert found.defects == found.undocumented == found.leaks(planted) == []
     assert {200, 201, 401, 403, 404, 405, 422} <= set(found.statuses)
     assert any(b'"form":"raw"' in content for content in found.left)
     assert any(b"veilcam_http_request_duration_seconds" in content for content in found.left)
     assert found.made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("release", ["sealed", "white"])
+def test_no_key_of_an_epoch_leaves(
+    *,
+    fresh_bundle: Bundle,
+    store: TokenStore,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    release: Release,
+) -> None:
+    keys, generate = list[EpochKey](), EpochKey.generate
+
+    def drawn(*, device: str, bundle: str) -> EpochKey:
+        key = generate(device=device, bundle=bundle)
+        keys.append(EpochKey(bytes(key.reveal()), device=device, bundle=bundle))
+        return key
+
+    monkeypatch.setattr(EpochKey, "generate", drawn)
+    bench = Bench(fresh_bundle, tmp_path / "state", FreshSource(fresh_bundle), release=release)
+    receiver = ReceiverKey.generate()
+    bench.receivers.add("archive", receiver.public)
+    callers, tokens = api_fuzz.make_callers(store)
+    found = ask_everything(bench, store, callers, tmp_path, monkeypatch)
+    planted = leaks.plant(fresh_bundle, tokens)
+    leaks.plant_epochs(planted, fresh_bundle, keys)
+    leaks.plant_receiver(planted, receiver, tmp_path)
+    leaks.plant_device(planted, bench.state_dir)
+    api_fuzz.plant_sealed(planted, fresh_bundle, receiver, list(found.sealed.values()))
+    assert found.defects == found.undocumented == found.leaks(planted) == []
+    assert bool(found.sealed) == (release == "sealed")
+    assert any(f'"form":"{release}"'.encode() in content for content in found.left)
+    assert len(keys) > 1
 
 
 NOTES = Notes(
@@ -165,12 +220,12 @@ def test_secrets_are_found(bundle: Bundle, store: TokenStore) -> None:
         assert planted.found_in(content) == {"a token"}
 
 
-def make_key(number: int) -> EpochKey:
-    return EpochKey(number.to_bytes(32, "big"), device="0f" * 32, bundle="0f" * 32)
+def make_key(number: int, device: str = "0f" * 32) -> EpochKey:
+    return EpochKey(hashlib.sha256(bytes([number])).digest(), device=device, bundle="0f" * 32)
 
 
 def test_masks_decoders_and_keys_of_epochs_are_found(fresh_bundle: Bundle) -> None:
-    keys = [make_key(2**255 // number) for number in range(1, 7)]
+    keys = [make_key(number) for number in range(6)]
     planted = leaks.Planted()
     leaks.plant_epochs(planted, fresh_bundle, keys[:5])
     source = FreshSource(fresh_bundle)
@@ -208,11 +263,9 @@ def test_private_keys_are_found(tmp_path: Path) -> None:
 
 
 def test_what_a_receiver_opens_is_found_where_it_stands_open(fresh_bundle: Bundle) -> None:
-    receiver, key = ReceiverKey.generate(), make_key(2**255)
-    signer = DeviceKey(Ed25519PrivateKey.generate())
-    envelope = seal_key(
-        key, signer, epoch="0" * 32, bundle="0f" * 32, receivers=[receiver.public]
-    )
+    receiver, signer = ReceiverKey.generate(), DeviceKey(Ed25519PrivateKey.generate())
+    key = make_key(0, signer.public)
+    envelope = seal_key(key, signer, epoch="0" * 32, bundle="0f" * 32, receivers=[receiver.public])
     at, values = datetime(2026, 1, 1, tzinfo=UTC), np.linspace(0.1, 0.7, 20, dtype=np.float32)
     sealed = Sealer(key, envelope).seal(0, at, values, NOTES)
     taken = Capture(id="1", epoch="0" * 32, number=0, taken_at=at, embedding=sealed)
