@@ -1,16 +1,17 @@
-"""Decode an embedding: the picture that a released embedding gives to who has the secret.
+"""Decode an embedding: the picture that a sealed embedding gives to a receiver.
 
-python examples/decode_embedding.py FRAME SECRET DEVICE [URL]
+python examples/decode_embedding.py FRAME KEYFILE [URL]
 
-``veilcam-train frame BUNDLE FRAME`` writes the frame, which is public.
+``veilcam-train frame BUNDLE FRAME`` writes the frame, which is public; ``veilcam receiver keygen
+KEYFILE`` the key, which ``veilcam receiver add`` pairs with the camera.
 """
 
 import sys
 
 from veilcam_client import Camera, SceneDecoder
 
-frame, secret, device, *url = sys.argv[1:]
-decoder = SceneDecoder(frame, secret, device=device)
+frame, key, *url = sys.argv[1:]
+decoder = SceneDecoder(frame, key)
 with Camera(*url) as camera:
     scene = decoder.decode(camera.capture())
 shades = " .:-=+*#%@"

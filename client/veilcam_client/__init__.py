@@ -18,10 +18,12 @@ from veilcam_client.errors import (
     DeviceError,
     ForbiddenError,
     InvalidRequestError,
+    KeyFileError,
     LeasedError,
     ProtocolError,
     RecordingError,
     RequestTimeoutError,
+    SealedError,
     ServerError,
     UnauthorizedError,
     VeilcamError,
@@ -34,7 +36,13 @@ from veilcam_client.wire.calibration import (
     CalibrationStatus,
     SignedCalibration,
 )
-from veilcam_client.wire.captures import Capture, Classification, Embedding
+from veilcam_client.wire.captures import (
+    Capture,
+    Classification,
+    Embedding,
+    Notes,
+    SealedEmbedding,
+)
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
     BundleChanged,
@@ -56,6 +64,7 @@ from veilcam_client.wire.rotation import (
     RotationOff,
     RotationPolicy,
 )
+from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, PanelFaults, SensorFaults
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token
@@ -91,13 +100,17 @@ __all__ = [
     "HeldScene",
     "InstalledBundle",
     "InvalidRequestError",
+    "KeyFileError",
     "Lease",
     "LeasedError",
     "MaskChanged",
     "NewLease",
     "NewToken",
+    "Notes",
+    "PairedReceiver",
     "PanelFaults",
     "ProtocolError",
+    "Receivers",
     "Recording",
     "RecordingError",
     "RequestTimeoutError",
@@ -107,6 +120,8 @@ __all__ = [
     "RotationPolicy",
     "SceneDecoder",
     "Scope",
+    "SealedEmbedding",
+    "SealedError",
     "SensorFaults",
     "ServerError",
     "SignedCalibration",

@@ -36,17 +36,23 @@ KeySource: TypeAlias = "str | os.PathLike[str] | ReceiverKey"
 TakenT = TypeVar("TakenT", Capture, Classification)
 
 
+def receiver_key(source: KeySource) -> ReceiverKey:
+    """A receiver's private key; raises ``KeyFileError``."""
+    # Late: whoever opens nothing need not wait for the cryptography to load.
+    from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
+
+    return source if isinstance(source, ReceiverKey) else ReceiverKey.read(source)
+
+
 def opener_of(key: KeySource | None, device: str | None) -> Opener | None:
     """What opens sealed embeddings; None: nothing does."""
     if key is None:
         if device is not None:
             raise ValueError("device= is checked when embeddings are opened: give key= as well")
         return None
-    # Late: whoever opens nothing need not wait for the cryptography to load.
-    from veilcam_client.keys.blocks import Opener  # noqa: PLC0415
-    from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
+    from veilcam_client.keys.blocks import Opener  # noqa: PLC0415 - late, as above
 
-    return Opener(key if isinstance(key, ReceiverKey) else ReceiverKey.read(key), device)
+    return Opener(receiver_key(key), device)
 
 
 def opened(answer: TakenT, opener: Opener | None) -> TakenT:
@@ -63,7 +69,8 @@ class Camera:
         read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
         max_retries: how often a request that may succeed later is repeated.
         key: private key of a receiver, or its file: embeddings come opened, each with its notes,
-            and one that is not sealed to it, or came before, raises ``SealedError``.
+            and one that is not sealed to it, or that came before or later than the next one of its
+            mask, raises ``SealedError``. So ask for one after the other.
         device: public key of the camera, 64 hexadecimal digits, as ``veilcam receiver add`` prints
             it; that of the first embedding that is opened if None.
         token: made by ``veilcamd token create``; that in ``VEILCAM_TOKEN`` if None. It goes over

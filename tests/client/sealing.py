@@ -41,10 +41,10 @@ class Epoch:
 
     def __init__(self, device: Device, receiver: ReceiverKey) -> None:
         self.name = secrets.token_hex(16)
-        key = EpochKey.generate(device=device.public, bundle=BUNDLE)
+        self.key = EpochKey.generate(device=device.public, bundle=BUNDLE)
         to = [receiver.public]
-        envelope = seal_key(key, device, epoch=self.name, bundle=BUNDLE, receivers=to)
-        self.sealer = Sealer(key, envelope)
+        envelope = seal_key(self.key, device, epoch=self.name, bundle=BUNDLE, receivers=to)
+        self.sealer = Sealer(self.key, envelope)
 
     def capture(
         self,

@@ -13,7 +13,7 @@ import pytest
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 SCRIPTS: dict[str, str] = PROJECT["scripts"]
-EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "cryptography", "safetensors", "pooch", "fastapi")
+EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "safetensors", "pooch", "fastapi")
 """First imports of every extra: without them there is the base install alone."""
 
 

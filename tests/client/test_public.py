@@ -45,13 +45,17 @@ def test_the_public_names_are_these() -> None:
         "HeldScene",
         "InstalledBundle",
         "InvalidRequestError",
+        "KeyFileError",
         "Lease",
         "LeasedError",
         "MaskChanged",
         "NewLease",
         "NewToken",
+        "Notes",
+        "PairedReceiver",
         "PanelFaults",
         "ProtocolError",
+        "Receivers",
         "Recording",
         "RecordingError",
         "RequestTimeoutError",
@@ -61,6 +65,8 @@ def test_the_public_names_are_these() -> None:
         "RotationPolicy",
         "SceneDecoder",
         "Scope",
+        "SealedEmbedding",
+        "SealedError",
         "SensorFaults",
         "ServerError",
         "SignedCalibration",
@@ -92,6 +98,7 @@ def test_sync_and_async_have_the_same_surface() -> None:
     assert set(surface(Camera)) == {
         "__init__",
         "activate_bundle",
+        "add_receiver",
         "break_lease",
         "calibration",
         "cancel_calibration",
@@ -107,8 +114,10 @@ def test_sync_and_async_have_the_same_surface() -> None:
         "bundles",
         "lease",
         "lease_state",
+        "receivers",
         "release_lease",
         "remove_bundle",
+        "remove_receiver",
         "revoke_token",
         "rotate",
         "rotation",
@@ -137,12 +146,12 @@ def test_httpx_is_known_to_one_module() -> None:
     assert importers == {"transport.py"}
 
 
-def test_the_sdk_needs_no_torch() -> None:
+def test_the_sdk_needs_no_torch_and_loads_no_cryptography_before_it_opens() -> None:
     script = (
         "import sys, veilcam_client, veilcam_client.cli.main\n"
         "loaded = {name.split('.')[0] for name in sys.modules}\n"
-        "assert not loaded & {'torch', 'fastapi', 'scipy', 'matplotlib', 'veilcam_server',"
-        " 'veilcam_optics', 'veilcam_training'}, loaded\n"
+        "assert not loaded & {'torch', 'cryptography', 'fastapi', 'scipy', 'matplotlib',"
+        " 'veilcam_server', 'veilcam_optics', 'veilcam_training'}, loaded\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from collections.abc import Iterator
@@ -11,8 +12,9 @@ from pathlib import Path
 import pytest
 from tests.training.conftest import write_digits
 
+from veilcam_client import Camera
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_optics.decoding import write_frame
-from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -24,28 +26,29 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 @dataclass(frozen=True)
 class Daemon:
-    """One with fresh masks, and what decodes its embeddings."""
+    """One with fresh masks, and what decodes the embeddings that it seals."""
 
     url: str
     frame: Path
-    secret: Path
-    device: str
+    key: Path
     digit: str
 
 
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     folder = tmp_path_factory.mktemp("examples")
-    secret, frame, scene = folder / "secret", folder / "frame.safetensors", folder / "scene.npy"
-    secret.touch(mode=0o600)
-    secret.write_text(Secret.generate().reveal().hex())
+    path, frame, scene = folder / "key", folder / "frame.safetensors", folder / "scene.npy"
+    key = ReceiverKey.generate()
+    key.write(path)
     bundle, digits = read_bundle(FRESH), load_digits()
     assert bundle.fresh is not None
     write_frame(frame, bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding))
     write_scene(scene, digits.images[0])
-    options = ("--mask-secret", str(secret), "--release", "white", "--settle", "0")
-    with running(FRESH, scene, folder, *options, "--exposure", "0") as url:
-        yield Daemon(url, frame, secret, bundle.fresh.device, str(digits.labels[0]))
+    with running(FRESH, scene, folder, "--settle", "0", "--exposure", "0") as url:
+        with Camera(url) as camera:
+            camera.add_receiver("examples", key.public)
+            camera.rotate()
+        yield Daemon(url, frame, path, str(digits.labels[0]))
 
 
 @pytest.fixture
@@ -85,12 +88,19 @@ def test_rotate_masks(run: Run, daemon: Daemon) -> None:
 
 
 def test_decode_embedding(run: Run, daemon: Daemon) -> None:
-    lines = run("decode_embedding.py", daemon.frame, daemon.secret, daemon.device, daemon.url)
+    lines = run("decode_embedding.py", daemon.frame, daemon.key, daemon.url)
     assert [len(line) for line in lines] == [2 * 28] * 28
     # The digit is bright in the middle of the picture and dark around it.
     middle = "".join(line[18:38] for line in lines[7:21])
     edge = "".join(lines[:2] + lines[-2:])
     assert middle.count(" ") / len(middle) < edge.count(" ") / len(edge)
+
+
+def test_sealed_embedding(run: Run, daemon: Daemon, tmp_path: Path) -> None:
+    ReceiverKey.generate().write(tmp_path / "another")
+    for key in (daemon.key, tmp_path / "another"):
+        (line,) = run("sealed_embedding.py", key, daemon.url)
+        assert re.fullmatch(r"epoch [0-9a-f]{32}, number \d+: mean [0-9.e-]+", line)
 
 
 def test_plan_optics(run: Run) -> None:

@@ -119,8 +119,9 @@ class Opener:
     """Opens what one camera seals to one receiver, each number once and in their order.
 
     It remembers the epochs that it opened last; of one that it has forgotten, or never saw, nothing
-    is taken that is older than what it forgot. An embedding that came unsealed is refused: anybody
-    on the way could have put it there.
+    is taken that is older than what it forgot. A new opener has seen nothing: there, the time of an
+    answer alone tells that it is an old one. An embedding that came unsealed is refused: anybody on
+    the way could have put it there.
 
     Args:
         key: of the receiver.
@@ -164,7 +165,7 @@ class Opener:
             )
         with self._lock:
             epoch = self._epoch(answer, sealed)
-            embedding, notes = _open_block(epoch.key, answer, sealed)
+            embedding, notes = open_block(epoch.key, answer, sealed)
             if answer.number <= epoch.last or self._too_old(answer):
                 raise SealedError(
                     f"capture {answer.number} of epoch {answer.epoch} came before, or later than "
@@ -181,8 +182,6 @@ class Opener:
             return known
         if known is not None:
             raise SealedError(f"epoch {answer.epoch} has two envelopes: one of them is forged")
-        if sealed.envelope.epoch != answer.epoch:
-            raise SealedError("the envelope is of another epoch than the answer")
         key = open_key(sealed.envelope, self._key, device=self._device)
         try:
             return _Opened(key.sealing(), envelope, -1, answer.taken_at)
@@ -208,10 +207,22 @@ class Opener:
             oldest.key[:] = bytes(len(oldest.key))
 
 
-def _open_block(
+def open_block(
     key: bytearray, answer: Capture | Classification, sealed: SealedEmbedding
 ) -> tuple[Embedding, Notes]:
+    """Open the embedding of one answer, whether it came before or not.
+
+    Args:
+        key: that embeddings of the epoch are sealed under.
+        answer: as it came.
+        sealed: its embedding.
+
+    Raises:
+        SealedError: it was changed.
+    """
     try:
+        if sealed.envelope.epoch != answer.epoch:
+            raise ValueError("the envelope is of another epoch than the answer")
         block = base64.b64decode(sealed.block, validate=True)
         if base64.b64encode(block).decode() != sealed.block:
             raise ValueError("the last character has bits that mean nothing")

@@ -82,7 +82,7 @@ class SealedEmbedding(Answer):
         self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
     ) -> npt.NDArray[Any]:
         raise SealedError(
-            "this embedding is sealed: give the private key of a receiver, Camera(key=...)"
+            "this embedding is sealed: give the private key of a receiver, Camera(key=...) or --key"
         )
 
 

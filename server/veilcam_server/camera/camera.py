@@ -273,7 +273,7 @@ class MaskedCamera:
             if self.due_in() <= 0 and not self.preparation.under_way:
                 self._rotate()
 
-    def capture(self, *, release: bool) -> Captured:
+    def capture(self, *, release: bool) -> MaskedCapture:
         """Take one measurement under one mask.
 
         If the mask is due and the next is not ready, what the policy says is done: this capture

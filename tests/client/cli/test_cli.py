@@ -25,8 +25,16 @@ runner = CliRunner()
 @pytest.mark.parametrize(
     ("arguments", "shown"),
     [
-        (["status"], ["ready", "ST7735R", "2 x 3", "5 masks", "every 3 captures", "e1", "raw"]),
-        (["capture"], ["c1", "epoch e1", "2 x 3 raw"]),
+        (["status"], ["ready", "ST7735R", "2 x 3", "5 masks", "every 3 captures", "e1"]),
+        (
+            ["status"],
+            [
+                "raw, 100 a mask at most",
+                f"key       {'d7' * 32}",
+                "abababababababab  since 2026-01-02  archive",
+            ],
+        ),
+        (["capture"], ["c1", "epoch e1", "2 x 3 raw  mean 2.583"]),
         (["classify"], ["7", "90.0 %", "epoch e1"]),
         (["rotate"], ["every 3 captures", "e1"]),
         (["rotate", "--off"], ["every 3 captures"]),
@@ -140,6 +148,13 @@ def test_capture_writes_an_array(tmp_path: Path) -> None:
     assert "cannot write" in result.stderr
 
 
+@pytest.mark.usefixtures("url")
+def test_a_label_without_scores_is_shown_alone(daemon: Daemon, answers: dict[str, Any]) -> None:
+    alone = {**answers["classification"], "confidence": None, "scores": None}
+    daemon.first = [httpx.Response(200, json=alone)]
+    assert runner.invoke(app, ["classify"]).stdout == "7  epoch e1\n"
+
+
 def test_what_helps_is_said_where_it_is_known() -> None:
     (example,) = STATUS_EXAMPLES
     assert "remedy" not in status_in_words(example)
@@ -155,7 +170,7 @@ def test_watch_prints_one_line_an_event(daemon: Daemon, as_json: bool) -> None:
         {"kind": "state", "state": "safe", "detail": "dead", "remedy": "run_doctor"},
         {"kind": "mask", "epoch": "e1"},
         {"kind": "capture", "capture": "c1", "epoch": "e1"},
-        {"kind": "classification", "capture": "c", "epoch": "e", "label": "7", "confidence": 0.5},
+        {"kind": "classification", "capture": "c", "epoch": "e", "label": "7"},
         {"kind": "rotation", "policy": {"mode": "off"}},
         {"kind": "fault", "code": "sensor_failed", "detail": "no", "remedy": "restart"},
         {"kind": "gap", "missed": 4},
@@ -177,7 +192,7 @@ def test_watch_prints_one_line_an_event(daemon: Daemon, as_json: bool) -> None:
         "dead  remedy: run_doctor",
         "e1",
         "e1",
-        "50.0 %",
+        "7  epoch e",
         "off",
         "no  remedy: restart",
         "4 events",

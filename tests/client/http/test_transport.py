@@ -97,6 +97,19 @@ async def test_every_method_asks_its_route(both: Both, kind: type) -> None:
             {"mode": "off"},
         ),
         (lambda camera: camera.rotate(), "POST", "/v1/rotation/advance", None),
+        (lambda camera: camera.receivers(), "GET", "/v1/receivers", None),
+        (
+            lambda camera: camera.add_receiver("archive", "veilcam-receiver:c2VhbGVk"),
+            "POST",
+            "/v1/receivers",
+            {"label": "archive", "key": "veilcam-receiver:c2VhbGVk"},
+        ),
+        (
+            lambda camera: camera.remove_receiver("ab" * 32),
+            "DELETE",
+            f"/v1/receivers/{'ab' * 32}",
+            None,
+        ),
     ]
     for ask, method, path, body in asks:
         await both(kind, ask)
@@ -113,6 +126,9 @@ async def test_results_are_typed(both: Both, kind: type) -> None:
     result = await both(kind, lambda camera: camera.classify())
     assert (result.label, result.confidence) == ("7", 0.9)
     assert (await both(kind, lambda camera: camera.rotation())).policy.captures == 3
+    receivers = await both(kind, lambda camera: camera.receivers())
+    assert (receivers.device, len(receivers.receivers)) == ("d7" * 32, 2)
+    assert await both(kind, lambda camera: camera.remove_receiver("ab" * 32)) is None
 
 
 @KINDS
@@ -240,6 +256,7 @@ async def test_timeouts_reach_the_transport(both: Both, kind: type) -> None:
         ({"url": "localhost:8787"}, "use http://HOST:PORT"),
         ({"url": "unix://relative/path"}, "use http"),
         ({"connect_timeout": 0.0}, "connect_timeout = 0.0 s"),
+        ({"device": "ab" * 32}, "give key= as well"),
         ({"read_timeout": float("nan")}, "read_timeout = nan s"),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import threading
 import time
 from collections.abc import Callable
@@ -18,7 +17,6 @@ from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.devices.errors import LightError
 from veilcam_server.errors import (
     CalibratingError,
-    EpochError,
     FenceError,
     NotReadyError,
     RotationImpossibleError,
@@ -31,9 +29,9 @@ if TYPE_CHECKING:
 
 def test_capture_carries_its_epoch_and_proof(bench: Bench) -> None:
     camera = bench.camera(settle=0.01)
-    captured = camera.capture()
+    captured = camera.capture(release=False)
     assert captured.epoch == bench.epochs[-1]
-    assert captured.started_after_shown >= captured.settle == 0.01
+    assert captured.exposure.started_after_shown_s >= captured.exposure.settle_s == 0.01
     assert camera.present == (captured.epoch, 1)
 
 
@@ -43,7 +41,7 @@ def test_mask_and_classifier_change_together(bench: Bench) -> None:
         camera.rotate()
         index = bench.pair_shown()
         assert index is not None
-        reader = camera.capture().reader
+        reader = camera.capture(release=False).reader
         assert isinstance(reader, PairReader)
         weight = reader.classifier.module.state_dict()["0.weight"]
         assert bool((weight == bench.bundle.pairs[index].weights["0.weight"]).all())
@@ -81,7 +79,7 @@ def test_epoch_names_are_random_and_never_repeat(bench: Bench) -> None:
 
 def test_every_n_captures_never_serves_one_more(bench: Bench) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=3))
-    epochs = [camera.capture().epoch for _ in range(12)]
+    epochs = [camera.capture(release=False).epoch for _ in range(12)]
     assert [epochs.count(name) for name in dict.fromkeys(epochs)] == [3, 3, 3, 3]
 
 
@@ -121,9 +119,9 @@ def test_an_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
     camera = bench.camera(settle=0.01)
     bench.sensor.early = 1e-4
     with pytest.raises(FenceError, match="thrown away"):
-        camera.capture()
+        camera.capture(release=False)
     bench.sensor.early = 0.0
-    assert camera.capture().epoch == bench.epochs[-1]
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
 def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None:
@@ -135,7 +133,7 @@ def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None
 
     bench.sensor.before = swap
     with pytest.raises(FenceError):
-        camera.capture()
+        camera.capture(release=False)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +143,7 @@ def test_a_measurement_that_cannot_be_is_refused(bench: Bench, measurement: np.n
     camera = bench.camera()
     bench.sensor.measurement = measurement
     with pytest.raises(FenceError):
-        camera.capture()
+        camera.capture(release=False)
 
 
 def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
@@ -158,7 +156,7 @@ def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
 
     bench.sensor.before = hold
     results: list[str] = []
-    capturing = threading.Thread(target=lambda: results.append(camera.capture().epoch))
+    capturing = threading.Thread(target=lambda: results.append(camera.capture(release=False).epoch))
     capturing.start()
     assert inside.wait(10)
     rotating = threading.Thread(target=camera.rotate)
@@ -179,26 +177,26 @@ def test_a_failed_write_puts_the_mask_before_back(
 ) -> None:
     camera = bench.camera()
     epoch, index = camera.present[0], bench.pair_shown()
-    camera.capture()
+    camera.capture(release=False)
     bench.display.faults = [display_fault]
     with pytest.raises(DisplayError, match="could not be changed"):
         camera.rotate()
     assert bench.pair_shown() == index
     assert camera.state == ("ready", None, None)
     assert camera.present == (epoch, 1)
-    assert camera.capture().epoch == epoch
+    assert camera.capture(release=False).epoch == epoch
 
 
 def test_the_mask_put_back_must_settle_again(bench: Bench, display_fault: DisplayError) -> None:
     camera = bench.camera(settle=0.02)
-    camera.capture()
+    camera.capture(release=False)
     bench.display.faults = [display_fault]
     begun = time.monotonic()
     with pytest.raises(DisplayError):
         camera.rotate()
-    captured = camera.capture()
+    captured = camera.capture(release=False)
     # Since it was put back, not since it was shown first.
-    assert 0.02 <= captured.started_after_shown <= time.monotonic() - begun
+    assert 0.02 <= captured.exposure.started_after_shown_s <= time.monotonic() - begun
 
 
 def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
@@ -212,11 +210,11 @@ def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
     assert camera.state[0] == "safe"
     assert camera.present == (None, 0)
     with pytest.raises(NotReadyError, match="made opaque"):
-        camera.capture()
+        camera.capture(release=False)
     assert bench.sensor.captures == 0
     camera.rotate()
     assert camera.state == ("ready", None, None)
-    assert camera.capture().epoch == bench.epochs[-1]
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
 def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
@@ -260,32 +258,12 @@ def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=1))
-    camera.capture()
+    camera.capture(release=False)
     bench.display.faults = [display_fault]
     with pytest.raises(DisplayError):
-        camera.capture()
+        camera.capture(release=False)
     assert bench.sensor.captures == 1
-    assert camera.capture().epoch == bench.epochs[-1]
-
-
-def test_no_mask_is_shown_before_its_epoch_is_durable(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    camera = bench.camera()
-    camera.preparation.take()  # the one that was prepared while the disk had room
-    present, shown = camera.present, len(bench.display.shown)
-
-    def full(update: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(camera.preparation._epochs._file, "change", full)
-        with pytest.raises(EpochError, match="No space left"):
-            camera.rotate()
-    assert len(bench.display.shown) == shown
-    assert camera.present == present
-    camera.rotate()
-    assert camera.present[0] == bench.epochs[-1] != present[0]
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
 
 
 def test_a_sensor_that_fails_leaves_the_mask_usable(bench: Bench) -> None:
@@ -296,9 +274,9 @@ def test_a_sensor_that_fails_leaves_the_mask_usable(bench: Bench) -> None:
 
     bench.sensor.before = fail
     with pytest.raises(SensorError):
-        camera.capture()
+        camera.capture(release=False)
     bench.sensor.before = lambda: None
-    assert camera.capture().epoch == bench.epochs[0]
+    assert camera.capture(release=False).epoch == bench.epochs[0]
 
 
 def test_one_pair_cannot_rotate(lone_bench: Bench, display_fault: DisplayError) -> None:
@@ -307,7 +285,7 @@ def test_one_pair_cannot_rotate(lone_bench: Bench, display_fault: DisplayError) 
         camera.rotate()
     with pytest.raises(RotationImpossibleError):
         camera.policy = EveryCaptures(captures=1)
-    assert camera.capture().epoch == lone_bench.epochs[0]
+    assert camera.capture(release=False).epoch == lone_bench.epochs[0]
 
 
 def test_stopping_shows_opaque_and_ends_captures(bench: Bench) -> None:
@@ -318,7 +296,7 @@ def test_stopping_shows_opaque_and_ends_captures(bench: Bench) -> None:
     assert bench.display.closed
     assert bench.sensor.closed
     with pytest.raises(NotReadyError, match="stopping"):
-        camera.capture()
+        camera.capture(release=False)
     with pytest.raises(NotReadyError):
         camera.rotate()
 
@@ -335,13 +313,13 @@ def test_a_first_mask_that_fails_leaves_the_panel_opaque(
 
 def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
     camera = bench.camera()
-    camera.capture()
+    camera.capture(release=False)
     tests = bench.test.runs
     with camera.exclusive() as device:
         assert camera.state[0] == "calibrating"
         assert camera.present == (None, 0)
         assert not bench.display.shown[-1].any()
-        for refused in (camera.capture, camera.rotate):
+        for refused in (lambda: camera.capture(release=True), camera.rotate):
             with pytest.raises(CalibratingError):
                 refused()
         with pytest.raises(CalibratingError), camera.exclusive():
@@ -349,7 +327,7 @@ def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
         assert np.array_equal(device.sensor.capture(0.0, 1.0).embedding, bench.sensor.measurement)
     assert bench.states[-1] == ("ready", None)
     assert bench.test.runs == tests + 1
-    assert camera.capture().epoch == bench.epochs[-1] != bench.epochs[0]
+    assert camera.capture(release=False).epoch == bench.epochs[-1] != bench.epochs[0]
 
 
 def test_what_ends_early_gives_the_device_back(bench: Bench, display_fault: DisplayError) -> None:
@@ -366,7 +344,7 @@ def test_what_ends_early_gives_the_device_back(bench: Bench, display_fault: Disp
 def test_secrets_stay_out_of_representations(bench: Bench) -> None:
     camera = bench.camera()
     bench.sensor.measurement = np.full((4, 5), 0.123456, np.float32)
-    captured = camera.capture()
+    captured = camera.capture(release=False)
     assert "0.123" not in repr(captured)
     assert camera._panel.active is not None
     assert "array" not in repr(camera._panel.active)
@@ -387,26 +365,26 @@ def test_a_sensor_that_fails_twice_in_a_row_is_given_up_until_a_test_has_passed(
     for _ in range(3):
         bench.sensor.before = fails(SensorError("no frame"))
         with pytest.raises(SensorError):
-            camera.capture()
+            camera.capture(release=False)
         assert camera.state.state == "ready"
         bench.sensor.before = lambda: None
-        camera.capture()  # forgets the one before
+        camera.capture(release=False)  # forgets the one before
     bench.sensor.before = fails(SensorError("no frame", remedy="run_doctor"))
     for _ in range(2):
         with pytest.raises(SensorError):
-            camera.capture()
+            camera.capture(release=False)
     assert bench.states[-1] == ("degraded", "no frame")
     assert camera.state.remedy == "run_doctor"
     assert not bench.display.shown[-1].any()
     runs, captures = bench.test.runs, bench.sensor.captures
     with pytest.raises(NotReadyError, match="no frame"):
-        camera.capture()
+        camera.capture(release=False)
     assert bench.sensor.captures == captures
     bench.sensor.before = lambda: None
     assert camera.test_due_in() == 0
     camera.test_if_due()
     assert bench.test.runs == runs + 1
-    camera.capture()
+    camera.capture(release=False)
     assert camera.state.state == "ready"
 
 
@@ -415,5 +393,5 @@ def test_for_the_light_no_sensor_is_given_up(bench: Bench) -> None:
     bench.sensor.before = fails(LightError("saturated"))
     for _ in range(5):
         with pytest.raises(LightError):
-            camera.capture()
+            camera.capture(release=False)
     assert camera.state[0] == "ready"

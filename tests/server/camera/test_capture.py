@@ -21,9 +21,10 @@ import torch
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.simulation.operator import Response
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.capture import Captured, Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.capture import Fence, MaskedCapture
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.devices import Device, Exposure, SensorError
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import Raw, SensorMode
@@ -35,6 +36,9 @@ from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.masks.source import Terms
+from veilcam_server.sealing.identity import DeviceKey
+from veilcam_server.system.state_file import make_directory
 from veilcam_training.bundle import Bundle, Pair
 from veilcam_training.bundle.layers import Linear
 
@@ -89,6 +93,7 @@ def make_bundle() -> Bundle:
         embedding=EMBEDDING,
         mode="pairs",
         pairs=pairs,
+        digest="b0" * 32,
     )
 
 
@@ -142,12 +147,14 @@ class Rig:
             exposures=self.exposures,
             full_scale=1.2,
         )
-        bundle = make_bundle()
+        make_directory(self.directory)
+        budget, signer = ReleaseBudget(self.directory, 0), DeviceKey.open(self.directory)
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),
-            Preparation(load_pairs(bundle), EpochStore(self.directory)),
+            Preparation(load_pairs(make_bundle()), signer, lambda: Terms("none"), budget),
             EMBEDDING.shape,
             Passed(),
+            budget=budget,
             fence=Fence(settle=self.granted, timeout=20.0),
             policy=self.policy,
         )
@@ -156,9 +163,9 @@ class Rig:
     def _frames(self, begin: float, end: float) -> Raw:
         return self.frames(begin, end)
 
-    def capture(self) -> tuple[int, Captured]:
+    def capture(self) -> tuple[int, MaskedCapture]:
         """A measurement, and the level of the mask that the engine says it was taken under."""
-        captured = self.camera.capture()
+        captured = self.camera.capture(release=False)
         return self.shown[-1], captured
 
 
@@ -177,9 +184,9 @@ def rigged(tmp_path: Path) -> Iterator[Rigged]:
         yield make
 
 
-def mixed(level: int, captured: Captured) -> bool:
+def mixed(level: int, captured: MaskedCapture) -> bool:
     """Whether a measurement is of any other light than that through a mask of one level."""
-    return bool(np.abs(captured.embedding - level / 63).max() > ROUNDING)
+    return bool(np.abs(captured.measurement - level / 63).max() > ROUNDING)
 
 
 def test_every_measurement_is_of_its_own_mask_alone(rigged: Rigged) -> None:
@@ -187,7 +194,7 @@ def test_every_measurement_is_of_its_own_mask_alone(rigged: Rigged) -> None:
     for _ in range(8):
         level, captured = rig.capture()
         assert not mixed(level, captured)
-        assert captured.started_after_shown >= SETTLE
+        assert captured.exposure.started_after_shown_s >= SETTLE
     assert len(set(rig.shown)) > 1
 
 
@@ -214,7 +221,7 @@ def test_old_frames_in_the_queue_are_passed_over(rigged: Rigged) -> None:
         rig.faults.stale = 3
         level, captured = rig.capture()
         assert rig.faults.stale == 0
-        assert captured.started_after_shown >= SETTLE
+        assert captured.exposure.started_after_shown_s >= SETTLE
         assert not mixed(level, captured)
 
 
@@ -233,7 +240,7 @@ def test_a_frame_of_an_exposure_not_yet_applied_is_passed_over(
     rig.light._light = Dim()
     for _ in range(4):
         level, captured = rig.capture()
-        np.testing.assert_allclose(captured.embedding, 0.1 * level / 63, atol=2e-3)
+        np.testing.assert_allclose(captured.measurement, 0.1 * level / 63, atol=2e-3)
     # Each step waited for controls that come into force two frames later.
     assert taken[0].integration == pytest.approx(0.001)
     assert taken[-1].integration == pytest.approx(0.004, abs=MODE.line_time)
@@ -270,7 +277,7 @@ def test_a_change_that_is_asked_for_during_readout_waits(rigged: Rigged) -> None
 
     rig.frames = meddling
     before = rig.shown[-1]
-    captured = rig.camera.capture()
+    captured = rig.camera.capture(release=False)
     changing[0].join()
     assert rig.shown[-1] != before
     assert not mixed(before, captured)
@@ -290,6 +297,6 @@ def test_a_mask_that_is_changed_behind_the_engine_s_back_mixes_by_rows(rigged: R
         return rig.light(begin, end)
 
     rig.frames = meddling
-    captured = rig.camera.capture()
+    captured = rig.camera.capture(release=False)
     assert mixed(before, captured)
-    assert captured.embedding[0, 0] > captured.embedding[1, 0]
+    assert captured.measurement[0, 0] > captured.measurement[1, 0]

@@ -1,8 +1,7 @@
-"""The panel and its state: what is on the glass, what is recorded and what is told."""
+"""The panel and its state: what is on the glass, what goes for good and what is told."""
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -13,15 +12,17 @@ import pytest
 from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.engine import Condition
-from veilcam_server.camera.epochs import EpochStore, Preparation, Prepared
+from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.panel import MaskedPanel
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.errors import LightError
-from veilcam_server.errors import EpochError, FenceError, SelfTestError, UndecidedError
+from veilcam_server.errors import FenceError, SelfTestError, UndecidedError
 from veilcam_server.masks.pairs import load_pairs
+from veilcam_server.system.state_file import make_directory
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench
@@ -37,8 +38,9 @@ class Rig:
 
     def __init__(self, bench: Bench) -> None:
         self.display, self.test, self.clock = bench.display, bench.test, Clock()
-        self.epochs = EpochStore(bench.state_dir)
-        self.preparation = Preparation(bench.source, self.epochs)
+        make_directory(bench.state_dir)
+        budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
+        self.preparation = Preparation(bench.source, bench.key, lambda: bench.terms, budget)
         device = Device(bench.display, bench.sensor, simulated=True)
         self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
         self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
@@ -54,16 +56,16 @@ class Rig:
             assert isinstance(event, MaskChanged)
             self.masks.append(event.epoch)
 
-    def show(self) -> Prepared:
+    def show(self) -> Epoch:
         """Show the next mask; gives what was shown."""
-        prepared = self.preparation.take()
-        self.panel.show(prepared)
-        return prepared
+        epoch = self.preparation.take()
+        self.panel.show(epoch)
+        return epoch
 
-    def shows(self, prepared: Prepared) -> bool:
-        """Whether this mask is on the glass, and the last one recorded."""
-        same = np.array_equal(self.display.shown[-1], prepared.mask.levels)
-        return same and self.epochs.mark == prepared.mask.mark
+    def shows(self, epoch: Epoch) -> bool:
+        """Whether this mask is on the glass, and the last one that is not to come again."""
+        same = np.array_equal(self.display.shown[-1], epoch.mask.levels)
+        return same and self.preparation.last_mark == epoch.mask.mark
 
     @property
     def opaque(self) -> bool:
@@ -92,18 +94,17 @@ def test_before_the_first_mask_nothing_is_shown_and_a_test_is_due(rig: Rig) -> N
     assert not rig.display.shown
 
 
-def test_the_first_mask_is_tested_recorded_shown_and_told(rig: Rig) -> None:
+def test_the_first_mask_is_tested_shown_and_told(rig: Rig) -> None:
     first = rig.show()
     showing = rig.panel.active
     assert showing is not None
-    assert showing.mask is first.mask
-    assert showing.epoch == first.epoch
+    assert showing.epoch is first
     assert showing.since == showing.completed_at
     assert rig.shows(first)
     assert rig.test.runs == 1
     assert rig.states == [TESTED, READY]
     assert rig.panel.state == READY
-    assert rig.masks == [first.epoch]
+    assert rig.masks == [first.name]
     assert rig.panel.proven_for() == EVERY
     assert rig.preparing
 
@@ -209,7 +210,7 @@ def test_a_test_from_a_failed_state_tells_no_state_of_its_own(rig: Rig, fault: E
     assert rig.states == [TESTED, failed, READY]
 
 
-def test_a_failed_write_puts_the_mask_before_back_and_records_it(rig: Rig) -> None:
+def test_a_failed_write_puts_the_mask_before_back(rig: Rig) -> None:
     first = rig.show()
     showing = rig.panel.active
     rig.display.faults = [DisplayError("no answer")]
@@ -217,51 +218,9 @@ def test_a_failed_write_puts_the_mask_before_back_and_records_it(rig: Rig) -> No
         rig.show()
     assert rig.panel.active is showing
     assert rig.shows(first)
-    assert rig.masks == [first.epoch]
+    assert rig.masks == [first.name]
     assert rig.states == [TESTED, READY]
     assert rig.preparing
-
-
-def test_a_mask_is_put_back_though_that_cannot_be_recorded(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = rig.show()
-    second = rig.preparation.take()
-
-    def full(update: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        record = rig.preparation.record
-
-        def full_from_now_on(mask: object) -> None:
-            record(second.mask)
-            patched.setattr(rig.epochs._file, "change", full)
-
-        patched.setattr(rig.preparation, "record", full_from_now_on)
-        rig.display.faults = [DisplayError("no answer")]
-        with pytest.raises(DisplayError):
-            rig.panel.show(second)
-    assert np.array_equal(rig.display.shown[-1], first.mask.levels)
-    assert rig.panel.state == READY
-
-
-def test_an_epoch_that_cannot_be_recorded_changes_nothing(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = rig.show()
-    rig.clock.sleep(EVERY)
-    second = rig.preparation.take()
-
-    def full(mask: object) -> None:
-        raise EpochError("disk full")
-
-    monkeypatch.setattr(rig.preparation, "record", full)
-    with pytest.raises(EpochError):
-        rig.panel.show(second)
-    assert rig.shows(first)
-    assert rig.panel.state == READY
-    assert rig.test.runs == 1
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from datetime import UTC, datetime
 
 import pytest
 
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
-from veilcam_server.camera.capture import ActiveMask, Captured, Lateness, due_in, reusable
+from veilcam_server.camera.capture import ActiveMask, Lateness, due_in, reusable
+from veilcam_server.camera.epochs import Epoch
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,8 @@ def test_captures_beyond_what_is_due(policy: RotationPolicy, captures: int) -> N
 
 
 def make_active() -> ActiveMask:
-    return ActiveMask(mask=object(), epoch="a", since=0.0, completed_at=0.0)  # type: ignore[arg-type]
+    epoch = Epoch("a", object(), "none")  # type: ignore[arg-type]
+    return ActiveMask(epoch, since=0.0, completed_at=0.0)
 
 
 def test_a_mask_that_is_due_serves_as_often_as_allowed_and_each_time_counts() -> None:
@@ -75,6 +76,6 @@ def test_a_mask_that_is_due_serves_as_often_as_allowed_and_each_time_counts() ->
 
 def test_neither_masks_nor_what_reads_them_show_themselves() -> None:
     secret = "0123456789"
-    assert secret not in repr(ActiveMask(secret, "a", 0.0, 0.0))  # type: ignore[arg-type]
-    taken = Captured(secret, datetime.now(UTC), "a", secret, 0, 0, 0, 0, 0, 0)  # type: ignore[arg-type]
-    assert secret not in repr(taken)
+    epoch = Epoch("a", secret, "sealed", secret)  # type: ignore[arg-type]
+    assert secret not in repr(epoch)
+    assert secret not in repr(ActiveMask(epoch, 0.0, 0.0))

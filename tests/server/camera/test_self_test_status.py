@@ -10,13 +10,15 @@ import pytest
 from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
-from veilcam_server.errors import EpochError, FenceError, NotReadyError, SelfTestError
+from veilcam_server.errors import FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
+from veilcam_server.system.state_file import make_directory
 
 pytestmark = pytest.mark.numerical
 
@@ -26,11 +28,14 @@ if TYPE_CHECKING:
 
 def unstarted(bench: Bench) -> MaskedCamera:
     """An engine that has shown nothing yet."""
+    make_directory(bench.state_dir)
+    budget = ReleaseBudget(bench.state_dir, 0)
     camera = MaskedCamera(
         Device(bench.display, bench.sensor, simulated=True),
-        Preparation(bench.source, EpochStore(bench.state_dir)),
+        Preparation(bench.source, bench.key, lambda: bench.terms, budget),
         bench.bundle.embedding.shape,
         bench.test,
+        budget=budget,
         fence=Fence(0.0),
     )
     camera.listen(bench.note)
@@ -41,7 +46,7 @@ def test_states_up_to_the_first_mask(bench: Bench) -> None:
     camera = unstarted(bench)
     assert camera.state[0] == "starting"
     with pytest.raises(NotReadyError):
-        camera.capture()
+        camera.capture(release=False)
     assert not bench.display.shown
     camera.rotate()
     assert [state for state, _ in bench.states] == ["self-test", "ready"]
@@ -70,14 +75,14 @@ def test_without_proof_the_panel_is_opaque_and_nothing_is_captured(
         assert camera.present == (None, 0)
         assert not bench.display.shown[-1].any()
         with pytest.raises(NotReadyError, match=str(fault)):
-            camera.capture()
+            camera.capture(release=False)
         assert camera.test_due_in() == 0
     assert bench.sensor.captures == 0
     # Tried again, it says nothing new: one line in a log when it goes down, one when it is back.
     assert [told for told, _ in bench.states] == ["self-test", state]
     camera.test_if_due()
     assert [told for told, _ in bench.states] == ["self-test", state, "ready"]
-    assert camera.capture().epoch == bench.epochs[-1]
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
     assert 0 < camera.test_due_in() <= 600
 
 
@@ -105,25 +110,25 @@ def test_a_panel_that_cannot_be_made_opaque_after_a_test_is_told_so(
 
 def test_a_panel_that_was_set_up_anew_is_tested_before_the_next_capture(bench: Bench) -> None:
     camera = bench.camera(settle=0.02)
-    camera.capture()
+    camera.capture(release=False)
     epoch, mask = camera.present[0], bench.pair_shown()
     bench.display.resets += 1
     assert camera.test_due_in() == 0
     begun = time.monotonic()
-    captured = camera.capture()
+    captured = camera.capture(release=False)
     assert bench.test.runs == 2
     # The showing goes on, after the mask has settled again.
     assert (captured.epoch, bench.pair_shown()) == (epoch, mask)
-    assert 0.02 <= captured.started_after_shown <= time.monotonic() - begun
+    assert 0.02 <= captured.exposure.started_after_shown_s <= time.monotonic() - begun
     assert camera.present == (epoch, 2)
-    camera.capture()
+    camera.capture(release=False)
     assert bench.test.runs == 2
 
 
 def test_a_proof_grows_old(bench: Bench) -> None:
     camera = bench.camera(test_every=1e-6)
     for runs in (2, 3, 4):
-        camera.capture()
+        camera.capture(release=False)
         assert bench.test.runs == runs
     bench.states.clear()
     camera.test_if_due()
@@ -135,13 +140,13 @@ def test_a_test_that_fails_later_stops_captures(bench: Bench) -> None:
     bench.display.resets += 1
     bench.test.faults = [SelfTestError("the panel does not hide")]
     with pytest.raises(NotReadyError, match="does not hide"):
-        camera.capture()
+        camera.capture(release=False)
     assert camera.state[0] == "safe"
     assert not bench.display.shown[-1].any()
     assert bench.sensor.captures == 0
     before = bench.epochs[-1]
     camera.rotate()
-    assert camera.capture().epoch == bench.epochs[-1] != before
+    assert camera.capture(release=False).epoch == bench.epochs[-1] != before
 
 
 def test_the_mask_that_cannot_be_put_back_after_a_test_leaves_the_panel_opaque(
@@ -151,7 +156,7 @@ def test_the_mask_that_cannot_be_put_back_after_a_test_leaves_the_panel_opaque(
     bench.display.resets += 1
     bench.display.faults = [display_fault]
     with pytest.raises(NotReadyError, match="made opaque"):
-        camera.capture()
+        camera.capture(release=False)
     assert camera.state[0] == "safe"
     assert not bench.display.shown[-1].any()
 
@@ -160,7 +165,7 @@ def test_a_failed_rotation_after_a_test_is_back_at_the_mask_before(
     bench: Bench, display_fault: DisplayError
 ) -> None:
     camera = bench.camera(policy=EveryCaptures(captures=1))
-    camera.capture()
+    camera.capture(release=False)
     epoch = camera.present[0]
     bench.display.resets += 1
     bench.display.faults = [display_fault]
@@ -170,35 +175,17 @@ def test_a_failed_rotation_after_a_test_is_back_at_the_mask_before(
     assert camera.present == (epoch, 1)
 
 
-def test_an_epoch_that_is_not_durable_costs_no_test_and_no_mask(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    camera = bench.camera()
-    present = camera.present
-    bench.display.resets += 1
-
-    def full(*_: object) -> None:
-        raise EpochError("the disk is full")
-
-    monkeypatch.setattr(camera.preparation, "record", full)
-    with pytest.raises(EpochError):
-        camera.rotate()
-    assert bench.test.runs == 1
-    assert camera.present == present
-    assert camera.state[0] == "ready"
-
-
 def test_a_lone_pair_is_tested_and_comes_back(lone_bench: Bench) -> None:
     camera = lone_bench.camera()
     epoch = camera.present[0]
     lone_bench.display.resets += 1
-    assert camera.capture().epoch == epoch
+    assert camera.capture(release=False).epoch == epoch
     lone_bench.display.resets += 1
     lone_bench.test.faults = [Undecided("it is too dark")]
     with pytest.raises(Undecided):
-        camera.capture()
+        camera.capture(release=False)
     camera.test_if_due()
-    assert camera.capture().epoch == lone_bench.epochs[-1] != epoch
+    assert camera.capture(release=False).epoch == lone_bench.epochs[-1] != epoch
 
 
 def test_a_stopping_camera_is_tested_no_more(bench: Bench) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
 
@@ -12,7 +14,6 @@ from veilcam_training.attacks.keyless import KeylessCamera
 from veilcam_training.config.settings import FreshSettings
 from veilcam_training.data import Source, split
 from veilcam_training.encoders.fresh import FreshCamera
-from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_camera
 
 CAMERA = Camera(window=Window(rows=18, columns=9))
@@ -27,7 +28,7 @@ def camera(source: Source) -> FreshCamera:
     return make_fresh_camera(chosen, CAMERA, source.scene, statistics)
 
 
-@pytest.mark.parametrize("form", [ReleaseForm.RAW, ReleaseForm.FLAT, ReleaseForm.WHITE])
+@pytest.mark.parametrize("form", [ReleaseForm.RAW, ReleaseForm.WHITE])
 def test_without_a_key_one_sees_the_released_form(
     source: Source, camera: FreshCamera, form: ReleaseForm
 ) -> None:
@@ -36,15 +37,25 @@ def test_without_a_key_one_sees_the_released_form(
     measurements = shot_noise(mask.embed(scenes), 40.0, torch.Generator().manual_seed(0))
     seen = mask.decode(measurements)
     assert seen.shape == measurements.shape
-    correlation = torch.corrcoef(torch.stack([seen[0], measurements[0]]))[0, 1]
     if form is ReleaseForm.RAW:
         assert torch.allclose(seen, measurements / measurements.mean(1, keepdim=True), rtol=1e-4)
-    elif form is ReleaseForm.FLAT:
-        brighter = mask.decode(2 * measurements)
-        assert torch.allclose(seen, brighter, atol=1e-4)
     else:
+        correlation = torch.corrcoef(torch.stack([seen[0], measurements[0]]))[0, 1]
         assert abs(float(correlation)) < 0.6
-        assert 0.3 < float(seen.square().mean()) < 3
-    none = KeylessCamera(camera, ReleaseForm.NONE)
-    with pytest.raises(TrainingError, match="releases nothing"):
-        next(none.masks("x")).decode(measurements)
+        assert torch.allclose(seen.norm(dim=1), torch.ones(len(seen)), atol=1e-6)
+
+
+def test_every_mask_is_turned_by_a_key_of_its_own_and_a_seed_gives_them_again(
+    source: Source, camera: FreshCamera
+) -> None:
+    scenes = source.test().scenes(slice(0, 4))
+
+    def seen(purpose: str) -> list[torch.Tensor]:
+        masks = KeylessCamera(camera, ReleaseForm.WHITE).masks(purpose)
+        return [mask.decode(mask.embed(scenes)) for mask in itertools.islice(masks, 3)]
+
+    first, again = seen("x"), seen("x")
+    assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
+    for one, other in itertools.combinations((*first, *seen("y")), 2):
+        # Of 48 dimensions: the product of unrelated directions has deviation 0.14.
+        assert float((one * other).sum(1).abs().max()) < 0.8

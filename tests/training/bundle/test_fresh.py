@@ -18,8 +18,9 @@ from tests.training.bundle.conftest import edit_manifest, pack, refuse, replace_
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import MeasurementNoise, SceneStatistics
-from veilcam_optics.keys.masks import CONTEXT, MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import MaskDistribution, draw_levels
 from veilcam_optics.transfer.operator import Reach
+from veilcam_server.demo_data import FRESH
 from veilcam_training.bundle import (
     Bundle,
     BundleError,
@@ -65,7 +66,6 @@ def make_fresh(**changes: Any) -> Fresh:
         for name, tensor in build_untrained(layers).state_dict().items()
     }
     given: dict[str, Any] = {
-        "device": "test camera",
         "distribution": MaskDistribution.power(CAMERA, 2.0),
         "statistics": SceneStatistics(
             torch.rand(PIXELS, generator=generator),
@@ -104,7 +104,7 @@ def test_it_comes_back_as_it_was_written(path: Path) -> None:
     assert (read.mode, read.pairs, read.inputs) == ("fresh", (), 2 * PIXELS)
     fresh = read.fresh
     assert fresh is not None
-    for name in ("device", "noise", "layers", "reach", "features", "inputs"):
+    for name in ("noise", "layers", "reach", "features", "inputs"):
         assert getattr(fresh, name) == getattr(written, name)
     for name in ("lowest", "highest", "curve"):
         np.testing.assert_array_equal(
@@ -126,14 +126,12 @@ def test_the_same_bundle_gives_the_same_bytes(path: Path) -> None:
 
 
 def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -> None:
-    secret, written, read = Secret(bytes(range(32))), make_bundle(), read_bundle(path)
+    key, written, read = bytes(range(32)), make_bundle(), read_bundle(path)
     answers = []
     for bundle in (written, read):
         fresh = bundle.fresh
         assert fresh is not None
-        levels = epoch_levels(
-            secret, fresh.device, 7, camera=bundle.camera, distribution=fresh.distribution
-        )
+        levels = draw_levels(key, camera=bundle.camera, distribution=fresh.distribution)
         frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
         decoder = frame.decoding().prepare(to_weights(levels, bundle.camera.panel))
         measurements = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
@@ -165,8 +163,29 @@ def test_features_choose_what_the_classifier_is_given() -> None:
 
 def test_the_scheme_is_the_one_of_the_keys(path: Path) -> None:
     manifest = json.loads(unpack(path)["bundle.json"])
-    assert manifest["fresh"]["scheme"] == CONTEXT.decode()
+    assert manifest["fresh"]["scheme"] == "veilcam mask levels, version 1"
     assert "pairs" not in manifest
+
+
+@pytest.mark.parametrize("label", ["", "camera", "x" * 256])
+def test_a_file_of_earlier_versions_names_a_device_which_means_nothing(
+    path: Path, label: str
+) -> None:
+    assert "device" not in json.loads(unpack(path)["bundle.json"])["fresh"]
+    before = read_bundle(path)
+    edit_manifest(path, lambda manifest: manifest["fresh"].update(device=label))
+    bundle = read_bundle(path)
+    assert bundle.digest != before.digest
+    # Written again it is the file that never named one.
+    write_bundle(path, dataclasses.replace(bundle, digest=""))
+    assert read_bundle(path).digest == before.digest
+
+
+def test_the_bundle_that_comes_with_the_package_is_read_as_it_is() -> None:
+    bundle = read_bundle(FRESH)
+    assert bundle.digest == "2f38814788bacd486560d41c2be60029b50b5b786b32affff33baacd96384a1f"
+    assert bundle.fresh is not None
+    assert bundle.fresh.distribution.bits > 128
 
 
 def test_no_number_of_a_weight_is_in_the_repr(path: Path) -> None:
@@ -253,8 +272,7 @@ def test_weights_that_are_refused(
     ("edit", "reason"),
     [
         (lambda m: m["fresh"].update(scheme="veilcam mask levels, version 2"), "fresh.scheme"),
-        (lambda m: m["fresh"].update(device=""), "key policy: device"),
-        (lambda m: m["fresh"].update(device="x" * 256), "key policy: device"),
+        (lambda m: m["fresh"].update(device=7), "bundle.json is not valid: fresh.device"),
         (lambda m: m["fresh"].update(secret="00"), "fresh.secret"),
         (lambda m: m["fresh"]["noise"].update(snr_db=float("inf")), "JSON"),
         (lambda m: m["fresh"]["noise"].update(model_error=-1.0), "model_error"),

@@ -12,7 +12,7 @@ import torch
 from torch.nn.functional import avg_pool2d
 
 from veilcam_optics.camera.geometry import Camera, Scene, Sensor, Window
-from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_optics.keys.masks import draw_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_training.bundle.fresh import FEATURES
 from veilcam_training.config.settings import FreshSettings
@@ -94,8 +94,8 @@ def test_learned_range_and_its_published_distribution_agree() -> None:
     distribution = masks.distribution()
     levels = np.stack(
         [
-            epoch_levels(Secret(bytes(32)), "a", e, camera=CAMERA, distribution=distribution)
-            for e in range(400)
+            draw_levels(number.to_bytes(32), camera=CAMERA, distribution=distribution)
+            for number in range(400)
         ]
     )
     published = torch.from_numpy(levels / 63)
@@ -128,7 +128,9 @@ def test_anywhere_is_read_and_decoded_on_the_whole_field(source: Source) -> None
     scenes = Anywhere(source.scene, small, 4)(source.test().scenes(slice(0, 3)), generator)
     inputs = mask.decode(shot_noise(mask.embed(scenes), 40.0, generator))
     assert inputs.shape == (3, len(FEATURES) * 15 * 14)
-    # The light is found where it is: estimate and scene agree on their brightest region.
+    # The light is found where it is: the estimate's brightest region is the scene's, or one within
+    # 5 % of it, as noise of 40 dB and a posterior may turn two that are nearly alike.
     estimates = inputs[:, : 15 * 14].reshape(3, 1, 15, 14)
     seen, true = (avg_pool2d(x, 5).flatten(1) for x in (estimates, avg_pool2d(scenes[:, None], 4)))
-    assert torch.equal(seen.argmax(1), true.argmax(1))
+    found = true.gather(1, seen.argmax(1, keepdim=True))
+    assert bool((found > 0.95 * true.max(1, keepdim=True).values).all())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import torch
 
 from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import MaskDistribution, draw_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.bundle import build_classifier, classifier_inputs, read_bundle, write_bundle
@@ -59,15 +60,12 @@ def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
 ) -> None:
     chosen = settings(epochs=6, spread=0.4)
     result = run_fresh(chosen, source, CAMERA, work=tmp_path / "work", masks=10)
-    write_bundle(
-        tmp_path / "a.veilcam", as_fresh_bundle(result, source, CAMERA, device="test camera")
-    )
+    write_bundle(tmp_path / "a.veilcam", as_fresh_bundle(result, source, CAMERA))
     bundle = read_bundle(tmp_path / "a.veilcam")
     fresh = bundle.fresh
     assert fresh is not None
     assert bundle.accuracy == result.accuracy
-    secret = Secret.generate()
-    levels = epoch_levels(secret, fresh.device, 3, camera=CAMERA, distribution=fresh.distribution)
+    levels = draw_levels(os.urandom(32), camera=CAMERA, distribution=fresh.distribution)
     weights = to_weights(levels, CAMERA.panel)
     decoder = fresh.frame(CAMERA, bundle.scene, bundle.embedding).decoding().prepare(weights)
     test = source.test()
@@ -116,7 +114,7 @@ def test_what_is_learned_of_masks_is_taken_up_and_published(source: Source, tmp_
     assert np.array_equal(one.lowest, other.lowest)
     assert np.array_equal(one.highest, other.highest)
     assert 0 < one.bits < MaskDistribution.power(CAMERA, 1.0).bits
-    bundle = as_fresh_bundle(whole, source, CAMERA, device="a")
+    bundle = as_fresh_bundle(whole, source, CAMERA)
     assert bundle.fresh is not None
     assert np.array_equal(bundle.fresh.distribution.lowest, one.lowest)
 
