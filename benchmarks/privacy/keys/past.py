@@ -86,6 +86,7 @@ def search(
     process: int,
     folder: Path,
     counter: int,
+    step: int,
     told: Callable[[str], None],
 ) -> Findings:
     """Look for the secrets of epochs in the memory of a process and in its files.
@@ -95,6 +96,7 @@ def search(
         process: of the daemon, stopped.
         folder: its state directory.
         counter: see :func:`counter_of`.
+        step: bytes from one place that is tried for a key to the next.
         told: what is under way.
     """
     wanted = [each.secrets[name] for each in epochs for name in NAMES]
@@ -107,13 +109,15 @@ def search(
     }
     heads: npt.NDArray[np.uint64] = np.array([each.head for each in epochs], np.uint64)
     told("any 32 bytes")
-    opened = memory.opened_by_windows(memory.memory(process, writable=True), heads, counter=counter)
-    opened |= memory.opened_by_windows(memory.files(folder), heads, counter=counter)
+    opened = memory.opened_by_windows(
+        memory.memory(process, writable=True), heads, counter=counter, step=step
+    )
+    opened |= memory.opened_by_windows(memory.files(folder), heads, counter=counter, step=step)
     return Findings(opened | by_name["key"] | by_name["sealing"], by_name)
 
 
 def take_past(
-    bundle: Path, folder: Path, captures: int, told: Callable[[str], None]
+    bundle: Path, folder: Path, captures: int, *, step: int, told: Callable[[str], None]
 ) -> tuple[Findings, int]:
     """Take captures behind a mask each, rotate, and look for what opens them.
 
@@ -121,6 +125,7 @@ def take_past(
         bundle: of mode fresh.
         folder: for the daemon.
         captures: how many.
+        step: bytes from one place that is tried for a key to the next.
         told: what is under way.
 
     Returns:
@@ -144,7 +149,9 @@ def take_past(
         counter = counter_of(capture.embedding.shape)
         with memory.stopped(process):
             size = sum(each.end - each.start for each in memory.regions(process))
-            findings = search(epochs, process=process, folder=state, counter=counter, told=told)
+            findings = search(
+                epochs, process=process, folder=state, counter=counter, step=step, told=told
+            )
     if captures not in findings.opened or captures not in findings.found["sealing"]:
         raise RuntimeError("the epoch that goes on was not found: the search proves nothing")
     return _without(findings, captures), size
