@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
@@ -44,10 +45,10 @@ app = typer.Typer(pretty_exceptions_enable=False)
 
 
 def drawn(camera: Camera, exponent: float, count: int) -> Iterator[Tensor]:
-    """Masks that a key draws."""
-    distribution = MaskDistribution.power(camera, exponent)
-    for number in range(count):
-        key = number.to_bytes(KEY_BYTES)
+    """Masks that keys draw, a key for each."""
+    distribution, random = MaskDistribution.power(camera, exponent), np.random.default_rng(1)
+    for _ in range(count):
+        key = random.bytes(KEY_BYTES)
         levels = draw_levels(key, camera=camera, distribution=distribution)
         yield to_weights(levels, camera.panel)
 
