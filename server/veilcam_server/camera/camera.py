@@ -21,7 +21,6 @@ from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import (
     ActiveMask,
-    Captured,
     Fence,
     Lateness,
     MaskedCapture,
@@ -256,6 +255,7 @@ class MaskedCamera:
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and the source has one only.
+            NotReadyError: who receives has changed since ``first`` was prepared.
             SelfTestError, SensorError, FenceError, DisplayError: as :meth:`rotate`; the source
                 before goes on.
         """
@@ -265,6 +265,8 @@ class MaskedCamera:
                     "this bundle holds one mask only: turn the rotation of masks off first"
                 )
             self._require_running()
+            if first.receivers != self.preparation.receivers:
+                raise NotReadyError("who receives has changed meanwhile: try again")
             self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:

@@ -28,6 +28,7 @@ from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import (
     MasksSpentError,
     NoReceiverError,
+    NotReadyError,
     ReleaseNotRecordedError,
     SelfTestError,
     WithheldError,
@@ -417,6 +418,24 @@ def test_who_receives_from_now_on_holds_for_the_next_mask(sealed_bench: Bench) -
     camera.renew()
     camera.rotate()
     assert receivers(camera) == {added}
+    camera.stop()
+
+
+def test_a_first_epoch_of_another_bundle_is_not_shown_to_who_was_removed_meanwhile(
+    sealed_bench: Bench, fresh_bundle: Bundle
+) -> None:
+    camera = sealed_bench.camera()
+    other = FreshSource(fresh_bundle)
+    first = camera.first_of(other)
+    kept = pair_with(sealed_bench, ReceiverKey.generate())
+    sealed_bench.receivers.remove(RECEIVER.public.id)
+    camera.renew()
+    with pytest.raises(NotReadyError, match="who receives has changed"):
+        camera.change_source(other, first)
+    assert is_gone(first)
+    assert is_whole(active(camera))
+    camera.change_source(other, camera.first_of(other))
+    assert receivers(camera) == {kept}
     camera.stop()
 
 
