@@ -69,7 +69,8 @@ class Camera:
         read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
         max_retries: how often a request that may succeed later is repeated.
         key: private key of a receiver, or its file: embeddings come opened, each with its notes,
-            and one that is not sealed to it, or came before, raises ``SealedError``.
+            and one that is not sealed to it, or that came before or later than the next one of its
+            mask, raises ``SealedError``. So ask for one after the other.
         device: public key of the camera, 64 hexadecimal digits, as ``veilcam receiver add`` prints
             it; that of the first embedding that is opened if None.
         token: made by ``veilcamd token create``; that in ``VEILCAM_TOKEN`` if None. It goes over

@@ -4,12 +4,14 @@
 
 Schemathesis makes requests from the daemon's own OpenAPI document, valid ones and others. A real
 daemon gets them over TCP, from callers with each single scope, with all, with none, and with tokens
-that are revoked or missing; once with stored masks and raw embeddings, once with fresh masks and
-white ones. No answer may be a 5xx but a documented 503, nor have a status, a media type or a shape
-that the document does not name.
+that are revoked or missing; with stored masks and raw embeddings, and with fresh masks whose
+embeddings leave white or sealed. No answer may be a 5xx but a documented 503, nor have a status, a
+media type or a shape that the document does not name.
 
 Then every byte that left is searched for what must not leave (``leaks``). What left is every header
-and body, the log, the metrics, the events and the audit files.
+and body, the log, the metrics, the events and the audit files. Keys of epochs are those that a
+receiver opens: the daemon tells them to nobody else. Of its private key the state directory must
+hold nothing.
 """
 
 from __future__ import annotations
@@ -20,12 +22,13 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import hypothesis
+import numpy as np
 import requests
 import schemathesis
 import typer
@@ -35,24 +38,33 @@ from hypothesis.errors import Unsatisfiable
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from rich.progress import track
 from schemathesis.core.result import Ok
-from tests.stress.leaks import Planted, plant, plant_fresh
+from tests.stress.leaks import Planted, plant, plant_device, plant_epochs, plant_receiver
 
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.envelopes import open_key
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_client.wire.captures import NPY_MEDIA_TYPE
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture, Release, SealedEmbedding
 from veilcam_client.wire.tokens import SCOPES
-from veilcam_optics.keys.masks import Secret
-from veilcam_server.camera.epochs import RESERVED
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import BUNDLE, FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.audit import DONE, REFUSED
 from veilcam_server.security.tokens import TokenStore
-from veilcam_training.bundle import read_bundle
+from veilcam_training.bundle import Bundle, read_bundle
 
 EVENTS, LISTENED = 2048, 1.0
 """Of an event stream so much is read [bytes], and for so long [s]."""
 MORE = 5
 """So many times as many requests come from the caller with every scope."""
+RAW_BUDGET = 200
+"""Embeddings that may leave raw behind one mask: so few that all masks are spent on the way."""
+BUNDLE_BYTES = 1_000_000
+"""Files of a state directory that are larger are bundles."""
+TAKING = ("/v1/captures", "/v1/classifications")
+"""Routes whose answers hold embeddings."""
 PROBES = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "BREW")
 
 # Made-up bytes, as for every file.
@@ -76,6 +88,8 @@ class Findings:
     """Statuses, media types and shapes that the document does not name."""
     left: dict[bytes, str] = field(default_factory=dict)
     """Everything that left, and where it was seen first."""
+    sealed: dict[tuple[str, int], Capture] = field(default_factory=dict)
+    """Sealed embeddings, by epoch and number."""
     made: set[str] = field(default_factory=set)
     """Tokens that were made meanwhile; each left once, in the answer that made it."""
 
@@ -124,6 +138,7 @@ class Fuzz:
             for (method, path), cases in self._cases.items():
                 for case in cases if name == "everything" else cases[::MORE]:
                     self._send(name, method, path, case.as_transport_kwargs(base_url=self._url))
+            self._pair(name)
             if bundle is not None:
                 path = "/v1/bundles"
                 headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
@@ -139,6 +154,17 @@ class Fuzz:
                     # HEAD is GET without a body.
                     if {"HEAD": "get"}.get(method, method.lower()) not in operations:
                         self._send(name, method, None, {"url": url})
+
+    def _pair(self, name: str) -> None:
+        """Pair a receiver twice, look for it, and remove it twice."""
+        path, guest = "/v1/receivers", ReceiverKey.generate().public
+        url = self._url + path
+        for _ in range(2):
+            question = {"label": "guest", "key": str(guest)}
+            self._send(name, "POST", path, {"url": url, "json": question})
+        self._send(name, "GET", path, {"url": url})
+        for _ in range(2):
+            self._send(name, "DELETE", f"{path}/{{receiver_id}}", {"url": f"{url}/{guest.id}"})
 
     def _send(self, name: str, method: str, path: str | None, request: dict[str, Any]) -> None:
         headers = {
@@ -164,6 +190,9 @@ class Fuzz:
         if path == "/v1/tokens" and answer.status_code == 201:
             findings.made.add(answer.json()["secret"])
             content = b""
+        if path in TAKING and answer.ok and b'"form":"sealed"' in content:
+            taken = Capture.model_validate_json(content)
+            findings.sealed[taken.epoch, taken.number] = taken
         head = "".join(f"{key}: {value}\n" for key, value in answer.headers.items())
         findings.left.setdefault(content, place)
         findings.left.setdefault(_UNIQUE.sub(b"", head.encode()), f"headers of {place}")
@@ -249,8 +278,8 @@ class Setting:
     """One daemon to ask, and what it must keep."""
 
     bundle: Path
-    release: str
-    secret: Secret | None = None
+    release: Release
+    receiver: ReceiverKey | None = None
 
 
 def ask_daemon(
@@ -262,37 +291,56 @@ def ask_daemon(
     write_scene(scene, load_digits().images[seed % 100])
     options = ["--auth", "tokens", "--release", setting.release]
     options += ["--settle", "0", "--exposure", "0", "--log-level", "debug", "--scene-api"]
-    if setting.secret is not None:
-        secret_file = directory / "secret"
-        secret_file.touch(mode=0o600)
-        secret_file.write_text(setting.secret.reveal().hex())
-        options += ["--mask-secret", str(secret_file)]
+    if setting.release == "raw":
+        options += ["--raw-budget", str(RAW_BUDGET)]
     bundle = read_bundle(setting.bundle)
     store = TokenStore(state)
     callers, tokens = make_callers(store)
+    if setting.receiver is not None:
+        ReceiverStore(state).add("archive", setting.receiver.public)
     with running(setting.bundle, scene, directory, *options) as url:
         fuzz = Fuzz(url, callers, examples, seed)
         fuzz.run(setting.bundle.read_bytes())
         # Once more while the sensor sees nothing: faults are told of as well.
         scene.unlink()
         fuzz.run()
-        prepared = _prepared(url, callers)
+    closed = Planted()
+    if setting.receiver is not None:
+        plant_receiver(closed, setting.receiver, directory)
+        plant_sealed(closed, bundle, setting.receiver, list(fuzz.findings.sealed.values()))
+    kept = [
+        f"{path.name}: {name}"
+        for path in _kept(state)
+        for name in closed.found_in(path.read_bytes())
+    ]
     planted = plant(bundle, tokens)
-    if setting.secret is not None:
-        reserved = json.loads((state / "epochs.json").read_text().splitlines()[1])["counter"]
-        before = reserved - RESERVED * -(-prepared // RESERVED)
-        plant_fresh(planted, bundle, setting.secret, range(before + 1, before + prepared + 1))
+    plant_device(planted, state)
+    planted.include(closed)
     for path in (directory / "veilcamd.log", *state.glob(f"{DONE}*"), *state.glob(f"{REFUSED}*")):
         for number, line in enumerate(path.read_bytes().splitlines(), start=1):
             fuzz.findings.left.setdefault(_UNIQUE.sub(b"", line), f"{path.name}, line {number}")
-    return fuzz.findings, fuzz.findings.leaks(planted)
+    return fuzz.findings, kept + fuzz.findings.leaks(planted)
 
 
-def _prepared(url: str, callers: Mapping[str, str | None]) -> int:
-    """How many epochs there were."""
-    headers = {"Authorization": callers["everything"] or ""}
-    answer = requests.get(f"{url}/v1/rotation", headers=headers, timeout=60)
-    return int(answer.json()["preparation"]["prepared"])
+def _kept(state: Path) -> list[Path]:
+    """All files of a state directory, but for bundles, which hold no key."""
+    files = [path for path in state.rglob("*") if path.is_file()]
+    return [path for path in files if path.stat().st_size < BUNDLE_BYTES]
+
+
+def plant_sealed(
+    planted: Planted, bundle: Bundle, receiver: ReceiverKey, answers: Sequence[Capture]
+) -> None:
+    """What a receiver opens, and nobody else: keys of epochs, and the embeddings themselves."""
+    keys: dict[str, EpochKey] = {}
+    opener = Opener(receiver)
+    for answer in answers:
+        assert isinstance(answer.embedding, SealedEmbedding)
+        if answer.epoch not in keys:
+            keys[answer.epoch] = open_key(answer.embedding.envelope, receiver, device=None)
+        opened = np.asarray(opener.open(answer).embedding)
+        planted.add_weights("an embedding that left sealed", opened)
+    plant_epochs(planted, bundle, list(keys.values()))
 
 
 def main(
@@ -307,7 +355,11 @@ def main(
     # What is asked here in a second, nobody asks in an hour.
     os.environ["VEILCAM_RATE_LIMIT"] = "1e6"
     os.environ["VEILCAM_HEARTBEAT"] = "0.2"
-    settings = (Setting(BUNDLE, "raw"), Setting(FRESH, "white", Secret.generate()))
+    settings = (
+        Setting(BUNDLE, "raw"),
+        Setting(FRESH, "white"),
+        Setting(FRESH, "sealed", ReceiverKey.generate()),
+    )
     defects, undocumented, leaks = list[str](), list[str](), list[str]()
     with work_folder() as folder:
         for number, setting in enumerate(settings):

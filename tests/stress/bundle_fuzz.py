@@ -34,7 +34,8 @@ from benchmarks.rig import work_folder
 from tests.stress.mutations import kind, mutated
 from tests.stress.samples import make_bundles
 
-from veilcam_optics.keys.masks import Secret
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.wire.rotation import RotationOff
 from veilcam_server.bundles.loader import Opener
 from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import load_digits
@@ -52,7 +53,7 @@ from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import Bundle, read_bundle, write_bundle
 
-SECRET = Secret(bytes(32))
+KEY = EpochKey(bytes(32), device="0f" * 32, bundle="0f" * 32)
 SLOW = 10.0
 """A file that takes longer is a hang [s]."""
 MEMORY = 768 * 2**20
@@ -82,20 +83,25 @@ def source_of(bundle: Bundle) -> MaskSource:
     """What the daemon would draw masks from."""
     if bundle.mode == "pairs":
         return load_pairs(bundle)
-    return FreshSource(bundle, SECRET, form="white")
+    return FreshSource(bundle)
 
 
 def use(source: MaskSource, bundle: Bundle) -> None:
     """Take a mask and read an embedding behind it, as the daemon does."""
-    mask = source.make(1, "")
+    mask = source.make(KEY, "white" if bundle.fresh is not None else "sealed", frozenset())
     if mask.levels.shape != bundle.camera.mask_shape or int(mask.levels.max()) > 63:
         raise RuntimeError("a mask that the panel cannot show")
     embedding = np.full(bundle.embedding.shape, 0.1, np.float32)
     try:
         verdict = mask.reader.classify(embedding)
+        if bundle.fresh is not None:
+            white = mask.reader.whiten(embedding)
+            if not math.isclose(float(np.linalg.norm(white)), 1.0, rel_tol=1e-5):
+                raise RuntimeError("a white embedding that is no direction")
     except InferenceError:
         return  # no label, and told so
-    if verdict.label not in bundle.labels or not math.isclose(sum(verdict.scores.values()), 1):
+    scores = verdict.scores or {}
+    if verdict.label not in bundle.labels or not math.isclose(sum(scores.values()), 1):
         raise RuntimeError("a label that is none")
 
 
@@ -227,6 +233,7 @@ async def try_service(seeds: Sequence[int], data: Sequence[bytes], work: Path) -
         state_dir=work / "state",
         settle=0.0,
         exposure=0.0,
+        rotation=RotationOff(),  # whatever changes the mask, time does not
     )
     service = await asyncio.to_thread(build_service, settings)
     failures = []
@@ -262,7 +269,7 @@ async def disturb(service: Service, content: bytes) -> str | None:
     if service.status().bundle != wanted or service.rotation().epoch != epoch:
         return "another bundle or mask is in use"
     try:
-        result = await service.classify(include_embedding=False)
+        result = await service.classify(include_embedding=False, scores="all")
     except InferenceError:
         result = None
     if result is not None and (result.label not in wanted.labels or result.epoch != epoch):

@@ -6,7 +6,6 @@ from tests.server.conftest import (
     bench,
     bundle,
     fresh_bundle,
-    secret,
 )
 
-__all__ = ["_no_settings_from_outside", "_own_logs", "bench", "bundle", "fresh_bundle", "secret"]
+__all__ = ["_no_settings_from_outside", "_own_logs", "bench", "bundle", "fresh_bundle"]

@@ -1,11 +1,10 @@
-"""The daemon's engine on emulated hardware that fails when told, with masks drawn from a key."""
+"""The daemon's engine on emulated hardware that fails when told, with masks drawn from keys."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import random
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -15,15 +14,18 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from veilcam_client.wire.captures import Form, Prediction
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.captures import Prediction, Release
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
-from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_optics.simulation.operator import Response
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device
 from veilcam_server.devices.base import Levels, Measurement, Shown
@@ -36,13 +38,15 @@ from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
-from veilcam_server.errors import EpochError
 from veilcam_server.masks.fresh import FreshSource
-from veilcam_server.masks.source import Mask, Reader
+from veilcam_server.masks.source import Mask, Reader, Terms
+from veilcam_server.sealing.identity import DeviceKey
 from veilcam_training.bundle import Bundle, Fresh, build_untrained
 from veilcam_training.bundle.layers import AveragePool, Flatten, Linear, Reshape
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(), Embedding(8, 8)
+DIGEST = "0f" * 32
+"""Of a bundle that comes from no file."""
 MODE = SensorMode(16, 16, line_time=0.0, frame_duration=0.0)
 CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
 SETTLE, TIMEOUT = 1e-3, 0.05
@@ -65,8 +69,8 @@ def make_bundle() -> Bundle:
         scene=SCENE,
         embedding=EMBEDDING,
         mode="fresh",
+        digest=DIGEST,
         fresh=Fresh(
-            device="stress",
             distribution=MaskDistribution.uniform(CAMERA),
             statistics=fit_statistics([digits], 32),
             noise=MeasurementNoise(),
@@ -77,45 +81,46 @@ def make_bundle() -> Bundle:
 
 
 @dataclass(frozen=True, eq=False)
-class Numbered:
-    """A reader that knows the epoch of its mask."""
+class Marked:
+    """A reader that knows the first corner of its mask, also after the mask was erased."""
 
-    counter: int
+    corner: Measurement
     reader: Reader
 
-    def classify(self, embedding: Measurement) -> Prediction:
+    def classify(self, measurement: Measurement) -> Prediction:
         """Classify as the reader does."""
-        return self.reader.classify(embedding)
+        return self.reader.classify(measurement)
 
-    def release(self, embedding: Measurement, form: Form) -> Measurement:
-        """Release as the reader does."""
-        return self.reader.release(embedding, form)
+    def whiten(self, measurement: Measurement) -> Measurement:
+        """Whiten as the reader does."""
+        return self.reader.whiten(measurement)
+
+    def erase(self) -> None:
+        """Erase what the reader has."""
+        self.reader.erase()
 
 
-class NumberedSource(FreshSource):
+class MarkedSource(FreshSource):
     """The daemon's own source of masks, whose readers can be told apart."""
 
-    def make(self, counter: int, last_mark: str) -> Mask:
+    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
         """Prepare an epoch."""
-        mask = super().make(counter, last_mark)
-        return Mask(mask.levels, Numbered(counter, mask.reader))
+        mask = super().make(key, form, avoid)
+        corner = mask.levels[: EMBEDDING.rows, : EMBEDDING.columns].astype(np.float32)
+        return Mask(mask.levels, Marked(corner, mask.reader))
 
 
-class Key:
-    """One secret and what belongs to it, whatever runs on it and however often it is started."""
+class Supply:
+    """Where masks come from, and who receives, however often an engine is started."""
 
     def __init__(self) -> None:
-        self._bundle, self._secret = make_bundle(), Secret.generate()
         # Built once: it is what takes time when an engine starts.
-        self.source = NumberedSource(self._bundle, self._secret, form="white")
+        self.source = MarkedSource(make_bundle())
+        self.receiver = ReceiverKey.generate()
 
-    def levels(self, counter: int) -> Levels:
-        """Draw the mask of an epoch again, as any holder of the secret can."""
-        fresh = self._bundle.fresh
-        assert fresh is not None
-        return epoch_levels(
-            self._secret, fresh.device, counter, camera=CAMERA, distribution=fresh.distribution
-        )
+    def terms(self, form: Release) -> Terms:
+        """What holds for every epoch of one engine."""
+        return Terms(form, (self.receiver.public,) if form == "sealed" else ())
 
 
 class White:
@@ -126,7 +131,7 @@ class White:
         return np.ones((2, 2), np.float32)
 
 
-class Marked:
+class CornerLight:
     """Light that carries the levels of the mask's first corner, one to each box measured."""
 
     def response(self, weights: torch.Tensor) -> Response:
@@ -166,28 +171,15 @@ class BrokenBus:
         """Nothing is held open."""
 
 
-class FullDisk(EpochStore):
-    """A store whose disk is full, so many times."""
-
-    fulls = 0
-
-    def next(self) -> int:
-        """Commit the next epoch, or fail."""
-        if self.fulls > 0:
-            self.fulls -= 1
-            raise EpochError("the mask epoch cannot be recorded (database or disk is full)")
-        return super().next()
-
-
 class Rig:
     """An engine on hardware that fails when told."""
 
     def __init__(
         self,
-        key: Key,
+        supply: Supply,
         directory: Path,
         *,
-        now: Callable[[], float] = time.time,
+        form: Release = "sealed",
         granted: float = SETTLE,
         tell: Callable[[Levels], None] = lambda _: None,
     ) -> None:
@@ -223,7 +215,7 @@ class Rig:
         light = SimulatedLight(
             panel,
             Scenes((White(),)),
-            Marked(),
+            CornerLight(),
             camera=CAMERA,
             embedding=EMBEDDING,
             conditions=Conditions(exposure=0.0, snr_db=math.inf),
@@ -244,12 +236,14 @@ class Rig:
             ),
             clock=unhurried,
         )
-        self.disk = FullDisk(directory, now)
+        budget, terms = ReleaseBudget(directory, raw=0), supply.terms(form)
+        signer = DeviceKey.open(directory)
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),
-            Preparation(key.source, self.disk),
+            Preparation(supply.source, signer, lambda: terms, budget),
             EMBEDDING.shape,
             Passed(),
+            budget=budget,
             fence=Fence(granted, TIMEOUT),
             policy=EveryCaptures(captures=1),
         )
@@ -257,7 +251,7 @@ class Rig:
     def break_something(self, share: float) -> None:
         """At random, make the next thing of its kind fail."""
         if random.random() < share:
-            kind = random.randrange(6)
+            kind = random.randrange(5)
             if kind == 0:
                 self.bus.breaks = random.choice((1, 1, 2, 3))
             elif kind == 1:
@@ -266,8 +260,6 @@ class Rig:
                 self.frames.stale = 2
             elif kind == 3:
                 self.frames.stuck = True
-            elif kind == 4:
-                self.disk.fulls = 1
             else:
                 self.frames.gain = 2.0
 

@@ -1,14 +1,17 @@
 """What a daemon must not let out, in every form that it could leave in.
 
-Levels of masks, weights of classifiers and decoders, the mask secret, and tokens are looked for as
+Levels of masks, weights of classifiers and decoders, keys of epochs and what is derived from them,
+the private keys of device and receivers, tokens, and embeddings that leave sealed are looked for as
 raw bytes, in hexadecimal and base64, and as numbers in text, levels also as fractions.
 """
 
 from __future__ import annotations
 
 import base64
+import json
 import re
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +19,11 @@ import numpy.typing as npt
 import torch
 from rich.progress import track
 
-from veilcam_optics.keys.masks import Secret, epoch_levels
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_optics.keys.masks import draw_levels
 from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.sealing.identity import KEY_NAME
 from veilcam_training.bundle import Bundle
 
 WINDOW = 12
@@ -63,6 +69,11 @@ class Planted:
             row = tuple(short[start : start + NUMBERS])
             if len(set(row)) == NUMBERS and not any(float(each).is_integer() for each in row):
                 self._numbers[row] = name
+
+    def include(self, other: Planted) -> None:
+        """All that is planted elsewhere, too."""
+        self._bytes |= other._bytes
+        self._numbers |= other._numbers
 
     def found_in(self, content: bytes) -> set[str]:
         """Names of what is in ``content``."""
@@ -137,26 +148,45 @@ def plant(bundle: Bundle, tokens: Sequence[str]) -> Planted:
     return planted
 
 
-def plant_fresh(planted: Planted, bundle: Bundle, secret: Secret, epochs: range) -> None:
-    """The secret, and what was derived from it."""
-    planted.add_bytes("the mask secret", secret.reveal(), 1)
-    source, fresh = FreshSource(bundle, secret, form="white"), bundle.fresh
-    assert fresh is not None
-    for number, counter in enumerate(track(epochs, "deriving masks")):
+def plant_epochs(planted: Planted, bundle: Bundle, keys: Sequence[EpochKey]) -> None:
+    """Keys of epochs, and what was derived from them."""
+    source = FreshSource(bundle) if bundle.fresh is not None else None
+    for number, key in enumerate(track(keys, "deriving masks")):
+        for name, derived in (
+            ("the key", key.reveal()),
+            ("the key of levels", key.levels()),
+            ("the key of the rotation", key.rotation()),
+            ("the sealing key", key.sealing()),
+        ):
+            planted.add_bytes(f"{name} of epoch {number}", bytes(derived), 1)
+        if source is None or bundle.fresh is None:
+            continue
         if number < DECODERS:
-            mask = source.make(counter, "")
-            planted.add_levels(f"mask of epoch {counter}", mask.levels)
+            mask = source.make(key, "white", frozenset())
+            planted.add_levels(f"mask of epoch {number}", mask.levels)
             for name, values in _tensors(mask.reader):
-                planted.add_weights(f"{name} of epoch {counter}", values)
+                planted.add_weights(f"{name} of epoch {number}", values)
         else:
-            levels = epoch_levels(
-                secret,
-                fresh.device,
-                counter,
-                camera=bundle.camera,
-                distribution=fresh.distribution,
+            levels = draw_levels(
+                key.levels(), camera=bundle.camera, distribution=bundle.fresh.distribution
             )
-            planted.add_levels(f"mask of epoch {counter}", levels)
+            planted.add_levels(f"mask of epoch {number}", levels)
+
+
+def plant_receiver(planted: Planted, receiver: ReceiverKey, folder: Path) -> None:
+    """The private key of a receiver, as the file that it is kept in has it."""
+    path = folder / "receiver"
+    receiver.write(path)
+    text = path.read_bytes().strip().rpartition(b":")[2]
+    planted.add_bytes("a receiver's private key", base64.b64decode(text), 1)
+    planted.add_bytes("a receiver's private key", text, 1)
+
+
+def plant_device(planted: Planted, state: Path) -> None:
+    """The private key of the device, from its state directory."""
+    seed = json.loads((state / KEY_NAME).read_text().splitlines()[1])["seed"]
+    planted.add_bytes("the device's private key", bytes.fromhex(seed), 1)
+    planted.add_bytes("the device's private key", seed.encode(), 1)
 
 
 def _tensors(holder: object, name: str = "decoder", depth: int = 3) -> Iterator[tuple[str, Any]]:

@@ -79,7 +79,6 @@ def make_bundles() -> list[Bundle]:
         provenance={"seed": 1, "recipe": {"epochs": 2, "rates": [0.1, None]}},
     )
     keyed = Fresh(
-        device="fuzz",
         distribution=MaskDistribution.uniform(CAMERA),
         statistics=fit_statistics([digits], 8),
         noise=MeasurementNoise(40.0),

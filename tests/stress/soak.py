@@ -5,17 +5,18 @@ lost.
 
 Every capture has a mask of its own, drawn from a key. The light carries 64 of the mask's levels to
 the 64 values of a measurement, so each measurement tells which mask, or which mixture, it was
-taken under. Meanwhile somebody changes masks by hand at random moments; the panel's bus breaks off
-in the middle of masks, the camera hangs, gives old frames and gives frames twice, and the disk is
-full. Every now and then the engine is stopped and started with a wall clock that jumped by up to a
-year. Then it is killed (SIGKILL) at random moments, again and again, on one state directory. What
-only the optical self test can see, a panel that takes bytes and does not show them, is left out:
-its own tests are for that.
+taken under. Every embedding leaves: sealed, and opened again by a receiver, or white. Meanwhile
+somebody changes masks by hand at random moments; the panel's bus breaks off in the middle of masks,
+the camera hangs, gives old frames and gives frames twice. Every now and then the engine is stopped
+and started. Then it is killed (SIGKILL) at random moments, again and again, on one state directory.
+What only the optical self test can see, a panel that takes bytes and does not show them, is left
+out: its own tests are for that.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import multiprocessing
 import os
 import random
@@ -24,7 +25,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -34,17 +34,22 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import resident, work_folder
 from rich.progress import track
-from tests.stress.engine import CAMERA, EMBEDDING, SETTLE, Key, Numbered, Rig
+from tests.stress.engine import CAMERA, SETTLE, Marked, Rig, Supply
 
+from veilcam_client.errors import SealedError
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.wire.captures import Capture, Release
 from veilcam_server.camera.camera import MaskedCamera
+from veilcam_server.camera.capture import Captured, MaskedCapture
 from veilcam_server.devices import DeviceError
 from veilcam_server.devices.base import Levels
-from veilcam_server.errors import EpochError, FenceError, NotReadyError
+from veilcam_server.errors import FenceError, NotReadyError
 
-YEAR = 365 * 86_400.0
+FORMS: tuple[Release, ...] = ("sealed", "white")
+"""Of one engine after the other."""
 WARM_UP = 0.2
 """Share of the captures after which memory must have stopped growing."""
-KNOWN = (DeviceError, EpochError, FenceError, NotReadyError)
+KNOWN = (DeviceError, FenceError, NotReadyError)
 
 
 @dataclass
@@ -55,9 +60,10 @@ class Outcome:
     mixed: int = 0
     errors: int = 0
     lost: int = 0
-    """Captures that ended neither in a measurement nor in an error that the daemon knows."""
-    counters: list[int] = field(default_factory=list)
-    """Of the epochs that measurements were taken under."""
+    """Captures that ended neither in a measurement, which its receiver could open, nor in an error
+    that the daemon knows."""
+    epochs: list[str] = field(default_factory=list)
+    """Names of those that measurements were taken under."""
     masks: list[bytes] = field(default_factory=list)
     """Digests of all masks that were put on the panel, but for those that were put back."""
     growth: float = 0.0
@@ -66,13 +72,13 @@ class Outcome:
     @property
     def reused(self) -> int:
         """Measurements under an epoch, or showings of a mask, that was there before."""
-        return sum(len(items) - len(set(items)) for items in (self.counters, self.masks))
+        return sum(len(items) - len(set(items)) for items in (self.epochs, self.masks))
 
 
-def attempt(rig: Rig, key: Key, outcome: Outcome) -> None:
+def attempt(rig: Rig, opener: Opener, outcome: Outcome) -> None:
     """Take one capture and judge it."""
     try:
-        captured = rig.camera.capture()
+        captured = rig.camera.capture(release=True)
     except KNOWN:
         outcome.errors += 1
         rig.mend()
@@ -85,16 +91,33 @@ def attempt(rig: Rig, key: Key, outcome: Outcome) -> None:
     except Exception:
         outcome.lost += 1
         return
-    reader = captured.reader
-    assert isinstance(reader, Numbered)
+    try:
+        judge(captured, opener, outcome)
+    except SealedError:
+        outcome.lost += 1
+    finally:
+        captured.done()
+
+
+def judge(captured: Captured, opener: Opener, outcome: Outcome) -> None:
+    """Answer as a request would, and compare what leaves with the mask."""
+    assert isinstance(captured, MaskedCapture)
+    assert isinstance(captured.reader, Marked)
     outcome.captures += 1
-    outcome.counters.append(reader.counter)
-    planted = key.levels(reader.counter)[: EMBEDDING.rows, : EMBEDDING.columns]
-    seen = captured.embedding * (CAMERA.panel.levels - 1)
-    outcome.mixed += bool(np.abs(seen - planted).max() > 0.1)
-    # As a request would: the label, and the form in which the embedding leaves.
-    reader.classify(captured.embedding)
-    reader.release(captured.embedding, "white")
+    outcome.epochs.append(captured.epoch)
+    captured.classify()
+    answer = Capture(
+        id="",
+        epoch=captured.epoch,
+        number=captured.number,
+        taken_at=captured.taken_at,
+        embedding=captured.release(0.0),
+    )
+    measured = captured.measurement
+    if captured.form == "sealed":
+        measured = np.asarray(opener.open(answer).embedding)
+    seen = measured * (CAMERA.panel.levels - 1)
+    outcome.mixed += bool(np.abs(seen - captured.reader.corner).max() > 0.1)
 
 
 @contextmanager
@@ -117,7 +140,7 @@ def meddling(camera: MaskedCamera) -> Iterator[None]:
 
 
 def soak(
-    key: Key,
+    supply: Supply,
     directory: Path,
     captures: int,
     *,
@@ -126,16 +149,16 @@ def soak(
     restart_every: int = 2000,
     advance: Callable[[], None] = lambda: None,
 ) -> Outcome:
-    """Take captures on hardware that fails, over engines whose wall clock jumps."""
-    outcome = Outcome()
+    """Take captures on hardware that fails, over engines that are stopped and started."""
+    outcome, opener = Outcome(), Opener(supply.receiver)
 
     def tell(levels: Levels) -> None:
         outcome.masks.append(hashlib.sha256(levels.tobytes()).digest())
 
     warm, done = 0.0, 0
+    forms = itertools.cycle(FORMS)
     while done < captures:
-        now = partial(_jumped, random.uniform(-YEAR, YEAR))
-        rig = Rig(key, directory, now=now, granted=granted, tell=tell)
+        rig = Rig(supply, directory, form=next(forms), granted=granted, tell=tell)
         try:
             rig.camera.rotate()
             with meddling(rig.camera):
@@ -143,29 +166,24 @@ def soak(
                     if done == int(WARM_UP * captures):
                         warm = resident()
                     rig.break_something(faults)
-                    attempt(rig, key, outcome)
+                    attempt(rig, opener, outcome)
                     done += 1
                     advance()
         finally:
             rig.mend()
-            rig.bus.breaks = rig.frames.hangs = rig.disk.fulls = 0
+            rig.bus.breaks = rig.frames.hangs = 0
             rig.camera.stop()
     outcome.growth = resident() - warm
     return outcome
 
 
-def _jumped(jump: float) -> float:
-    """The wall clock, elsewhere [s]."""
-    return time.time() + jump
-
-
-def kill(key: Key, directory: Path, lives: int) -> list[str]:
+def kill(supply: Supply, directory: Path, lives: int) -> list[str]:
     """Kill the engine at random moments; return a digest of every mask that it ever showed."""
     log = directory / "shown"
     log.touch(mode=0o600)
     fork = multiprocessing.get_context("fork")
     for life in track(range(lives), "kills"):
-        child = fork.Process(target=_live, args=(key, directory, log))
+        child = fork.Process(target=_live, args=(supply, directory, log))
         child.start()
         lines = log.read_text().count("\n")
         # Every fourth dies while it starts; the others once they have shown something.
@@ -179,18 +197,17 @@ def kill(key: Key, directory: Path, lives: int) -> list[str]:
     return log.read_text().splitlines()
 
 
-def _live(key: Key, directory: Path, log: Path) -> None:
+def _live(supply: Supply, directory: Path, log: Path) -> None:
     """Capture until killed. What the panel shows is in the log before it is shown."""
     descriptor = os.open(log, os.O_WRONLY | os.O_APPEND)
 
     def tell(levels: Levels) -> None:
         os.write(descriptor, hashlib.sha256(levels.tobytes()).hexdigest().encode() + b"\n")
 
-    # A wall clock that stands still: what was committed to the disk must be enough.
-    rig = Rig(key, directory, now=lambda: 0.0, tell=tell)
+    rig = Rig(supply, directory, tell=tell)
     rig.camera.rotate()
     while True:
-        rig.camera.capture()
+        rig.camera.capture(release=True).done()
 
 
 def main(
@@ -204,18 +221,18 @@ def main(
 ) -> None:
     """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
-    key = Key()
+    supply = Supply()
     with work_folder() as folder:
         # Before anything starts a thread: a fork copies no threads, but the locks they hold.
         killed = folder / "killed"
         killed.mkdir()
-        shown = kill(key, killed, kills)
+        shown = kill(supply, killed, kills)
         steps = iter(track(range(captures), "captures"))
 
         def advance() -> None:
             next(steps, None)
 
-        outcome = soak(key, folder / "soaked", captures, faults=faults, advance=advance)
+        outcome = soak(supply, folder / "soaked", captures, faults=faults, advance=advance)
     again = len(shown) - len(set(shown))
     print(f"kills: {kills}, {len(shown)} masks shown, {again} of them again")
     print(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import random
 import subprocess
@@ -11,14 +12,15 @@ from pathlib import Path
 import pytest
 from tests.stress import engine, soak
 
+from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_server.camera.camera import MaskedCamera
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def key() -> engine.Key:
-    return engine.Key()
+def supply() -> engine.Supply:
+    return engine.Supply()
 
 
 @pytest.fixture(autouse=True)
@@ -46,30 +48,48 @@ def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_faults_become_errors_and_clocks_jump(key: engine.Key, tmp_path: Path) -> None:
-    outcome = soak.soak(key, tmp_path, 80, faults=0.5, restart_every=20)
+def test_faults_become_errors_and_engines_are_started_again(
+    supply: engine.Supply, tmp_path: Path
+) -> None:
+    outcome = soak.soak(supply, tmp_path, 80, faults=0.5, restart_every=20)
     assert outcome.errors > 0
     assert outcome.captures > 40
     assert outcome.mixed == outcome.reused == outcome.lost == 0
 
 
-def test_a_fence_without_settling_is_noticed(key: engine.Key, tmp_path: Path) -> None:
-    assert soak.soak(key, tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
+def test_a_fence_without_settling_is_noticed(supply: engine.Supply, tmp_path: Path) -> None:
+    assert soak.soak(supply, tmp_path, 40, faults=0.0, granted=0.0).mixed > 0
 
 
-def test_a_store_that_forgets_is_noticed(
-    key: engine.Key, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_kernel_that_repeats_itself_is_noticed(
+    supply: engine.Supply, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counters = [*range(1, 11), *range(1, 1001)]
-    monkeypatch.setattr(engine.FullDisk, "next", lambda _: counters.pop(0))
-    assert soak.soak(key, tmp_path, 20, faults=0.0).reused > 0
+    drawn = itertools.cycle(range(1, 8))
+
+    def generate(*, device: str, bundle: str) -> EpochKey:
+        return EpochKey(bytes([next(drawn)]) * 32, device=device, bundle=bundle)
+
+    monkeypatch.setattr(EpochKey, "generate", generate)
+    assert soak.soak(supply, tmp_path, 20, faults=0.0).reused > 0
+
+
+def test_a_name_that_comes_again_is_noticed(
+    supply: engine.Supply, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = itertools.cycle(range(7))
+    monkeypatch.setattr(
+        "veilcam_server.camera.epochs.secrets.token_hex", lambda _: f"{next(names):032x}"
+    )
+    outcome = soak.soak(supply, tmp_path, 20, faults=0.0)
+    assert outcome.reused > 0
+    assert outcome.lost > 0  # the receiver, too, refuses what comes again
 
 
 def test_an_unknown_exception_counts_as_lost(
-    key: engine.Key, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    supply: engine.Supply, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr(MaskedCamera, "capture", fail)
-    assert soak.soak(key, tmp_path, 3, faults=0.0).lost == 3
+    assert soak.soak(supply, tmp_path, 3, faults=0.0).lost == 3

@@ -153,6 +153,7 @@ def status_in_words(status: Status) -> str:
         lines.append(f"          experiment: {status.experiment}, labels mean nothing")
     lines += [
         f"device    {status.device.display}, {status.device.sensor}",
+        f"key       {status.device.key}",
         f"task      {status.bundle.task}, {rows} x {columns}, {masks}",
         rotation_in_words(status.rotation),
         f"next      {next_in_words(status.rotation.preparation)}",

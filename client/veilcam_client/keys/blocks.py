@@ -119,8 +119,9 @@ class Opener:
     """Opens what one camera seals to one receiver, each number once and in their order.
 
     It remembers the epochs that it opened last; of one that it has forgotten, or never saw, nothing
-    is taken that is older than what it forgot. An embedding that came unsealed is refused: anybody
-    on the way could have put it there.
+    is taken that is older than what it forgot. A new opener has seen nothing: there, the time of an
+    answer alone tells that it is an old one. An embedding that came unsealed is refused: anybody on
+    the way could have put it there.
 
     Args:
         key: of the receiver.

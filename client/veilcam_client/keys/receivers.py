@@ -137,10 +137,14 @@ class ReceiverKey:
         line = f"{_PRIVATE_PREFIX}{base64.b64encode(self._raw).decode()}\n".encode()
         try:
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with os.fdopen(descriptor, "wb") as stream:
-                stream.write(line)
-                stream.flush()
-                os.fsync(stream.fileno())
+            try:
+                with os.fdopen(descriptor, "wb") as stream:
+                    stream.write(line)
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            except OSError:
+                path.unlink()  # half a key is none, and it would keep a whole one off
+                raise
         except FileExistsError:
             raise KeyFileError(
                 f"{path} exists and was left alone: whoever replaces a receiver's key cannot open "

@@ -126,10 +126,11 @@ class Preparation:
 
     def wait(self) -> None:
         """Wait until none is under way, whatever came of it."""
-        if self._next is not None:
+        future = self._next
+        if future is not None:
             # Unlike `futures.wait`, this also ends where the future was called off in the queue.
             with suppress(CancelledError):
-                self._next.exception()
+                future.exception()
 
     def take(self) -> Epoch:
         """Return the next epoch; waits for it if need be. It is gone from here, come what may.

@@ -134,9 +134,10 @@ def _parse(received: bytes, seconds: float) -> Reply:
     if not first.startswith("HTTP/1."):
         return Reply(0, seconds=seconds)
     pairs = (line.partition(": ") for line in lines)
-    return Reply(
-        int(first.split()[1]), body, seconds, {name.lower(): value for name, _, value in pairs}
-    )
+    headers = {name.lower(): value for name, _, value in pairs}
+    if len(body) < int(headers.get("content-length", 0)):
+        return Reply(0, seconds=seconds)  # cut off
+    return Reply(int(first.split()[1]), body, seconds, headers)
 
 
 @dataclass

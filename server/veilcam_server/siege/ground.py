@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 import torch
 
+from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.rotation import EverySeconds
 from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
@@ -19,7 +20,7 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
-from veilcam_server.siege.client import Address, ask, listening
+from veilcam_server.siege.client import Address, Reply, ask, listening
 from veilcam_server.siege.daemon import DISK, Circumstances, Daemon, Launcher, SiegeSettings
 from veilcam_training.bundle import Bundle, Pair, write_bundle
 from veilcam_training.bundle.layers import Linear
@@ -177,6 +178,29 @@ class Ground:
 
 
 Run: TypeAlias = Callable[[Ground, Judgement], Awaitable[None]]
+Work: TypeAlias = Callable[[], Awaitable[None]]
+"""What a client does again and again."""
+
+
+@asynccontextmanager
+async def busy(works: Iterable[Work]) -> AsyncIterator[None]:
+    """Do all of it at once, again and again, as long as the context."""
+
+    async def repeat(work: Work) -> None:
+        while True:
+            await work()
+            await asyncio.sleep(0.01)
+
+    tasks = [asyncio.create_task(repeat(work)) for work in works]
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        ended = await asyncio.gather(*tasks, return_exceptions=True)
+    for error in ended:
+        if isinstance(error, Exception):
+            raise error
 
 
 def make_tokens(
@@ -196,6 +220,12 @@ async def tokens_of(address: Address) -> dict[str, bool]:
         page = (await ask(address, "GET", f"/v1/tokens{after}")).json()
         found |= {each["id"]: each["revoked_at"] is None for each in page["tokens"]}
     return found
+
+
+async def pair(address: Address, label: str, receiver: Receiver) -> Reply:
+    """Pair a daemon with a receiver; return its reply."""
+    question = {"label": label, "key": str(receiver)}
+    return await ask(address, "POST", "/v1/receivers", body=question)
 
 
 async def standing_still(address: Address) -> list[str]:

@@ -1,130 +1,119 @@
-"""Row of the killed daemon: SIGKILL at random moments, and what it had acknowledged before."""
+"""Row of the killed daemon: SIGKILL at random moments, and what it had acknowledged before.
+
+Of every four lives one begins with a state directory that was put back from an earlier copy, and
+another has a twin beside it on a copy of the same: what they seal must be new all the same.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
+import math
 import random
+import shutil
 import uuid
 from collections import Counter
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TypeAlias
 
+from veilcam_client.keys.receivers import Receiver, ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_server.security.audit import DONE as DONE_LOG
-from veilcam_server.security.audit import read_audit
 from veilcam_server.settings import Settings
-from veilcam_server.siege.client import Address, Reply, ask, listening
-from veilcam_server.siege.daemon import Daemon
+from veilcam_server.siege.client import Address, ask, listening
 from veilcam_server.siege.ground import (
     Ground,
     Judgement,
+    busy,
     make_tokens,
-    tokens_of,
+    pair,
     write_small_bundle,
 )
+from veilcam_server.siege.ledger import ADVANCE, KEY, Ledger
+from veilcam_server.siege.witness import Life, Witness
 
-ADVANCE, KEY, DONE = "/v1/rotation/advance", "Idempotency-Key", "done_before_restart"
-CALIBRATED, REVOKED = 0.25, 0.5
-"""Share of lives that are calibrated, and of tokens that are revoked."""
+CALIBRATED, REVOKED, LABELLED = 0.25, 0.5, 0.5
+"""Share of lives that are calibrated, of tokens that are revoked, of embeddings with a label."""
 LONGEST = 0.6
 """A daemon is killed within so long after it listens [s]."""
+ROUND, COPIED, RESTORED, CLONED = 4, 0, 1, 2
+"""Of so many lives, before which the state is copied, put back from that copy, or cloned."""
+GUESTS = 3
+"""Receivers that come and go, beside the one that always opens."""
+
+Change: TypeAlias = Callable[[Address, Ledger], Awaitable[None]]
+MakeChanges: TypeAlias = Callable[[Settings], Sequence[Change]]
 
 
 @dataclass
-class Ledger:
-    """What a daemon acknowledged, over all its lives.
+class Lineage:
+    """A state directory, and what was acknowledged of it."""
 
-    Attributes:
-        policy: rotation policies that may hold: the one acknowledged last, and one under way.
-        active: digests of the bundles that may be active, in the same way.
-        valid: ids of tokens that were made, and whose end was not asked for.
-        revoked: ids of those that were ended.
-        key: idempotency key of the last work that was acknowledged.
-        installed: whether a bundle is there, by its digest; None while nobody can tell.
-        noted: ids of requests that changed something, which the audit log must name.
-        epochs: how often each name of an epoch was told of.
-        lost: what an acknowledgement promised, and the next life did not keep.
-    """
+    settings: Settings
+    ledger: Ledger
 
-    policy: list[object]
-    active: list[object]
-    valid: set[str] = field(default_factory=set)
-    revoked: set[str] = field(default_factory=set)
-    key: str | None = None
-    installed: dict[str, bool | None] = field(default_factory=dict)
-    noted: set[str] = field(default_factory=set)
-    epochs: Counter[str] = field(default_factory=Counter)
-    lost: list[str] = field(default_factory=list)
+    def copied(self, name: str) -> Lineage:
+        """A copy of the state in another folder, and of what is known of it."""
+        state = self.settings.state_dir.parent.with_name(name) / self.settings.state_dir.name
+        shutil.rmtree(state.parent, ignore_errors=True)
+        shutil.copytree(self.settings.state_dir, state)
+        settings = self.settings.model_copy(update={"state_dir": state})
+        return Lineage(settings, self.ledger.copied())
 
-    async def compare(self, address: Address, audit: Path) -> None:
-        """Compare what was acknowledged with a new life, and with the audit log."""
-        rotation = (await ask(address, "GET", "/v1/rotation")).json()
-        bundles = (await ask(address, "GET", "/v1/bundles")).json()["bundles"]
-        tokens = await tokens_of(address)
-        active = [each["digest"] for each in bundles if each["active"]]
-        valid = {token for token, is_valid in tokens.items() if is_valid}
-        self.epochs[rotation["epoch"]] += 1
-        self._keep("policy", rotation["policy"] in self.policy)
-        self._keep("bundle", active[0] in self.active)
-        there = {each["digest"] for each in bundles if each["bundle"] is not None}
-        for digest, known in self.installed.items():
-            self._keep("upload", known in (None, digest in there))
-            self.installed[digest] = digest in there
-        self._keep("token", self.valid <= valid)
-        self._keep("revocation", not self.revoked & valid)
-        self._keep("audit line", self.noted <= {each.get("request") for each in read_audit(audit)})
-        if self.key is not None:
-            repeated = await ask(address, "POST", ADVANCE, headers={KEY: self.key})
-            known = repeated.status == 409 and repeated.json()["code"] == DONE
-            self._keep("idempotency key", known)
-        # What was under way when it was killed either holds now, or never will.
-        self.policy, self.active = [rotation["policy"]], [active[0]]
-
-    def note(self, reply: Reply) -> Reply:
-        """Take down the request of an answer that acknowledges a change."""
-        if 200 <= reply.status < 300:
-            self.noted.add(reply.headers.get("x-request-id", ""))
-        return reply
-
-    def _keep(self, what: str, kept: bool) -> None:
-        if not kept:
-            self.lost.append(what)
-
-
-Work: TypeAlias = Callable[[Address, Ledger], Awaitable[None]]
+    def put_back(self, earlier: Lineage) -> None:
+        """Have the state of an earlier copy again."""
+        shutil.rmtree(self.settings.state_dir)
+        shutil.copytree(earlier.settings.state_dir, self.settings.state_dir)
+        self.ledger = earlier.ledger.copied()
 
 
 async def killed(ground: Ground, judgement: Judgement) -> None:
-    """Kill a daemon while it changes masks, bundles, tokens and its policy."""
-    settings = ground.settings("killed")
+    """Kill a daemon while it changes masks, bundles, tokens, receivers and its policy."""
+    # Without noise, what was measured behind one mask tells it from another.
+    settings = ground.settings("killed", snr_db=math.inf)
     [token] = make_tokens(settings, ("owner",))
-    kills = ground.extent.kills
+    archive = ReceiverKey.generate()
     with ground.start(settings, token) as daemon:
         digests = await _install(daemon.address, settings)
+        await pair(daemon.address, "archive", archive.public)
         policy = (await ask(daemon.address, "GET", "/v1/rotation")).json()["policy"]
-    ledger = Ledger([policy], [digests[0]])
-    for life in range(kills + 1):
-        ground.advance(life / (kills + 1))
-        with ground.start(settings, token) as daemon:
-            await ledger.compare(daemon.address, settings.state_dir / DONE_LOG)
-            if life < kills:
-                await _live(daemon, ledger, settings, digests)
-    again = sum(count - 1 for count in ledger.epochs.values())
+    ledger = Ledger([policy], [digests[0]], paired={archive.public.id: True})
+    guests = [ReceiverKey.generate().public for _ in range(GUESTS)]
+    lineage = earlier = Lineage(settings, ledger)
+    witness, kills, copies = Witness(archive), ground.extent.kills, Counter[int]()
+    for number in range(kills + 1):
+        ground.advance(number / (kills + 1))
+        copies[number % ROUND] += 1
+        lineages = [lineage]
+        if number % ROUND == COPIED:
+            earlier = lineage.copied("earlier")
+        elif number % ROUND == RESTORED:
+            lineage.put_back(earlier)
+        elif number % ROUND == CLONED:
+            lineages.append(lineage.copied("clone"))
+        changes = partial(_changes, digests, guests)
+        lives = (_live(ground, token, each, changes, killed=number < kills) for each in lineages)
+        for life in await asyncio.gather(*lives):
+            witness.see(life)
     judgement.figures["kills"] = kills
-    beside = ", ".join(f"{what} {times} x" for what, times in Counter(ledger.lost).items())
-    judgement.at_most(
-        f"acknowledged and lost in {kills} kills",
-        len(ledger.lost),
-        0,
-        beside=beside,
-        figure="kills_lost",
-    )
-    judgement.at_most(f"again of {len(ledger.epochs)} epochs", again, 0, figure="epochs_repeated")
+    said = f"{kills} kills, {copies[RESTORED]} restored and {copies[CLONED]} cloned"
+    _judge(judgement, said, ledger.lost, witness)
+
+
+def _judge(judgement: Judgement, said: str, lost: list[str], witness: Witness) -> None:
+    for what, wrong, figure in (
+        (f"acknowledged and lost in {said}", lost, "kills_lost"),
+        (f"again of {len(witness.names)} epochs", witness.repeated, "epochs_repeated"),
+        (f"mixed of {witness.opened} embeddings opened", witness.mixed, None),
+        ("not opened", witness.unopened, None),
+    ):
+        beside = ", ".join(f"{each} {times} x" for each, times in Counter(wrong).items())
+        judgement.at_most(what, len(wrong), 0, beside=beside, figure=figure)
+    judgement.at_least("embeddings opened", witness.opened, 1)
 
 
 async def _install(address: Address, settings: Settings) -> list[str]:
@@ -136,32 +125,35 @@ async def _install(address: Address, settings: Settings) -> list[str]:
     return [each["digest"] for each in sorted(bundles, key=lambda each: not each["configured"])]
 
 
-async def _live(daemon: Daemon, ledger: Ledger, settings: Settings, digests: list[str]) -> None:
-    """Change everything at once until the daemon is killed at a random moment."""
-    address = daemon.address
+async def _live(
+    ground: Ground, token: str, lineage: Lineage, changes: MakeChanges, *, killed: bool
+) -> Life:
+    """Start a daemon, compare it, and change everything at once until it is killed."""
+    settings, ledger, life = lineage.settings, lineage.ledger, Life()
+    with ground.start(settings, token) as daemon:
+        address = daemon.address
+        await ledger.compare(address, settings.state_dir / DONE_LOG, life)
+        if not killed:
+            return life
+        async with listening(address) as stream:
+            works: list[Change] = [*changes(settings), partial(_capture, life)]
+            async with busy(partial(work, address, ledger) for work in works):
+                await asyncio.sleep(random.uniform(0.0, LONGEST))  # noqa: S311 - no secret
+                daemon.kill()
+    life.told += stream.masks
+    return life
+
+
+def _changes(
+    digests: Sequence[str], guests: Sequence[Receiver], settings: Settings
+) -> list[Change]:
+    """What is done at once; a calibration now and then."""
     third = write_small_bundle(settings.bundle.with_name("third.veilcam"), "a third").read_bytes()
-    async with listening(address) as stream:
-        works = [
-            asyncio.create_task(_repeat(work, address, ledger))
-            for work in (
-                *(_set_policy, partial(_activate, digests), _make_token, _change_mask),
-                *(partial(_upload, third), partial(_make_token_by_hand, settings)),
-            )
-        ]
-        if random.random() < CALIBRATED:  # noqa: S311 - no secret
-            works.append(asyncio.create_task(_repeat(_calibrate, address, ledger)))
-        await asyncio.sleep(random.uniform(0.0, LONGEST))  # noqa: S311
-        daemon.kill()
-        for work in works:
-            work.cancel()
-        await asyncio.wait(works)
-    ledger.epochs.update(stream.masks)
-
-
-async def _repeat(work: Work, address: Address, ledger: Ledger) -> None:
-    while True:
-        await work(address, ledger)
-        await asyncio.sleep(0.01)
+    return [
+        *(_set_policy, partial(_activate, digests), _make_token, _change_mask),
+        *(partial(_upload, third), partial(_make_token_by_hand, settings), partial(_pair, guests)),
+        *((_calibrate,) if random.random() < CALIBRATED else ()),  # noqa: S311
+    ]
 
 
 async def _set_policy(address: Address, ledger: Ledger) -> None:
@@ -172,7 +164,7 @@ async def _set_policy(address: Address, ledger: Ledger) -> None:
         ledger.policy = [policy]
 
 
-async def _activate(digests: list[str], address: Address, ledger: Ledger) -> None:
+async def _activate(digests: Sequence[str], address: Address, ledger: Ledger) -> None:
     digest = random.choice(digests)  # noqa: S311
     ledger.active.append(digest)
     reply = ledger.note(await ask(address, "POST", f"/v1/bundles/{digest}/activate"))
@@ -218,6 +210,30 @@ async def _change_mask(address: Address, ledger: Ledger) -> None:
     key = str(uuid.uuid4())
     if (await ask(address, "POST", ADVANCE, headers={KEY: key})).status == 200:
         ledger.key = key
+
+
+async def _pair(guests: Sequence[Receiver], address: Address, ledger: Ledger) -> None:
+    """Pair a receiver, or remove it."""
+    guest = random.choice(guests)  # noqa: S311
+    there = ledger.paired.get(guest.id, False)
+    ledger.paired[guest.id] = None
+    if there:
+        reply = await ask(address, "DELETE", f"/v1/receivers/{guest.id}")
+    else:
+        reply = await pair(address, "guest", guest)
+    if ledger.note(reply).status in (201, 204):
+        ledger.paired[guest.id] = not there
+
+
+async def _capture(life: Life, address: Address, _: Ledger) -> None:
+    """By itself, or beside a label."""
+    if random.random() < LABELLED:  # noqa: S311
+        question = {"include_embedding": True}
+        reply = await ask(address, "POST", "/v1/classifications", body=question)
+    else:
+        reply = await ask(address, "POST", "/v1/captures")
+    if reply.status == 200:
+        life.taken.append(Capture.model_validate_json(reply.body))
 
 
 async def _calibrate(address: Address, _: Ledger) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.rotation import RotationOff
+from veilcam_client.wire.sealing import ReceiverRequest
 from veilcam_server.siege.client import Address, ask
 from veilcam_server.siege.ground import Ground, Judgement, write_small_bundle
 
@@ -50,6 +52,8 @@ def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
     other_port = {"Origin": f"http://{address.host}:{address.port + 1}"}
     rebound = {"Host": "evil.example", "Origin": "http://evil.example"}
     policy, lease = b'{"mode":"captures","captures":7}', b'{"owner":"page","seconds":60}'
+    own = ReceiverRequest(label="page", key=str(ReceiverKey.generate().public))
+    pairing = own.model_dump_json().encode()
     get = _CROSS  # no Origin: a page may ask without CORS
     return [
         PageRequest("POST", ADVANCE, _FETCH),
@@ -60,8 +64,8 @@ def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
         PageRequest("POST", ADVANCE, {**_FORM, **_ENCODED}),
         PageRequest("POST", CAPTURE, {**_FETCH, **_TEXT}, _JSON, b"{}"),
         PageRequest("POST", CAPTURE, {**_FORM, "Content-Type": "text/plain"}, _JSON, b"{}"),
-        PageRequest("POST", CAPTURE, {**_ORIGIN, **_TEXT}, _JSON, b"{}"),
-        PageRequest("POST", LEASE, {**_FETCH, **_TEXT}, _JSON, lease),
+        PageRequest("POST", "/v1/receivers", {**_FETCH, **_TEXT}, _JSON, pairing),
+        PageRequest("POST", LEASE, {**_ORIGIN, **_TEXT}, _JSON, lease),
         PageRequest("POST", "/v1/bundles", {**_FETCH, **_TEXT}, _BUNDLE, bundle),
         PageRequest("PUT", "/v1/rotation", {**_PREFLIGHT, **_JSON}, _JSON, policy),
         PageRequest("GET", "/v1/status", {**get, "Sec-Fetch-Dest": "image"}),
@@ -69,7 +73,7 @@ def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
         PageRequest("GET", "/v1/status", {**rebound, "Sec-Fetch-Site": "same-origin"}),
         PageRequest("GET", "/v1/bundles", {**get, "Sec-Fetch-Dest": "script"}),
         PageRequest("GET", "/v1/diagnostics", _FORM),
-        PageRequest("GET", "/v1/lease", _PREFLIGHT),
+        PageRequest("GET", "/v1/receivers", _PREFLIGHT),
         PageRequest("GET", "/v1/rotation", _ORIGIN),
         # The last: while it goes on, nothing else does.
         PageRequest("POST", "/v1/calibration", _FETCH),
@@ -112,7 +116,7 @@ async def _standing(address: Address) -> list[object]:
     """All that a request could change."""
     status, *others = [
         await ask(address, "GET", f"/v1/{name}")
-        for name in ("status", "bundles", "lease", "calibration")
+        for name in ("status", "bundles", "lease", "calibration", "receivers")
     ]
     told = status.json()
     rotation = told["rotation"]

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from veilcam_server.errors import StartError
-from veilcam_server.siege import damage, faults, kill, pages, starving
+from veilcam_server.siege import damage, faults, greedy, kill, pages, starving
 from veilcam_server.siege.daemon import Launcher
 from veilcam_server.siege.ground import Extent, Ground, Judgement, Run
 
@@ -29,6 +29,7 @@ ROWS: Mapping[str, Run] = {
     "log": faults.full_log,
     "clock": faults.clock_back,
     "device": faults.device_gone,
+    "greedy": greedy.greedy,
     "kill": kill.killed,
 }
 """By name, in the order in which they are run."""

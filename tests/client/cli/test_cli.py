@@ -26,7 +26,14 @@ runner = CliRunner()
     ("arguments", "shown"),
     [
         (["status"], ["ready", "ST7735R", "2 x 3", "5 masks", "every 3 captures", "e1"]),
-        (["status"], ["raw, 100 a mask at most", "abababababababab  since 2026-01-02  archive"]),
+        (
+            ["status"],
+            [
+                "raw, 100 a mask at most",
+                f"key       {'d7' * 32}",
+                "abababababababab  since 2026-01-02  archive",
+            ],
+        ),
         (["capture"], ["c1", "epoch e1", "2 x 3 raw  mean 2.583"]),
         (["classify"], ["7", "90.0 %", "epoch e1"]),
         (["rotate"], ["every 3 captures", "e1"]),

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import hmac
 from datetime import timedelta, timezone
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-from tests.client.sealing import AT, NOTES, VALUES, Device, Epoch
+from tests.client.sealing import AT, BUNDLE, NOTES, VALUES, Device, Epoch
 
 from veilcam_client.errors import SealedError
+from veilcam_client.keys import blocks
 from veilcam_client.keys.blocks import NOTES_BYTES, Opener
+from veilcam_client.keys.envelopes import open_key
+from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import (
     Capture,
@@ -60,6 +66,23 @@ def test_what_was_sealed_is_opened_bit_by_bit(
     assert np.asarray(opened).shape == values.shape
     assert opened.notes == NOTES
     assert opened.number == number
+
+
+def test_a_block_is_what_its_format_says(device: Device, receiver: ReceiverKey) -> None:
+    """Opened here by the standard alone, as another implementation would."""
+    epoch = Epoch(device, receiver)
+    capture = epoch.capture(258)
+    info = b"veilcam embedding sealing 1\0" + bytes.fromhex(device.public) + bytes.fromhex(BUNDLE)
+    key = hmac.digest(epoch.key.reveal(), info + b"\x01", hashlib.sha256)
+    digest = hashlib.sha256(receiver.public.id.encode()).hexdigest()
+    data = (
+        f'["veilcam sealed embedding",1,"{device.public}","{epoch.name}",258,"sealed",[2,3],'
+        f'"float32","{BUNDLE}","2026-01-02T03:04:05+00:00","{digest}"]'
+    )
+    block = base64.b64decode(_sealed(capture).block)
+    opened = ChaCha20Poly1305(key).decrypt(bytes(10) + b"\x01\x02", block, data.encode())
+    assert opened[:24] == VALUES.astype("<f4").tobytes()
+    assert opened[24:] == NOTES.model_dump_json().encode().ljust(512)
 
 
 def test_its_size_tells_nothing(epoch: Epoch) -> None:
@@ -257,3 +280,40 @@ def test_the_key_of_a_forgotten_epoch_is_overwritten(device: Device, receiver: R
     assert held != bytes(32)
     opener.open(Epoch(device, receiver).capture(0, AT + timedelta(seconds=1)))
     assert held == bytes(32)
+
+
+def test_what_was_used_last_is_forgotten_last(device: Device, receiver: ReceiverKey) -> None:
+    opener = Opener(receiver, epochs=2)
+    first, second, third = (Epoch(device, receiver) for _ in range(3))
+    opener.open(first.capture(0, AT))
+    opener.open(second.capture(0, AT + timedelta(seconds=1)))
+    opener.open(first.capture(1, AT + timedelta(seconds=2)))
+    opener.open(third.capture(0, AT + timedelta(seconds=3)))
+    # The second one is forgotten, and the first still known: its number says all, not the time.
+    assert opener.open(first.capture(2, AT)).number == 2
+
+
+def test_what_is_forgotten_never_becomes_younger(device: Device, receiver: ReceiverKey) -> None:
+    """Two are known; the younger of them is forgotten first, as it was used first."""
+    opener = Opener(receiver, epochs=2)
+    for second in (5, 1, 9, 9):
+        opener.open(Epoch(device, receiver).capture(0, AT + timedelta(seconds=second)))
+    with pytest.raises(SealedError, match="came before"):
+        opener.open(Epoch(device, receiver).capture(0, AT + timedelta(seconds=3)))
+
+
+def test_the_key_of_an_epoch_is_not_kept(
+    epoch: Epoch, receiver: ReceiverKey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What seals is all that an opener needs; masks are drawn from the rest."""
+    keys = []
+
+    def spied(*arguments: Any, **options: Any) -> EpochKey:
+        keys.append(open_key(*arguments, **options))
+        return keys[-1]
+
+    monkeypatch.setattr(blocks, "open_key", spied)
+    Opener(receiver).open(epoch.capture(0))
+    (key,) = keys
+    with pytest.raises(ValueError, match="was erased"):
+        key.reveal()

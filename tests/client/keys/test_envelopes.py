@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from pydantic import ValidationError
 from tests.client.sealing import BUNDLE, Device
 
@@ -48,6 +50,25 @@ def test_what_is_signed_is_one_text() -> None:
     ids = ["b" * 64, "a" * 64]
     told = hashlib.sha256(f"{ids[1]}\n{ids[0]}".encode()).hexdigest()
     assert receivers_digest(ids) == receivers_digest(reversed(ids)) == told
+
+
+def test_an_envelope_is_what_its_format_says(
+    key: EpochKey, device: Device, receiver: ReceiverKey
+) -> None:
+    """Checked and opened here by the standards alone, as another implementation would."""
+    envelope = sealed(key, device, receiver)
+    (held,) = envelope.keys
+    message = (
+        f'["veilcam envelope",1,"{device.public}","{EPOCH}","{BUNDLE}",'
+        f'[["{receiver.public.id}","{held.key}"]]]'
+    )
+    Ed25519PublicKey.from_public_bytes(bytes.fromhex(device.public)).verify(
+        bytes.fromhex(envelope.signature), message.encode()
+    )
+    digest = hashlib.sha256(receiver.public.id.encode()).hexdigest()
+    info = f'["veilcam epoch key",1,"{device.public}","{EPOCH}","{digest}"]'
+    assert receiver.open(base64.b64decode(held.key), info.encode()) == key.reveal()
+    assert held.receiver == hashlib.sha256(receiver.public.raw).hexdigest()
 
 
 def test_a_changed_envelope_is_refused(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import copy
+import errno
+import os
 import pickle
 from pathlib import Path
 
@@ -75,6 +77,19 @@ def test_a_key_is_never_overwritten(receiver: ReceiverKey, tmp_path: Path) -> No
     assert path.read_text() == "mine"
     with pytest.raises(KeyFileError, match=r"cannot be written \(No such file"):
         receiver.write(tmp_path / "no" / "such")
+
+
+def test_half_a_key_is_not_left_behind(
+    receiver: ReceiverKey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(KeyFileError, match="No space left"):
+            receiver.write(tmp_path / "key")
+    receiver.write(tmp_path / "key")
 
 
 def test_a_file_that_is_no_key_of_ones_own_is_refused(

@@ -141,7 +141,13 @@ def test_operator_learns_through_a_plan() -> None:
 
 EXTREMES = [
     ("near", replace(CAMERA, distance=1e-6), SCENE, EMBEDDING, 1e-3),
-    ("near and fine", replace(CAMERA, distance=1e-5), SCENE, Embedding(125, 150), 1e-4),
+    (
+        "near and fine",
+        replace(CAMERA, sensor=Sensor(rows=200, columns=240), distance=1e-5),
+        SCENE,
+        Embedding(50, 60),
+        1e-4,
+    ),
     ("far", replace(CAMERA, distance=1.0), SCENE, EMBEDDING, 1e-2),
     ("very far", replace(CAMERA, distance=1e3), SCENE, EMBEDDING, 1e-2),
     ("ultraviolet", replace(CAMERA, wavelengths=(2e-7,) * 3), SCENE, EMBEDDING, 1e-3),

@@ -6,25 +6,24 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_server.camera import epochs as preparation_module
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.devices import DisplayError
 from veilcam_server.errors import NotReadyError
-from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import Mask, MaskSource
+from veilcam_server.system.state_file import make_directory
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
-
-    from veilcam_training.bundle import Bundle
 
 
 class Gated:
@@ -34,7 +33,9 @@ class Gated:
         self._source = source
         self.gate = threading.Event()
         self.gate.set()
-        self.counters: list[int] = []
+        self.keys: list[bytes] = []
+        self.drawn: list[EpochKey] = []
+        self.avoided: list[frozenset[str]] = []
         self.threads: set[str] = set()
         self.fault: Exception | None = None
 
@@ -42,16 +43,23 @@ class Gated:
     def renewable(self) -> bool:
         return self._source.renewable
 
-    def name(self, counter: int) -> str:
-        return self._source.name(counter)
+    @property
+    def bundle(self) -> str:
+        return self._source.bundle
 
-    def make(self, counter: int, last_mark: str) -> Mask:
+    @property
+    def marks(self) -> frozenset[str]:
+        return self._source.marks
+
+    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
         assert self.gate.wait(20)
-        self.counters.append(counter)
+        self.keys.append(bytes(key.reveal()))
+        self.drawn.append(key)
+        self.avoided.append(avoid)
         self.threads.add(threading.current_thread().name)
         if self.fault is not None:
             raise self.fault
-        return self._source.make(counter, last_mark)
+        return self._source.make(key, form, avoid)
 
 
 @pytest.fixture
@@ -60,6 +68,13 @@ def gated(bench: Bench) -> Iterator[Gated]:
     bench.source = source
     yield source
     source.gate.set()
+
+
+def alone(bench: Bench) -> Preparation:
+    """What makes epochs ready, without a camera."""
+    make_directory(bench.state_dir)
+    budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
+    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
 
 
 def settled(camera: MaskedCamera) -> MaskedCamera:
@@ -84,7 +99,7 @@ def held(bench: Bench, gated: Gated, policy: RotationPolicy) -> MaskedCamera:
 def test_the_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gated: Gated) -> None:
     camera = settled(bench.camera(policy=EveryCaptures(captures=1)))
     assert camera.preparation.ready
-    assert (camera.preparation.count, len(gated.counters)) == (2, 2)
+    assert (camera.preparation.count, len(gated.keys)) == (2, 2)
     assert camera.preparation.took > 0
     gated.gate.clear()  # nothing of what follows may need another one
     camera.capture(release=False)
@@ -94,14 +109,14 @@ def test_the_next_epoch_is_made_ready_while_this_one_is_in_use(bench: Bench, gat
 
 
 def test_before_the_first_none_took_any_time(bench: Bench) -> None:
-    with contextlib.closing(Preparation(bench.source, EpochStore(bench.state_dir))) as preparation:
+    with contextlib.closing(alone(bench)) as preparation:
         assert (preparation.count, preparation.took) == (0, 0.0)
 
 
 def test_what_is_prepared_tells_nobody_its_mask(bench: Bench) -> None:
-    with contextlib.closing(Preparation(bench.source, EpochStore(bench.state_dir))) as preparation:
+    with contextlib.closing(alone(bench)) as preparation:
         prepared = preparation.take()
-    assert prepared.epoch in repr(prepared)
+    assert prepared.name in repr(prepared)
     assert "mask" not in repr(prepared)
 
 
@@ -180,8 +195,7 @@ def test_every_mask_has_an_epoch_of_its_own_even_if_it_failed(
         with contextlib.suppress(DisplayError):
             camera.rotate()
     settled(camera)
-    assert gated.counters == sorted(set(gated.counters))
-    assert len(gated.counters) == 6
+    assert len(set(gated.keys)) == len(gated.keys) == 6
     assert len(set(bench.epochs)) == 4
 
 
@@ -207,70 +221,6 @@ def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
     stopping.join(20)
     assert not stopping.is_alive()
     assert not bench.display.shown[-1].any()
-    with contextlib.closing(EpochStore(bench.state_dir)):  # it is free again
-        pass
-
-
-@pytest.mark.parametrize("pairs", [2, 3])
-def test_a_restart_does_not_show_the_pair_shown_last(
-    bench: Bench, tmp_path: Path, pairs: int
-) -> None:
-    import dataclasses
-
-    bench.bundle = dataclasses.replace(bench.bundle, pairs=bench.bundle.pairs[:pairs])
-    before = None
-    seen = set()
-    for _ in range(20):
-        bench.source = load_pairs(bench.bundle)
-        camera = bench.camera()
-        assert bench.pair_shown() != before
-        before = bench.pair_shown()
-        seen.add(before)
-        camera.preparation.close()  # as a kill would: nothing is put in order
-    assert seen == set(range(pairs))
-
-
-def test_a_pair_that_failed_is_not_what_a_restart_avoids(
-    bench: Bench, display_fault: DisplayError
-) -> None:
-    import dataclasses
-
-    bench.bundle = dataclasses.replace(bench.bundle, pairs=bench.bundle.pairs[:2])
-    bench.source = load_pairs(bench.bundle)
-    camera = bench.camera()
-    shown = bench.pair_shown()
-    bench.display.faults = [display_fault]
-    with pytest.raises(DisplayError):
-        camera.rotate()
-    assert bench.pair_shown() == shown
-    camera.preparation.close()
-    bench.source = load_pairs(bench.bundle)
-    bench.camera().preparation.close()
-    assert bench.pair_shown() != shown
-
-
-def test_what_is_stored_of_a_pair_is_no_plain_digest_of_it(bench: Bench) -> None:
-    import hashlib
-
-    camera = bench.camera()
-    index = bench.pair_shown()
-    assert index is not None
-    mark = camera.preparation._epochs.mark
-    camera.preparation.close()
-    levels = bench.bundle.pairs[index].levels.tobytes()
-    assert mark
-    for name in ("sha256", "sha1", "md5", "blake2b"):
-        assert mark[:16] not in hashlib.new(name, levels).hexdigest()
-    assert mark != load_pairs(make_other(bench))._masks[index].mark
-
-
-def make_other(bench: Bench) -> Bundle:
-    """The same pairs but one."""
-    import dataclasses
-
-    changed = bench.bundle.pairs[-1].levels ^ np.uint8(1)
-    pairs = (*bench.bundle.pairs[:-1], dataclasses.replace(bench.bundle.pairs[-1], levels=changed))
-    return dataclasses.replace(bench.bundle, pairs=pairs)
 
 
 @pytest.mark.anyio
@@ -307,7 +257,7 @@ def test_preparing_takes_no_time_of_the_panel_s_lock(bench: Bench, gated: Gated)
 
 
 def test_closing_twice_does_no_harm(bench: Bench) -> None:
-    preparation = Preparation(bench.source, EpochStore(bench.state_dir))
+    preparation = alone(bench)
     preparation.begin()
     preparation.close()
     preparation.close()
@@ -316,7 +266,7 @@ def test_closing_twice_does_no_harm(bench: Bench) -> None:
 def test_who_waits_for_a_preparation_is_let_go_when_it_is_called_off(
     bench: Bench, gated: Gated
 ) -> None:
-    preparation = Preparation(gated, EpochStore(bench.state_dir))
+    preparation = alone(bench)
     gated.gate.clear()
 
     def first() -> None:
@@ -334,9 +284,7 @@ def test_who_waits_for_a_preparation_is_let_go_when_it_is_called_off(
     waiting.start()
     closing = threading.Thread(target=preparation.close)
     closing.start()
-    while not preparation.begin().cancelled():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
+    waiting.join(20)
     gated.gate.set()
     for thread in (busy, closing, waiting):
         thread.join(20)

@@ -15,16 +15,19 @@ import pytest
 import torch
 from tests.server.devices.clock import Clock
 
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.wire.captures import Prediction, Release
 from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices import Device, DisplayError, SensorError
-from veilcam_server.devices.base import Exposure, Levels, Sensor
+from veilcam_server.devices.base import Exposure, Levels, Measurement, Sensor
 from veilcam_server.devices.imx477 import IMX477, ExposureRange
 from veilcam_server.devices.raw import SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay
@@ -35,7 +38,8 @@ from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
-from veilcam_server.masks.source import Mask
+from veilcam_server.masks.source import Mask, Terms
+from veilcam_server.sealing.identity import DeviceKey
 
 pytestmark = pytest.mark.numerical
 
@@ -360,22 +364,39 @@ class Bundled:
 
     renewable = True
 
-    def name(self, counter: int) -> str:
-        return f"{counter:032x}"
+    marks: frozenset[str] = frozenset()
+    bundle = "b0" * 32
 
-    def make(self, counter: int, last_mark: str) -> Mask:
-        levels = np.random.default_rng(counter).integers(0, 64, CAMERA.mask_shape, np.uint8)
-        return Mask(levels, reader=None)  # type: ignore[arg-type]
+    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
+        levels = np.random.default_rng(list(key.levels())).integers(
+            0, 64, CAMERA.mask_shape, np.uint8
+        )
+        return Mask(levels, Unasked())
+
+
+class Unasked:
+    """Reads nothing."""
+
+    def classify(self, measurement: Measurement) -> Prediction:
+        raise AssertionError
+
+    def whiten(self, measurement: Measurement) -> Measurement:
+        raise AssertionError
+
+    def erase(self) -> None:
+        pass
 
 
 def test_an_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> None:
     """The whole way on a real clock: driver, re-initialisation, test, mask, capture."""
     rig = Rig(settle=0.002, clock=time.monotonic, sleep=time.sleep)
+    budget = ReleaseBudget(tmp_path, 0)
     camera = MaskedCamera(
         rig.device,
-        Preparation(Bundled(), EpochStore(tmp_path)),
+        Preparation(Bundled(), DeviceKey.open(tmp_path), lambda: Terms("none"), budget),
         EMBEDDING.shape,
         OpticalSelfTest(CAMERA, SCENE, EMBEDDING),
+        budget=budget,
         fence=Fence(settle=0.02),
     )
     camera.rotate()

@@ -10,13 +10,15 @@ import pytest
 from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
-from veilcam_server.camera.epochs import EpochStore, Preparation
+from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
-from veilcam_server.errors import EpochError, FenceError, NotReadyError, SelfTestError
+from veilcam_server.errors import FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
+from veilcam_server.system.state_file import make_directory
 
 pytestmark = pytest.mark.numerical
 
@@ -26,11 +28,14 @@ if TYPE_CHECKING:
 
 def unstarted(bench: Bench) -> MaskedCamera:
     """An engine that has shown nothing yet."""
+    make_directory(bench.state_dir)
+    budget = ReleaseBudget(bench.state_dir, 0)
     camera = MaskedCamera(
         Device(bench.display, bench.sensor, simulated=True),
-        Preparation(bench.source, EpochStore(bench.state_dir)),
+        Preparation(bench.source, bench.key, lambda: bench.terms, budget),
         bench.bundle.embedding.shape,
         bench.test,
+        budget=budget,
         fence=Fence(0.0),
     )
     camera.listen(bench.note)
@@ -168,24 +173,6 @@ def test_a_failed_rotation_after_a_test_is_back_at_the_mask_before(
         camera.rotate()
     assert camera.state[0] == "ready"
     assert camera.present == (epoch, 1)
-
-
-def test_an_epoch_that_is_not_durable_costs_no_test_and_no_mask(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    camera = bench.camera()
-    present = camera.present
-    bench.display.resets += 1
-
-    def full(*_: object) -> None:
-        raise EpochError("the disk is full")
-
-    monkeypatch.setattr(camera.preparation, "record", full)
-    with pytest.raises(EpochError):
-        camera.rotate()
-    assert bench.test.runs == 1
-    assert camera.present == present
-    assert camera.state[0] == "ready"
 
 
 def test_a_lone_pair_is_tested_and_comes_back(lone_bench: Bench) -> None:

@@ -27,6 +27,7 @@ def classifier(weight: float) -> Classifier:
 
 def test_probabilities_sum_to_one() -> None:
     verdict = classifier(1.0).classify(torch.tensor([[0.5, 2.0]]))
+    assert verdict.scores is not None
     assert sum(verdict.scores.values()) == pytest.approx(1)
     assert verdict.confidence == verdict.scores[verdict.label]
 

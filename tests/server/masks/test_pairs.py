@@ -1,11 +1,15 @@
-"""The bundle that comes with the package, read through the simulated light."""
+"""Pairs: their order, their marks, and the package's own, read through the simulated light."""
 
 from __future__ import annotations
+
+import dataclasses
+import hashlib
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_server.demo_data import BUNDLE, load_digits
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
 from veilcam_server.masks.pairs import PairSource, load_pairs
@@ -49,6 +53,47 @@ def accuracy(bundle: Bundle, source: PairSource) -> float:
             verdict = mask.reader.classify(device.sensor.capture(0.0, 1.0).embedding)
             right += verdict.label == bundle.labels[int(digits.labels[index])]
     return right / (DIGITS * len(source._masks))
+
+
+def key() -> EpochKey:
+    return EpochKey.generate(device="d7" * 32, bundle="b0" * 32)
+
+
+def test_masks_to_avoid_come_only_where_no_other_is_left(bundle: Bundle) -> None:
+    source = load_pairs(bundle)
+    assert source.bundle == bundle.digest
+    assert len(source.marks) == 3
+
+    def made(*avoid: str) -> set[str]:
+        return {source.make(key(), "raw", frozenset(avoid)).mark for _ in range(40)}
+
+    first, second, third = sorted(source.marks)
+    assert made() == made(*source.marks) == source.marks
+    assert made(first) == {second, third}
+    assert made(first, third) == {second}
+
+
+def test_a_mark_is_no_plain_digest_of_its_mask_and_hangs_on_all_of_them(bundle: Bundle) -> None:
+    marks = [mask.mark for mask in load_pairs(bundle)._masks]
+    assert marks == [mask.mark for mask in load_pairs(bundle)._masks]  # also after a restart
+    for pair, mark in zip(bundle.pairs, marks, strict=True):
+        for name in ("sha256", "sha1", "md5", "blake2b"):
+            assert mark[:16] not in hashlib.new(name, pair.levels.tobytes()).hexdigest()
+    changed = dataclasses.replace(bundle.pairs[-1], levels=bundle.pairs[-1].levels ^ np.uint8(1))
+    other = dataclasses.replace(bundle, pairs=(*bundle.pairs[:-1], changed))
+    assert not {mask.mark for mask in load_pairs(other)._masks} & set(marks)
+
+
+def test_a_pair_cannot_whiten_and_is_not_erased(bundle: Bundle) -> None:
+    mask = load_pairs(bundle).make(key(), "raw", frozenset())
+    measurement = np.ones(bundle.embedding.shape, np.float32)
+    with pytest.raises(ValueError, match="no scene statistics"):
+        mask.reader.whiten(measurement)
+    levels, verdict = mask.levels.copy(), mask.reader.classify(measurement)
+    mask.erase()
+    mask.reader.erase()
+    assert np.array_equal(mask.levels, levels)
+    assert mask.reader.classify(measurement) == verdict
 
 
 def test_the_demo_s_bundle_fits_the_demo(demo_bundle: Bundle) -> None:

@@ -12,11 +12,15 @@ import httpx
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from tests.client.recordings import AT, EXPOSURE, STATUS, VERDICT, Daemon, answer
+from tests.client.recordings import AT, STATUS, VERDICT, Daemon, answer
+from tests.client.sealing import NOTES, VALUES
+from tests.client.sealing import Device as SealingDevice
+from tests.client.sealing import Epoch as SealedEpoch
 
 from veilcam_client import AsyncCamera, Capture, Classification, EveryCaptures, RotationOff
 from veilcam_client.cli.format import event_in_words
-from veilcam_client.errors import ApiError
+from veilcam_client.errors import ApiError, SealedError
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.recording import record
 from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
@@ -84,12 +88,12 @@ async def test_everything_comes_once_as_it_was_recorded_and_says_so(path: Path) 
         recorded = answer(place)
         assert taken.epoch == recorded["epoch"]
         assert taken.taken_at.isoformat() == recorded["taken_at"]
-        assert taken.exposure is None
+        assert taken.number == recorded["number"]
+        assert taken.notes is None
         assert taken.replay is not None
         assert taken.replay.model_dump() == {
             "capture": recorded["id"],
             "place": place,
-            "exposure": EXPOSURE,
         }
         assert taken.id != recorded["id"]
     values = np.asarray(answer(0)["embedding"]["values"], np.float32).reshape(2, 3)
@@ -112,6 +116,7 @@ async def test_the_array_alone_says_so_too(path: Path) -> None:
         taken = await http.post("/v1/captures", headers={"Accept": "application/x-npy"})
     assert taken.headers["Veilcam-Replay"] == "1"
     assert taken.headers["Veilcam-Epoch"] == answer(1)["epoch"]
+    assert taken.headers["Veilcam-Number"] == "0"
 
 
 @pytest.mark.anyio
@@ -122,7 +127,8 @@ async def test_the_status_never_says_ready(path: Path) -> None:
         assert status.device.display == "replay of ST7735R"
         assert status.device.sensor == "replay of IMX477"
         assert status.bundle == BundleInfo.model_validate_json(json.dumps(STATUS["bundle"]))
-        assert status.release == "white"
+        assert (status.release, status.raw_budget, status.receivers) == ("white", 0, ())
+        assert status.device.key == "d7" * 32
         assert status.rotation.epoch is None
         assert status.rotation.policy == RotationOff()
         states = (await sdk.diagnostics()).states
@@ -135,6 +141,9 @@ async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
         assert await code(sdk.rotate()) == "replaying"
         assert await code(sdk.set_rotation(EveryCaptures(captures=1))) == "replaying"
         assert await code(sdk.bundles()) == "replaying"
+        assert await code(sdk.receivers()) == "replaying"
+        assert await code(sdk.add_receiver("a", ReceiverKey.generate().public)) == "replaying"
+        assert await code(sdk.remove_receiver("0f" * 32)) == "replaying"
         assert await code(sdk.install_bundle(b"bundle")) == "replaying"
         assert await code(sdk.activate_bundle("0f" * 32)) == "replaying"
         assert await code(sdk.remove_bundle("0f" * 32)) == "replaying"
@@ -173,7 +182,7 @@ async def _some(events: AsyncIterator[Event | None], count: int) -> AsyncIterato
 
 @pytest.mark.anyio
 async def test_no_route_answers_as_a_camera_would(path: Path) -> None:
-    """Every operation, asked plainly: what is documented, and no proof of an exposure anywhere."""
+    """Every operation, asked plainly: what is documented, and never that it is ready."""
     async with replaying(path) as http:
         document = (await http.get("/v1/openapi.json")).json()
         for route, operations in document["paths"].items():
@@ -181,13 +190,13 @@ async def test_no_route_answers_as_a_camera_would(path: Path) -> None:
                 if route == "/v1/events":
                     continue
                 url = route.replace("{digest}", "0f" * 32).replace("{token_id}", "0" * 12)
+                url = url.replace("{receiver_id}", "0f" * 32)
                 given = await http.request(method, url)
                 place = f"{method} {route}: {given.status_code}"
                 assert str(given.status_code) in operation["responses"], place
                 assert given.status_code < 500, place
                 if route != "/v1/openapi.json":  # full of examples of a camera
                     assert '"state":"ready"' not in given.text, place
-                    assert '"exposure":{' not in given.text.partition('"replay":{')[0], place
 
 
 @pytest.mark.anyio
@@ -196,6 +205,41 @@ async def test_without_labels_there_is_nothing_to_classify(tmp_path: Path) -> No
     record(Daemon().camera(), path, count=1)
     async with camera(path) as sdk:
         assert await code(sdk.classify()) == "replaying"
+
+
+@pytest.mark.anyio
+async def test_what_was_sealed_comes_sealed_and_its_receiver_opens_it(tmp_path: Path) -> None:
+    key, path = ReceiverKey.generate(), tmp_path / "sealed.jsonl"
+    epoch = SealedEpoch(SealingDevice(), key)
+    daemon = Daemon(answers=lambda number: json.loads(epoch.capture(number).model_dump_json()))
+    record(daemon.camera(), path, count=3)
+    async with camera(path) as sdk:
+        assert (await sdk.status()).release == "sealed"
+        with pytest.raises(SealedError, match="key="):
+            np.asarray(await sdk.capture())
+    async with (
+        replaying(path) as http,
+        AsyncCamera("http://localhost", http_client=http, key=key) as sdk,
+    ):
+        first, second = await sdk.capture(), await sdk.capture()
+        assert np.array_equal(np.asarray(first), VALUES)
+        assert (first.number, second.number, second.notes) == (0, 1, NOTES)
+        assert first.replay is not None
+        refused = await http.post("/v1/captures", headers={"Accept": "application/x-npy"})
+        assert refused.json()["code"] == "not_acceptable"
+
+
+@pytest.mark.anyio
+async def test_scores_are_told_as_far_as_they_were_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "recording.jsonl"
+    record(Daemon().camera(), path, count=1, labels=True)
+    header, line = path.read_text().splitlines()
+    recorded = json.loads(line)
+    recorded["verdict"] |= {"confidence": None, "scores": None}
+    path.write_text(f"{header}\n{json.dumps(recorded)}\n")
+    async with camera(path) as sdk:
+        found = await sdk.classify()
+    assert (found.label, found.confidence, found.scores) == (VERDICT["label"], None, None)
 
 
 @pytest.mark.anyio
@@ -229,7 +273,7 @@ def test_what_cannot_be_replayed_is_refused_at_the_start(path: Path) -> None:
         ({"device": "simulated"}, "--simulate"),
         ({"bundle": "a.veilcam"}, "--bundle"),
         ({"scenes": ("a.png",)}, "--scenes"),
-        ({"rotation": {"mode": "off"}}, "--every-seconds and --every-captures"),
+        ({"rotation": {"mode": "off"}}, "--every-seconds, --every-captures and --rotation-off"),
         ({"release": "white"}, "--release"),
         ({"wrong_classifier": True}, "--wrong-classifier"),
         ({"panel_tab": "green"}, "--panel-tab"),

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from veilcam_client.keys.receivers import Receiver
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 
@@ -30,6 +31,7 @@ class Careless(ThreadingHTTPServer):
         self.epoch = self.captures = self.streams = 0
         self.policy: Any = {"mode": "off"}
         self.bundles, self.tokens = {"0" * 64: True}, dict[str, None]()
+        self.paired: list[str] = []
         threading.Thread(target=self._rotate, daemon=True).start()
 
     def _rotate(self) -> None:
@@ -55,6 +57,7 @@ class Handler(BaseHTTPRequestHandler):
             "rotation": rotation,
             "diagnostics": {"faults": []},
             "lease": {"held": False},
+            "receivers": {"device": "", "receivers": [{"id": each} for each in self.server.paired]},
             "calibration": {"signed": None, "run": {"stage": "done"}},
             "bundles": {
                 "bundles": [
@@ -72,7 +75,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         length = int(self.headers.get("Content-Length", 0))
         with self.server.uploads:
-            self.rfile.read(length)
+            body = self.rfile.read(length)
         digest = secrets.token_hex(32)
         if self.path == "/v1/bundles":
             self.server.bundles[digest] = False
@@ -81,10 +84,15 @@ class Handler(BaseHTTPRequestHandler):
                 self.server.bundles[name] = name in self.path
         elif self.path == "/v1/tokens":
             self.server.tokens[digest] = None
+        elif self.path == "/v1/receivers":
+            self.server.paired.append(Receiver.parse(json.loads(body)["key"]).id)
         else:
             self.server.captures += 1
-        created = self.path in ("/v1/bundles", "/v1/tokens")
-        self._answer(201 if created else 200, {"id": digest, "digest": digest})
+        created = self.path in ("/v1/bundles", "/v1/receivers", "/v1/tokens")
+        taken = {"epoch": str(self.server.epoch), "number": 0, "taken_at": "2026-01-01T00:00:00Z"}
+        embedding = {"form": "raw", "shape": [1], "values": [1.0]}
+        answer = {"id": digest, "digest": digest, **taken, "embedding": embedding}
+        self._answer(201 if created else 200, answer)
 
     def do_PUT(self) -> None:
         self.server.policy = json.loads(self.rfile.read(int(self.headers["Content-Length"])))

@@ -57,7 +57,10 @@ async def test_an_answer_is_read_to_its_end() -> None:
     assert (reply.status, reply.json(), reply.headers) == (404, {"code": "unknown"}, {"x-own": "2"})
 
 
-@pytest.mark.parametrize("chunk", [b"", b"nonsense\r\n\r\n"])
+@pytest.mark.parametrize(
+    "chunk",
+    [b"", b"nonsense\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\ncut "],
+)
 async def test_what_is_no_answer_has_the_status_0(chunk: bytes) -> None:
     async with serving(answering(chunk)) as address:
         assert (await ask(address, "GET", "/")).status == 0

@@ -40,9 +40,9 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
-    if settings.device_label == "refuses":
+    if settings.panel == "refuses":
         raise StartError("it refuses")
-    if settings.device_label == "ends":
+    if settings.panel == "ends":
         return
     with HTTPServer(("127.0.0.1", 0), Handler) as server:
         on_listening(f"http://127.0.0.1:{server.server_port}")
@@ -54,12 +54,12 @@ def launcher(tmp_path: Path) -> Launcher:
     return Launcher(f"{__name__}:serve", tmp_path)
 
 
-def settings(tmp_path: Path, label: str | None = None) -> Settings:
+def settings(tmp_path: Path, panel: str = "ST7735R") -> Settings:
     (tmp_path / "disk").mkdir(exist_ok=True)
     return SiegeSettings(
         bundle=tmp_path / "bundle.veilcam",
         device="simulated",
-        device_label=label,
+        panel=panel,
         state_dir=tmp_path / "disk" / "state",
     )
 
@@ -75,14 +75,14 @@ async def test_it_serves_logs_and_is_killed(launcher: Launcher, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("label", "reason"), [("refuses", "it refuses"), ("ends", "ended without a word")]
+    ("panel", "reason"), [("refuses", "it refuses"), ("ends", "ended without a word")]
 )
 def test_what_does_not_start_says_why(
-    launcher: Launcher, tmp_path: Path, label: str, reason: str
+    launcher: Launcher, tmp_path: Path, panel: str, reason: str
 ) -> None:
     with (
         pytest.raises(StartError, match=reason),
-        launcher.running(settings(tmp_path, label), Circumstances()),
+        launcher.running(settings(tmp_path, panel), Circumstances()),
     ):
         pass
 

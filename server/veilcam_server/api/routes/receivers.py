@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
+from fastapi.responses import Response
 
 from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
 from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems
@@ -43,6 +44,7 @@ async def add(
 @router.delete(
     "/{receiver_id}",
     status_code=204,
+    response_class=Response,  # JSON's would name a media type of nothing
     dependencies=[requires("admin:receivers")],
     responses=problems(*_CHANGE, "invalid_request", "unknown_receiver"),
 )

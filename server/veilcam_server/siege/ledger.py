@@ -1,0 +1,101 @@
+"""What a daemon acknowledged, and whether its next life knows of it."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from veilcam_client.wire.captures import Capture
+from veilcam_server.security.audit import read_audit
+from veilcam_server.siege.client import Address, Reply, ask
+from veilcam_server.siege.ground import tokens_of
+from veilcam_server.siege.witness import Life
+
+ADVANCE, KEY, DONE = "/v1/rotation/advance", "Idempotency-Key", "done_before_restart"
+
+
+@dataclass
+class Ledger:
+    """What a daemon acknowledged, over all its lives.
+
+    Attributes:
+        policy: rotation policies that may hold: the one acknowledged last, and one under way.
+        active: digests of the bundles that may be active, in the same way.
+        valid: ids of tokens that were made, and whose end was not asked for.
+        revoked: ids of those that were ended.
+        key: idempotency key of the last work that was acknowledged.
+        installed: whether a bundle is there, by its digest; None while nobody can tell.
+        paired: whether a receiver is, by its id, in the same way.
+        noted: ids of requests that changed something, which the audit log must name.
+        lost: what an acknowledgement promised, and the next life did not keep.
+    """
+
+    policy: list[object]
+    active: list[object]
+    valid: set[str] = field(default_factory=set)
+    revoked: set[str] = field(default_factory=set)
+    key: str | None = None
+    installed: dict[str, bool | None] = field(default_factory=dict)
+    paired: dict[str, bool | None] = field(default_factory=dict)
+    noted: set[str] = field(default_factory=set)
+    lost: list[str] = field(default_factory=list)
+
+    async def compare(self, address: Address, audit: Path, life: Life) -> None:
+        """Compare what was acknowledged with a new life, and with the audit log."""
+        rotation = (await ask(address, "GET", "/v1/rotation")).json()
+        bundles = (await ask(address, "GET", "/v1/bundles")).json()["bundles"]
+        receivers = (await ask(address, "GET", "/v1/receivers")).json()["receivers"]
+        tokens = await tokens_of(address)
+        active = [each["digest"] for each in bundles if each["active"]]
+        valid = {token for token, is_valid in tokens.items() if is_valid}
+        life.told.append(rotation["epoch"])
+        self._keep("policy", rotation["policy"] in self.policy)
+        self._keep("bundle", active[0] in self.active)
+        there = {each["digest"] for each in bundles if each["bundle"] is not None}
+        self.installed = self._compared("upload", self.installed, there)
+        paired = {each["id"] for each in receivers}
+        self.paired = self._compared("receiver", self.paired, paired)
+        self._keep("token", self.valid <= valid)
+        self._keep("revocation", not self.revoked & valid)
+        self._keep("audit line", self.noted <= {each.get("request") for each in read_audit(audit)})
+        if self.key is not None:
+            repeated = await ask(address, "POST", ADVANCE, headers={KEY: self.key})
+            known = repeated.status == 409 and repeated.json()["code"] == DONE
+            self._keep("idempotency key", known)
+        self._keep("receivers of an epoch", await self._sealed_to(address, life) in (None, paired))
+        # What was under way when it was killed either holds now, or never will.
+        self.policy, self.active = [rotation["policy"]], [active[0]]
+
+    def copied(self) -> Ledger:
+        """What was acknowledged so far; what either loses from now on is counted together."""
+        return replace(copy.deepcopy(self), lost=self.lost)
+
+    def note(self, reply: Reply) -> Reply:
+        """Take down the request of an answer that acknowledges a change."""
+        if 200 <= reply.status < 300:
+            self.noted.add(reply.headers.get("x-request-id", ""))
+        return reply
+
+    def _compared(
+        self, what: str, known: dict[str, bool | None], there: set[Any]
+    ) -> dict[str, bool | None]:
+        """What is known now of things that were there, were not, or may have been either."""
+        for name, was_there in known.items():
+            self._keep(what, was_there in (None, name in there))
+        return {name: name in there for name in known}
+
+    async def _sealed_to(self, address: Address, life: Life) -> set[str] | None:
+        """Whom an embedding is sealed to; None if none was taken."""
+        reply = await ask(address, "POST", "/v1/captures")
+        if reply.status != 200:
+            return None
+        taken = Capture.model_validate_json(reply.body)
+        life.taken.append(taken)
+        envelope = getattr(taken.embedding, "envelope", None)
+        return set() if envelope is None else {each.receiver for each in envelope.keys}
+
+    def _keep(self, what: str, kept: bool) -> None:
+        if not kept:
+            self.lost.append(what)

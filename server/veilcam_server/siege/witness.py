@@ -1,0 +1,101 @@
+"""A receiver that opens what one device seals, over all its lives, and notices what comes twice."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_client.errors import SealedError
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.envelopes import open_key
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.captures import Capture, SealedEmbedding
+
+ALIKE = 1e-3
+"""Two measurements of one scene behind one mask, without noise, differ by no more."""
+
+
+@dataclass
+class Life:
+    """What a daemon said of its epochs between a start and an end.
+
+    Attributes:
+        told: names of its epochs, each once.
+        taken: sealed embeddings, in any order, also those that came with a label.
+    """
+
+    told: list[str] = field(default_factory=list)
+    taken: list[Capture] = field(default_factory=list)
+
+
+class Witness:
+    """Opens every embedding, and holds it against all that was sealed before.
+
+    Args:
+        key: of a receiver that the device is paired with in every life.
+
+    Attributes:
+        names: of all epochs.
+        opened: how many embeddings were.
+        repeated: kinds of what came twice: names, sealing keys, and numbers within an epoch.
+        unopened: why an embedding was not opened.
+        mixed: epochs with measurements of more than one mask.
+    """
+
+    def __init__(self, key: ReceiverKey) -> None:
+        self._key, self._opener = key, Opener(key)
+        self._seen: set[tuple[str, Hashable]] = set()
+        self._values: dict[str, npt.NDArray[np.float32]] = {}
+        self.names: set[str] = set()
+        self.opened = 0
+        self.repeated: list[str] = []
+        self.unopened: list[str] = []
+        self.mixed: list[str] = []
+
+    def see(self, life: Life) -> None:
+        """Take down a life that has ended."""
+        answers = sorted(life.taken, key=lambda answer: (answer.epoch, answer.number))
+        taken = {answer.epoch: answer for answer in answers}
+        for name in (*life.told, *(taken.keys() - set(life.told))):
+            self.names.add(name)
+            self._once("name", name)
+        for answer in taken.values():
+            self._once("sealing key", self._sealing_key(answer))
+        for answer in answers:
+            self._once("number", (answer.epoch, answer.number))
+            self._open(answer)
+
+    def _once(self, kind: str, what: Hashable) -> None:
+        if (kind, what) in self._seen:
+            self.repeated.append(kind)
+        self._seen.add((kind, what))
+
+    def _sealing_key(self, answer: Capture) -> str:
+        """A digest of the key; of one that cannot be had, the epoch's name."""
+        if not isinstance(answer.embedding, SealedEmbedding):
+            return answer.epoch
+        try:
+            key = open_key(answer.embedding.envelope, self._key, device=None)
+        except SealedError:
+            return answer.epoch
+        digest = hashlib.sha256(key.sealing()).hexdigest()
+        key.erase()
+        return digest
+
+    def _open(self, answer: Capture) -> None:
+        if not isinstance(answer.embedding, SealedEmbedding):
+            self.unopened.append("not sealed")
+            return
+        try:
+            values = np.asarray(self._opener.open(answer).embedding)
+        except SealedError as error:
+            self.unopened.append(str(error))
+            return
+        self.opened += 1
+        first = self._values.setdefault(answer.epoch, values)
+        if not np.allclose(first, values, rtol=0.0, atol=ALIKE):
+            self.mixed.append(answer.epoch)
