@@ -203,7 +203,12 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
 
 @pytest.mark.slow
 @pytest.mark.long
-@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(
+    deadline=None,
+    derandomize=True,
+    # Whether the form is long is the same for every example.
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 @given(
     rows=st.integers(1, 9),
     columns=st.integers(1, 5),
@@ -235,7 +240,9 @@ def test_total_over_conditions(
     tolerance: float,
     shape: tuple[int, int],
     conditions: Conditions,
+    long_form: bool,
 ) -> None:
+    """The short form embeds what a plan says takes less than two seconds; the long one all."""
     camera = Camera(
         window=Window(rows, columns),
         sensor=Sensor(rows=80, columns=100),
@@ -244,8 +251,9 @@ def test_total_over_conditions(
     chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
     assert 0 <= chosen.error < math.inf
     assert len(chosen.assessments) == len(EFFECTS)
-    values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
-    assert bool(torch.isfinite(values).all())
+    if long_form or chosen.cost.step_ms < 2000:
+        values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
+        assert bool(torch.isfinite(values).all())
 
 
 def test_what_cannot_be_reached_is_said() -> None:
