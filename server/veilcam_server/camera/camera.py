@@ -21,7 +21,6 @@ from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import (
     ActiveMask,
-    Captured,
     Fence,
     Lateness,
     MaskedCapture,
@@ -265,6 +264,10 @@ class MaskedCamera:
                     "this bundle holds one mask only: turn the rotation of masks off first"
                 )
             self._require_running()
+            if not self.preparation.is_current(first):
+                # Who receives has changed since, and that holds from the next epoch on: this one.
+                first.retire()
+                first = self.preparation.first_of(source)
             self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:

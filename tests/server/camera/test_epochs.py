@@ -688,3 +688,19 @@ def test_marks_are_kept_of_stored_masks_alone(fresh_bench: Bench, bundle: Bundle
     assert len(source.marks) == len(bundle.pairs)
     with closing(alone(fresh_bench)) as preparation:
         assert not preparation.spent
+
+
+def test_who_receives_no_more_is_not_in_the_first_mask_of_another_bundle(
+    sealed_bench: Bench,
+) -> None:
+    camera = sealed_bench.camera()
+    added = pair_with(sealed_bench, ReceiverKey.generate())
+    camera.renew()
+    # Prepared before its receiver was removed, and shown afterwards.
+    first = camera.first_of(sealed_bench.source)
+    sealed_bench.receivers.remove(RECEIVER.public.id)
+    camera.renew()
+    camera.change_source(sealed_bench.source, first)
+    assert receivers(camera) == {added}
+    assert is_gone(first)
+    camera.stop()
