@@ -152,13 +152,13 @@ KEYS: Figures = {
     name: ("keys", words, pattern)
     for name, (words, pattern) in {
         "past_opened": (
-            "earlier captures opened with state directory, card and memory image, of 1,000",
+            "earlier captures opened with state directory and memory of the daemon, of 1,000",
             "{}",
         ),
-        "forgeries_taken": ("forged blocks that a receiver took, of 10,000", "{}"),
+        "forgeries_taken": ("forged answers that a receiver took for true, of 10,000", "{}"),
         "epochs_repeated": (
-            "keys, names or nonces that came twice, over 200 kills, restores and clones",
-            "{}",
+            "names, keys and numbers that came twice, over 200 kills, restored states and clones",
+            "{:.0f}",
         ),
         "clear_part_auc": (
             "two scenes told apart by a classifier trained on the clear part of answers: AUC",
@@ -176,6 +176,47 @@ KEYS: Figures = {
             "{:.2f} %",
         ),
     }.items()
+}
+
+MORE_KEYS: Figures = {
+    **{
+        f"clear_part_auc_{form}": (
+            "keys",
+            f"two scenes told apart by the clear part of answers with `{form}`: AUC",
+            "{:.3f}",
+        )
+        for form in ("sealed", "white")
+    },
+    **{
+        f"{where}white_{question}": ("keys", f"{words}{said}", pattern)
+        for where, said in {"": "", "rest_": ", over REST"}.items()
+        for question, words, pattern in (
+            ("kind_advantage_upper", "the kind of scene, from `white`: points, at most", "{:.2f}"),
+            (
+                "skin_advantage_upper",
+                "skin of drawn faces, from `white`: points, at most",
+                "{:.2f}",
+            ),
+            (
+                "presence_auc_upper",
+                "whether anything is there, from `white`: AUC, at most",
+                "{:.3f}",
+            ),
+            ("linkage_auc_upper", "whether two `white` show the same: AUC, at most", "{:.3f}"),
+            ("digit_advantage", "digits read from `white`: points above chance", "{:.2f}"),
+        )
+    },
+    "legacy_white_digit_advantage": (
+        "keys",
+        "digits read from `white` as it was, with its length: points above chance",
+        "{:.1f}",
+    ),
+    "seal_open_first_ms": (
+        "keys",
+        "sealing, and opening the first embedding of an epoch, 24 x 32",
+        "{:.2f} ms",
+    ),
+    "prepare_sealed_ratio": ("keys", "preparing an epoch, over preparing its mask", "{:.2f} x"),
 }
 
 RELEASED: Figures = {
@@ -300,7 +341,7 @@ PAGES: dict[str, list[Figures]] = {
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/siege.md": [SIEGE],
-    "docs/threat-model.md": [KEYS],
+    "docs/threat-model.md": [KEYS | MORE_KEYS],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
 }
 """The tables of each page, from top to bottom."""

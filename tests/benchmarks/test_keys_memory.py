@@ -46,8 +46,17 @@ def test_text_and_zeros_are_no_keys() -> None:
     piece = bytes(5000) + b"what is written here is no key at all, however long it goes on. " * 99
     assert list(memory.windows(piece)) == []
     assert list(memory.windows(b"short")) == []
-    kept = sum(keys.shape[1] for keys in memory.windows(os.urandom(40_000)))
-    assert kept == 40_000 - 31
+
+
+@pytest.mark.parametrize(("step", "count"), [(1, 600_000 - 31), (8, (600_000 - 32) // 8 + 1)])
+def test_every_place_is_tried_or_one_in_so_many(step: int, count: int) -> None:
+    random = os.urandom(600_000)
+    tried = np.concatenate(list(memory.windows(random, step)), axis=1)
+    assert tried.shape == (8, count)
+    assert {bytes(key) for key in tried[:, :: count // 50].T.copy()} <= {
+        random[place : place + 32] for place in range(0, len(random), step)
+    }
+    assert bytes(tried[:, -1].copy()) == random[step * (count - 1) :][:32]
 
 
 SPELLINGS: dict[str, Callable[[bytes], bytes]] = {

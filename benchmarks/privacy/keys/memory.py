@@ -130,7 +130,7 @@ def _base64(secret: bytes) -> tuple[bytes, ...]:
 
 
 def opened_by_windows(
-    pieces: Iterator[bytes], heads: npt.NDArray[np.uint64], *, counter: int
+    pieces: Iterator[bytes], heads: npt.NDArray[np.uint64], *, counter: int, step: int = 1
 ) -> set[int]:
     """Which captures open with any 32 bytes that stand anywhere in the pieces.
 
@@ -138,6 +138,7 @@ def opened_by_windows(
         pieces: that overlap.
         heads: of each capture, the first 8 bytes of its key stream's block ``counter``, nonce 0.
         counter: of a block whose plain text is known.
+        step: bytes from one place that is tried to the next.
 
     Returns:
         Their places in ``heads``.
@@ -146,7 +147,7 @@ def opened_by_windows(
     known = heads[order]
     found: set[int] = set()
     for piece in pieces:
-        for keys in windows(piece):
+        for keys in windows(piece, step):
             streams = key_streams(keys, counter)
             places = np.searchsorted(known, streams).clip(max=len(known) - 1)
             for place in places[known[places] == streams]:
@@ -155,20 +156,20 @@ def opened_by_windows(
     return found
 
 
-def windows(piece: bytes) -> Iterator[Words]:
+def windows(piece: bytes, step: int = 1) -> Iterator[Words]:
     """All 32 bytes of a piece that may be a key, as words (8, count), some at a time.
 
     Left out is what no random key is but with a chance below 1e-8: with a word of zeros, with two
     neighbouring words alike, or without any byte above 127, as text.
     """
-    count = len(piece) - KEY_BYTES + 1
-    if count < 1:
-        return
     there = np.frombuffer(piece, np.uint8)
-    words = np.lib.stride_tricks.sliding_window_view(there, 4).copy().view("<u4")[:, 0]
-    for start in range(0, count, _BATCH):
-        stop = min(count, start + _BATCH)
-        keys = np.stack([words[start + 4 * each : stop + 4 * each] for each in range(8)])
+    span = _BATCH * step
+    for start in range(0, len(piece) - KEY_BYTES + 1, span):
+        part = there[start : start + span + KEY_BYTES - step]
+        if not part.any():
+            continue
+        words = np.lib.stride_tricks.sliding_window_view(part, 4).copy().view("<u4")[:, 0]
+        keys = np.stack([words[4 * each : len(words) + 4 * each - 28 : step] for each in range(8)])
         likely = (keys != 0).all(0) & (keys[1:] != keys[:-1]).all(0)
         likely &= (np.bitwise_or.reduce(keys, axis=0) & 0x80808080) != 0
         if likely.any():

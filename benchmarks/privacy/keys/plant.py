@@ -14,13 +14,15 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
+from benchmarks.privacy.keys.released import Released
 
 from veilcam_client.keys.receivers import Receiver
-from veilcam_client.wire.captures import NPY_MEDIA_TYPE
-from veilcam_client.wire.rotation import EveryCaptures, RotationPolicy
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
+from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.sealing import ReceiverRequest
 from veilcam_client.wire.simulation import picture_bytes
 from veilcam_server.demo.daemon import running
+from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 
 Form = Literal["sealed", "white"]
@@ -97,7 +99,7 @@ def fresh_daemon(bundle: Path, folder: Path, receiver: Receiver | None) -> Itera
     """
     folder.mkdir(parents=True, exist_ok=True)
     scene = folder / "scene.npy"
-    write_scene(scene, np.zeros((28, 28), np.uint8))
+    write_scene(scene, load_digits().images[0])
     form: Form = "white" if receiver is None else "sealed"
     options = ("--scene-api", "--settle", "0", "--exposure", "0", "--every-captures", "1")
     with running(bundle, scene, folder, *options, "--release", form) as url:
@@ -108,11 +110,6 @@ def fresh_daemon(bundle: Path, folder: Path, receiver: Receiver | None) -> Itera
             yield daemon
         finally:
             daemon.close()
-
-
-def one_mask_a_capture(daemon: Daemon) -> None:
-    """Go back to the policy that daemons are started with here."""
-    daemon.rotate(EveryCaptures(captures=1))
 
 
 def planted(
@@ -129,7 +126,7 @@ def planted(
     Yields:
         How many are done.
     """
-    done = len(answers(record)) if record.exists() else 0
+    done = len(read_answers(record)) if record.exists() else 0
     record.parent.mkdir(parents=True, exist_ok=True)
     with record.open("a") as lines:
         for number in range(done, len(labels)):
@@ -140,7 +137,7 @@ def planted(
             yield number + 1
 
 
-def answers(record: Path) -> list[Answer]:
+def read_answers(record: Path) -> list[Answer]:
     """Read what :func:`planted` wrote; a last line that was cut off is taken away."""
     text = record.read_text()
     if not text.endswith("\n"):
@@ -159,3 +156,10 @@ def two_scenes(count: int, seed: int) -> list[int]:
     order = np.repeat([0, 1], count)
     np.random.default_rng(seed).shuffle(order)
     return [int(each) for each in order]
+
+
+def released_of(found: Sequence[Answer], labels: npt.NDArray[np.int64]) -> Released:
+    """White embeddings of answers, (answers, 1, rows, columns)."""
+    captures = [Capture.model_validate_json(each.body) for each in found]
+    vectors = np.stack([np.asarray(each) for each in captures])[:, None]
+    return Released(vectors, labels[:, None], None)

@@ -18,6 +18,7 @@ from benchmarks.privacy.keys.scenes import Question, Scene, Scenes
 from torch import Tensor
 
 from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.wire.captures import Release
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import Decoder
@@ -86,7 +87,11 @@ class Camera:
     def mask(self) -> Mask:
         """A new mask, prepared to release white."""
         key = EpochKey.generate(device=DEVICE, bundle=self.bundle.digest)
-        return self._source.make(key, "white", frozenset())
+        return self.mask_of(key, "white")
+
+    def mask_of(self, key: EpochKey, form: Release) -> Mask:
+        """The mask of an epoch, prepared to release a form."""
+        return self._source.make(key, form, frozenset())
 
     def read(self, mask: Mask, scenes: list[Scene], noise: torch.Generator) -> Floats32:
         """Measurements of scenes, (count, rows, columns) float32."""

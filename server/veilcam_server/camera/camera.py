@@ -21,7 +21,6 @@ from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import (
     ActiveMask,
-    Captured,
     Fence,
     Lateness,
     MaskedCapture,
@@ -256,6 +255,8 @@ class MaskedCamera:
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and the source has one only.
+            NotReadyError: who receives has changed since ``first`` was prepared, and another one
+                takes too long.
             SelfTestError, SensorError, FenceError, DisplayError: as :meth:`rotate`; the source
                 before goes on.
         """
@@ -265,7 +266,12 @@ class MaskedCamera:
                     "this bundle holds one mask only: turn the rotation of masks off first"
                 )
             self._require_running()
-            self._panel.show(first, source)
+            if not self.preparation.is_current(first):
+                # Who receives has changed since, and that holds from the next epoch on: this one.
+                first.retire()
+                first = self.preparation.first_of(source)
+            with _retired_on_failure(first):
+                self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:
         """Show another mask if the policy wants it and one is ready; raises as :meth:`rotate`."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from veilcam_client.keys.blocks import Sealer
 from veilcam_client.keys.envelopes import Signer, seal_key
 from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.captures import Release
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.errors import NotReadyError
@@ -37,6 +38,8 @@ class Epoch:
     """In which embeddings leave, from its preparation to its end."""
     sealer: Sealer | None = field(default=None, repr=False)
     """Seals embeddings to the receivers; None: to nobody."""
+    receivers: tuple[Receiver, ...] = field(default=(), repr=False)
+    """Who was paired when it was prepared."""
     erased: bool = field(default=False, init=False)
     """Whether mask, readers and keys were overwritten."""
     _uses: int = field(default=0, init=False, repr=False)
@@ -160,6 +163,10 @@ class Preparation:
             _abandon(future)
             raise NotReadyError("the first mask is still being prepared: try again") from None
 
+    def is_current(self, epoch: Epoch) -> bool:
+        """Whether an epoch would be prepared on the same terms now."""
+        return Terms(epoch.form, epoch.receivers) == self._terms()
+
     def serve(self, source: MaskSource) -> None:
         """Take epochs from another source from now on; one prepared before is discarded."""
         self._source = source
@@ -189,7 +196,8 @@ class Preparation:
         try:
             mask = source.make(key, terms.form, self._avoided(source, terms.form))
             try:
-                return Epoch(name, mask, terms.form, self._sealer(key, name, source.bundle, terms))
+                sealer = self._sealer(key, name, source.bundle, terms)
+                return Epoch(name, mask, terms.form, sealer, terms.receivers)
             except BaseException:
                 mask.erase()
                 raise

@@ -420,6 +420,22 @@ def test_who_receives_from_now_on_holds_for_the_next_mask(sealed_bench: Bench) -
     camera.stop()
 
 
+def test_a_first_epoch_of_another_bundle_is_not_shown_to_who_was_removed_meanwhile(
+    sealed_bench: Bench, fresh_bundle: Bundle
+) -> None:
+    camera = sealed_bench.camera()
+    other = FreshSource(fresh_bundle)
+    first = camera.first_of(other)
+    kept = pair_with(sealed_bench, ReceiverKey.generate())
+    sealed_bench.receivers.remove(RECEIVER.public.id)
+    camera.renew()
+    camera.change_source(other, first)
+    assert is_gone(first)
+    assert is_whole(active(camera))
+    assert receivers(camera) == {kept}
+    camera.stop()
+
+
 def receivers(camera: MaskedCamera) -> set[str]:
     """To whom the epoch on the panel is sealed."""
     sealer = active(camera).sealer
