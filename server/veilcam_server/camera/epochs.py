@@ -110,11 +110,6 @@ class Preparation:
         return bool(marks) and marks == self._budget.spent(marks, self._terms().form)
 
     @property
-    def receivers(self) -> tuple[Receiver, ...]:
-        """Who is paired now."""
-        return self._terms().receivers
-
-    @property
     def under_way(self) -> bool:
         """Whether to take the next epoch means to wait for it."""
         future = self._next
@@ -167,6 +162,10 @@ class Preparation:
         except TimeoutError:
             _abandon(future)
             raise NotReadyError("the first mask is still being prepared: try again") from None
+
+    def is_current(self, epoch: Epoch) -> bool:
+        """Whether an epoch would be prepared on the same terms now."""
+        return Terms(epoch.form, epoch.receivers) == self._terms()
 
     def serve(self, source: MaskSource) -> None:
         """Take epochs from another source from now on; one prepared before is discarded."""

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.captures import Capture
@@ -28,7 +27,6 @@ from veilcam_server.siege.ground import (
     make_tokens,
     write_small_bundle,
 )
-from veilcam_server.siege.witness import ALIKE
 
 WHITE, RAW = 1, 20
 """Budgets: embeddings that may leave behind one mask."""
@@ -47,13 +45,13 @@ class Loot:
 
     Attributes:
         epochs: how many were taken in each.
-        masks: one embedding behind each mask, and how many there are of it: without noise, all of
-            one scene behind one mask are alike, whatever its epoch is called.
+        masks: how many there are of each embedding: without noise, all of one scene behind one
+            mask are the same, whatever its epoch is called.
         spent: refusals because all masks are spent.
     """
 
     epochs: Counter[str] = field(default_factory=Counter)
-    masks: list[tuple[npt.NDArray[np.float32], list[str]]] = field(default_factory=list)
+    masks: Counter[bytes] = field(default_factory=Counter)
     spent: int = 0
 
     def take(self, reply: Reply) -> None:
@@ -61,21 +59,13 @@ class Loot:
         self.spent += reply.status == 409 and reply.json().get("code") == SPENT
         if reply.status == 200:
             taken = Capture.model_validate_json(reply.body)
-            self._keep(taken.epoch, np.asarray(taken))
-
-    def _keep(self, epoch: str, values: npt.NDArray[np.float32]) -> None:
-        self.epochs[epoch] += 1
-        for known, epochs in self.masks:
-            if np.allclose(known, values, rtol=0.0, atol=ALIKE):
-                epochs.append(epoch)
-                return
-        self.masks.append((values, [epoch]))
+            self.epochs[taken.epoch] += 1
+            self.masks[np.asarray(taken).tobytes()] += 1
 
     @property
     def most(self) -> int:
         """Behind one mask."""
-        behind = [len(epochs) for _, epochs in self.masks]
-        return max((*behind, *self.epochs.values()), default=0)
+        return max((*self.masks.values(), *self.epochs.values()), default=0)
 
 
 async def greedy(ground: Ground, judgement: Judgement) -> None:

@@ -15,9 +15,6 @@ from veilcam_client.keys.envelopes import open_key
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, SealedEmbedding
 
-ALIKE = 1e-3
-"""Two measurements of one scene behind one mask, without noise, differ by no more."""
-
 
 @dataclass
 class Life:
@@ -43,7 +40,8 @@ class Witness:
         opened: how many embeddings were.
         repeated: kinds of what came twice: names, sealing keys, and numbers within an epoch.
         unopened: why an embedding was not opened.
-        mixed: epochs with measurements of more than one mask.
+        mixed: epochs with measurements of more than one mask: without noise, all of one scene
+            behind one mask are the same.
     """
 
     def __init__(self, key: ReceiverKey) -> None:
@@ -97,5 +95,5 @@ class Witness:
             return
         self.opened += 1
         first = self._values.setdefault(answer.epoch, values)
-        if not np.allclose(first, values, rtol=0.0, atol=ALIKE):
+        if not np.array_equal(first, values):
             self.mixed.append(answer.epoch)

@@ -24,7 +24,7 @@ def loot() -> Loot:
 def test_nothing_is_nothing(loot: Loot) -> None:
     loot.take(Reply(0))
     loot.take(Reply(409, b'{"code": "leased"}'))
-    assert (loot.most, loot.spent, loot.masks) == (0, 0, [])
+    assert (loot.most, loot.spent, loot.masks) == (0, 0, {})
 
 
 def test_one_mask_in_two_epochs_is_one(loot: Loot) -> None:
