@@ -23,7 +23,7 @@ from veilcam_training.bundle import Bundle, read_bundle
 
 _BLOCK = 64
 """Bytes of a block of ChaCha20's key stream."""
-_TAG = 16
+_HEAD = 8
 _LEVELS = 48
 """Sub-pixels of a mask that are looked for: no two masks have them in common."""
 NAMES = ("key", "sealing", "rotation", "levels", "mask")
@@ -68,16 +68,14 @@ def epoch_of(capture: Capture, receiver: ReceiverKey, bundle: Bundle) -> Epoch:
 
 def head_of(sealed: SealedEmbedding) -> np.uint64:
     """First bytes of the key stream's last block: the notes end in spaces."""
-    text = base64.b64decode(sealed.block)[:-_TAG]
-    if len(text) % _BLOCK:
-        raise ValueError(f"{len(text)} bytes are no whole blocks")
-    last = int.from_bytes(text[-_BLOCK : -_BLOCK + 8], "little")
-    return np.uint64(last ^ int.from_bytes(b" " * 8, "little"))
+    start = _BLOCK * (counter_of(sealed.shape) - 1)
+    last = int.from_bytes(base64.b64decode(sealed.block)[start : start + _HEAD], "little")
+    return np.uint64(last ^ int.from_bytes(b" " * _HEAD, "little"))
 
 
 def counter_of(shape: tuple[int, ...]) -> int:
-    """Number of that block; the first one of a text has number 1."""
-    return (4 * int(np.prod(shape)) + NOTES_BYTES) // _BLOCK
+    """Number of the last block that has 8 bytes to tell by; a text's first block has number 1."""
+    return (4 * int(np.prod(shape)) + NOTES_BYTES - _HEAD) // _BLOCK + 1
 
 
 def search(
@@ -152,18 +150,23 @@ def take_past(
             findings = search(
                 epochs, process=process, folder=state, counter=counter, step=step, told=told
             )
-    if captures not in findings.opened or captures not in findings.found["sealing"]:
+    return past_of(findings, captures), size
+
+
+def past_of(findings: Findings, last: int) -> Findings:
+    """What was found of all epochs but the last, which goes on and has to be found.
+
+    Raises:
+        RuntimeError: it was not.
+    """
+    if last not in findings.opened or last not in findings.found["sealing"]:
         raise RuntimeError("the epoch that goes on was not found: the search proves nothing")
-    return _without(findings, captures), size
+    found = {name: each - {last} for name, each in findings.found.items()}
+    return Findings(findings.opened - {last}, found)
 
 
 def _captured(daemon: Daemon) -> Capture:
     return Capture.model_validate_json(daemon.capture().body)
-
-
-def _without(findings: Findings, last: int) -> Findings:
-    found = {name: each - {last} for name, each in findings.found.items()}
-    return Findings(findings.opened - {last}, found)
 
 
 def daemon_process(state: Path) -> int:

@@ -1,0 +1,127 @@
+"""A classifier of the clear part finds what was planted there, and nothing where nothing is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.privacy.keys.clear_part import clear_fields, clear_part_gain, columns, differences
+from benchmarks.privacy.keys.plant import Answer, read_answers, two_scenes
+
+COUNT = 150
+Leak = Callable[[int, dict[str, Any], list[tuple[str, str]]], None]
+
+
+def answers(leak: Leak | None = None) -> tuple[list[Answer], np.ndarray[Any, np.dtype[np.int64]]]:
+    """As a daemon gives them, with a leak."""
+    random = np.random.default_rng(1)
+    labels = two_scenes(COUNT, seed=1)
+    made = []
+    for label in labels:
+        body: dict[str, Any] = {
+            "id": random.bytes(8).hex(),
+            "epoch": random.bytes(16).hex(),
+            "number": 0,
+            "taken_at": f"2026-01-02T03:04:{random.integers(60):02}Z",
+            "embedding": {"form": "white", "values": [float(random.standard_normal())]},
+        }
+        headers = [("status", "200 OK"), ("x-request-id", random.bytes(8).hex())]
+        if leak is not None:
+            leak(label, body, headers)
+        made.append(Answer(label, 0.1, tuple(headers), json.dumps(body)))
+    return made, np.array(labels)
+
+
+def size(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    body["embedding"]["values"] *= 1 + label
+
+
+def value(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    body["number"] = label
+
+
+def field(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    if label:
+        body["scene"] = None
+
+
+def header(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    headers.append(("server-timing", f"total;dur={10 + label}"))
+
+
+def order(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    if label:
+        headers.reverse()
+
+
+def digits(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    body["epoch"] = f"{label}{body['epoch'][1:]}"
+
+
+def moment(label: int, body: dict[str, Any], headers: list[tuple[str, str]]) -> None:
+    body["taken_at"] = f"2026-01-02T03:0{4 + label}:{body['taken_at'][17:]}"
+
+
+@pytest.mark.parametrize("leak", [size, value, field, header, order, digits, moment])
+def test_a_leak_is_a_difference_of_columns(leak: Leak) -> None:
+    made, labels = answers(leak)
+    assert differences(columns(made), labels)
+
+
+def test_answers_that_are_alike_differ_in_no_column() -> None:
+    made, labels = answers()
+    found = columns(made)
+    assert differences(found, labels) == []
+    assert {"epoch: value", "header x-request-id: byte 3", "byte 97: count"} <= found.keys()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("leak", [value, digits])
+def test_a_classifier_wins_on_a_leak(leak: Leak) -> None:
+    made, labels = answers(leak)
+    gain = clear_part_gain(columns(made), labels, epochs=4, seed=1)
+    # Six standard errors: noise gives as much with a chance of 1e-9.
+    assert gain.value > max(0.1, 6 * gain.error)
+
+
+@pytest.mark.slow
+def test_a_classifier_gains_nothing_where_nothing_is() -> None:
+    made, labels = answers()
+    gain = clear_part_gain(columns(made), labels, epochs=4, seed=1)
+    assert gain.value < 3.5 * gain.error
+    assert gain.count == 2 * COUNT
+    # Of 150 against 150 without ties: the root of (1/150 + 1/150) / 12.
+    assert gain.error == pytest.approx(0.0333, rel=0.1)
+
+
+def test_what_is_hidden_counts_by_its_size_alone() -> None:
+    body = {
+        "embedding": {
+            "block": "c2VjcmV0",
+            "envelope": {"keys": [{"receiver": "f00", "key": "c2VhbGVk"}], "signature": "0f0f"},
+        }
+    }
+    fields = clear_fields(Answer(0, 0.1, (("status", "200 OK"),), json.dumps(body)))
+    assert fields["embedding.envelope.keys.0.receiver"] == '"f00"'
+    assert fields["embedding.block size"] == "10"
+    text = "\n".join(fields.values())
+    assert not any(hidden in text for hidden in ("c2VjcmV0", "c2VhbGVk", "0f0f"))
+
+
+def test_an_answer_that_was_cut_off_is_asked_again(tmp_path: Path) -> None:
+    record = tmp_path / "answers.jsonl"
+    line = json.dumps({"label": 1, "waited": 0.5, "headers": [["status", "200 OK"]], "body": "{}"})
+    record.write_text(f"{line}\n{line}\n{line[:20]}")
+    assert read_answers(record) == 2 * [Answer(1, 0.5, (("status", "200 OK"),), "{}")]
+    assert record.read_text() == f"{line}\n{line}\n"
+
+
+def test_two_scenes_come_equally_often_and_in_no_order() -> None:
+    labels = np.array(two_scenes(100, seed=1))
+    assert labels.sum() == 100
+    assert 80 < np.abs(np.diff(labels)).sum() < 120
+    assert two_scenes(100, seed=1) != two_scenes(100, seed=2)

@@ -1,0 +1,194 @@
+"""White embeddings are collected as the daemon releases them, and every row is attacked once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import typer
+from benchmarks.privacy.keys import white
+from benchmarks.privacy.keys.attackers import FAMILIES
+from benchmarks.privacy.keys.intervals import Gain, holm
+from benchmarks.privacy.keys.released import (
+    CAPTURES,
+    Camera,
+    Floats32,
+    chunk_path,
+    collect,
+    load,
+    whitened_lengths,
+    write_chunk,
+)
+from benchmarks.privacy.keys.scenes import Question, Scene, Scenes, Stock, load_scenes, pink_noise
+from tests.server.conftest import make_fresh_bundle
+
+from veilcam_server.masks.fresh import FreshReader
+from veilcam_server.masks.source import Mask
+from veilcam_training.bundle import write_bundle
+
+SHAPE = (28, 28)
+
+
+def stock(classes: int) -> Stock:
+    """One picture of each class, of which every pixel says the class."""
+    labels = np.repeat(np.arange(classes), [1, *(classes - 1) * [3]])
+    pixels = np.broadcast_to(labels[:, None, None], (len(labels), *SHAPE)).astype(np.uint8)
+    return Stock(pixels, labels)
+
+
+class Watched(Camera):
+    """Remembers what it was shown."""
+
+    shown: list[list[Scene]]
+
+    def read(self, mask: Mask, scenes: list[Scene], noise: torch.Generator) -> Floats32:
+        self.shown.append(scenes)
+        return super().read(mask, scenes, noise)
+
+
+def test_classes_come_equally_often_whatever_a_data_sets_shares_are() -> None:
+    scenes, random = Scenes(SHAPE, stock(10), stock(4)), np.random.default_rng(1)
+    assert scenes.classes == {"digit": 10, "presence": 2, "kind": 4, "skin": 4, "linkage": 2}
+    for question in ("digit", "presence", "kind", "skin"):
+        drawn = [scenes.draw(question, random) for _ in range(500)]
+        labels = np.array([label for _, label in drawn])
+        expected = 500 / scenes.classes[question]
+        # Five standard deviations of a count.
+        counts = np.bincount(labels, minlength=scenes.classes[question])
+        assert np.abs(counts - expected).max() < 5 * expected**0.5
+        if question in ("digit", "skin"):
+            assert all(float(scene[0, 0]) == np.float32(n / 255) for scene, n in drawn)
+        if question == "presence":
+            assert not any(scene.any() for scene, there in drawn if not there)
+    assert "skin" not in Scenes(SHAPE, stock(10), None).classes
+
+
+def test_noise_is_a_picture_whose_neighbours_are_alike() -> None:
+    noise = pink_noise(SHAPE, np.random.default_rng(1))
+    assert (noise.min(), noise.max(), noise.shape) == (0, 1, SHAPE)
+    assert np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1] > 0.6
+
+
+def test_faces_are_read_by_their_skin(tmp_path: Path) -> None:
+    images = np.zeros((3, 64, 52), np.uint8)
+    images[:, 6:58] = 200
+    np.savez(tmp_path / "faces.npz", images=images, skin=np.array([0, 1, 2], np.uint8))
+    scenes = load_scenes(SHAPE, None, tmp_path)
+    assert scenes.classes["skin"] == 3
+    scene, _ = scenes.draw("skin", np.random.default_rng(1))
+    np.testing.assert_allclose(scene, 200 / 255, rtol=1e-6)
+    np.savez(tmp_path / "faces.npz", images=images)
+    with pytest.raises(typer.BadParameter, match="skin"):
+        load_scenes(SHAPE, None, tmp_path)
+    with pytest.raises(typer.BadParameter, match="digits are"):
+        load_scenes((10, 10), None, None)
+
+
+def test_masks_are_white_of_one_use_and_pairs_see_the_same_scene() -> None:
+    camera = Watched(make_fresh_bundle())
+    camera.shown = []
+    made = collect(camera, Scenes(SHAPE, stock(10), None), masks=6, seed=1, legacy=True)
+    questions: tuple[Question, ...] = ("digit", "presence", "kind", "linkage")
+    assert [made[each].shape for each in questions] == [
+        (6, CAPTURES[each], 20) for each in questions
+    ]
+    for each in questions:
+        # Each is rounded to float32 once, which is 2^-24 of it.
+        np.testing.assert_allclose(np.linalg.norm(made[each], axis=2), 1, atol=1e-6)
+        assert made[f"{each}_length"].min() > 0
+    linked = [scenes[-1] for scenes in camera.shown]
+    for first in (0, 2, 4):
+        np.testing.assert_array_equal(linked[first], linked[first + 1])
+    assert any(bool((linked[0] != linked[each]).any()) for each in (2, 4))
+    short = collect(camera, Scenes(SHAPE, stock(10), None), masks=2, seed=1, legacy=False)
+    assert "digit_length" not in short
+    assert not np.array_equal(short["digit"], made["digit"][:2])  # other keys
+
+
+def test_lengths_are_those_that_whitening_takes_away() -> None:
+    camera = Camera(make_fresh_bundle())
+    mask = camera.mask()
+    assert isinstance(mask.reader, FreshReader)
+    decoder = mask.reader.decoder
+    measured = torch.rand(3, *camera.bundle.embedding.shape)
+    response, noise = decoder.response.double(), decoder.noise.double()
+    covariance = response @ response.T + noise.diag()
+    centred = measured.flatten(1).double() - decoder.mean_measurement.double()
+    expected = (centred @ covariance.inverse() * centred).sum(1).sqrt()
+    torch.testing.assert_close(whitened_lengths(decoder, measured), expected)
+
+
+def test_an_embedding_may_have_another_shape() -> None:
+    camera = Camera(make_fresh_bundle(), (3, 4))
+    made = collect(camera, Scenes(SHAPE, stock(10), None), masks=1, seed=1, legacy=False)
+    assert made["digit"].shape == (1, CAPTURES["digit"], 12)
+
+
+def test_captures_are_loaded_over_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.privacy.keys.released.CHUNK", 2)
+    for number in range(2):
+        vectors = np.full((2, 1, 3), number, np.float32)
+        write_chunk(chunk_path(tmp_path, number), {"kind": vectors, "kind_label": vectors[..., 0]})
+    released = load(tmp_path, "kind", 3)
+    assert released.vectors[:, 0, 0].tolist() == released.labels[:, 0].tolist() == [0, 0, 1]
+    assert released.lengths is None
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path, "kind", 5)
+    assert [path.name for path in sorted(tmp_path.iterdir())] == [
+        "chunk-00000.npz",
+        "chunk-00001.npz",
+    ]
+
+
+@pytest.mark.slow
+def test_every_row_is_attacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.privacy.keys.released.CHUNK", 50)
+    monkeypatch.setattr(white, "CHUNK", 50)
+    bundle, work, figures = tmp_path / "a.veilcam", tmp_path / "work", tmp_path / "figures.json"
+    write_bundle(bundle, make_fresh_bundle())
+    white.collect_command(work, masks=100, bundle=bundle, legacy=True, figures=figures)
+
+    def attacked(*rows: str, legacy: bool) -> None:
+        white.attack_command(
+            work, row=list(rows), legacy=legacy, masks=100, epochs=1, figures=figures
+        )
+
+    attacked("presence", "linkage", legacy=True)
+    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    names = {f"white_{each}_auc{end}" for each in ("presence", "linkage") for end in ("", "_upper")}
+    assert record.keys() == {"white_mask_ms", *(f"legacy_{name}" for name in names)}
+    # The length alone tells that nothing is there.
+    assert record["legacy_white_presence_auc"] > 0.9
+    seen: list[tuple[object, ...]] = []
+
+    def counted(*asked: object, **_: object) -> Gain:
+        seen.append(asked[:2])
+        return Gain(0.0, 0.01, 0.02, 100, 0.5)
+
+    monkeypatch.setattr(white, "attack", counted)
+    attacked("linkage", legacy=True)
+    assert seen == []
+    attacked("linkage", legacy=False)
+    assert seen == [("linkage", family) for family in FAMILIES]
+    with pytest.raises(typer.BadParameter, match="other captures"):
+        white.collect_command(work, masks=100, bundle=bundle, seed=2)
+    with pytest.raises(typer.BadParameter, match="give both"):
+        white.collect_command(work, masks=100, bundle=bundle, rows=3)
+
+
+def test_figures_are_the_best_attackers_and_the_highest_upper_end() -> None:
+    verdicts = holm(
+        {
+            "digit by length": Gain(0.2, 0.1, 1.0, 100, 10.2),
+            "digit by networks": Gain(-0.4, 0.1, 1.0, 100, 9.6),
+            "linkage by length": Gain(0.01, 0.001, 0.02, 100, 0.49),
+        }
+    )
+    found = white.white_figures(verdicts)
+    assert found["white_digit_advantage"] == 0.2
+    assert found["white_digit_advantage_upper"] == round(verdicts["digit by length"].upper, 3)
+    assert found["white_linkage_auc"] == 0.49
+    assert found["white_linkage_auc_upper"] == round(0.5 + verdicts["linkage by length"].upper, 4)
