@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
 import os
 import re
@@ -32,17 +33,18 @@ from veilcam_client import (
     VeilcamError,
 )
 from veilcam_client.cli.main import app as client_cli
+from veilcam_client.errors import SealedError
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.events import Classified, MaskChanged
-from veilcam_optics.keys.epoch_names import EpochNames
-from veilcam_optics.keys.masks import Secret
-from veilcam_server.bundles.loader import release_form, rotation_policy
-from veilcam_server.camera.epochs import RESERVED
+from veilcam_server.bundles.loader import release_terms, rotation_policy
 from veilcam_server.cli.main import app
 from veilcam_server.daemon import build_service
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
+from veilcam_server.masks.source import Terms
+from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.audit import DONE
 from veilcam_server.settings import Settings
 
@@ -74,6 +76,7 @@ def options(bundle_file: Path, scene_file: Path, tmp_path: Path) -> list[str]:
     return [
         *("--bundle", str(bundle_file), "--scenes", str(scene_file)),
         *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0.001"),
+        *("--release", "raw", "--raw-budget", "1000", "--rotation-off"),
     ]
 
 
@@ -243,35 +246,49 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_journey_through_fresh_masks(
-    fresh_file: Path, secret_file: Path, scene_file: Path, tmp_path: Path, secret: Secret
-) -> None:
-    log = tmp_path / "log"
+def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_path: Path) -> None:
+    """No secret and no receiver; then a receiver, and an end that nobody was told of."""
+    log, state = tmp_path / "log", tmp_path / "state"
     options = [
         *("--bundle", str(fresh_file), "--scenes", str(scene_file), "--port", "0"),
-        *("--state-dir", str(tmp_path / "state"), "--settle", "0.01", "--exposure", "0"),
-        *("--mask-secret", str(secret_file)),
+        *("--state-dir", str(state), "--settle", "0.01", "--exposure", "0"),
     ]
-    names = EpochNames(secret, "test camera")
-    counters: list[int] = []
-    every_capture, later = EveryCaptures(captures=1), EverySeconds(seconds=50, jitter=10)
-    for found in (every_capture, later):
-        with daemon(log, *options) as (process, url), Camera(url) as camera:
-            status = camera.status()
-            assert (status.bundle.mode, status.release) == ("fresh", "white")
-            # What was set over the API holds after a restart.
-            assert status.rotation.policy == found
-            camera.set_rotation(every_capture)
-            for _ in range(3):
-                captured = camera.capture()
-                assert captured.embedding.form == "white"
-                counters.append(names.counter(captured.epoch))
-            camera.set_rotation(later)
-            assert camera.rotate().epoch != captured.epoch
-            assert camera.status().rotation.preparation.prepared >= 4
-            process.kill()
-        assert secret.reveal().hex()[:16] not in log.read_text()
-    assert counters == sorted(set(counters))
+    key, epochs = ReceiverKey.generate(), list[str]()
+    with daemon(log, *options) as (process, url), Camera(url) as camera:
+        status = camera.status()
+        assert (status.bundle.mode, status.release, status.receivers) == ("fresh", "white", ())
+        assert status.rotation.policy == EveryCaptures(captures=1)
+        for _ in range(3):
+            captured = camera.capture()
+            assert captured.embedding.form == "white"
+            assert np.linalg.norm(np.asarray(captured)) == pytest.approx(1)
+            epochs.append(captured.epoch)
+        paired = camera.add_receiver("archive", key.public)
+        assert camera.status().receivers == (paired,)
+        # The mask shown now may be one from before; the second is none.
+        forms = [camera.capture().embedding.form for _ in range(2)]
+        assert forms[1] == "sealed"
+        camera.set_rotation(EverySeconds(seconds=50, jitter=10))
+        process.kill()
+    device = status.device.key
+    with daemon(log, *options) as (process, url), Camera(url, key=key, device=device) as camera:
+        status = camera.status()
+        assert (status.release, status.receivers, status.device.key) == (
+            "sealed",
+            (paired,),
+            device,
+        )
+        # What was set over the API holds after a restart.
+        assert status.rotation.policy == EverySeconds(seconds=50, jitter=10)
+        for number in range(3):
+            captured = camera.capture()
+            assert (captured.number, captured.notes is None) == (number, False)
+            assert np.asarray(captured).shape == status.bundle.embedding_shape
+        assert captured.epoch not in epochs
+        stranger = Camera(url, key=ReceiverKey.generate())
+        with stranger, pytest.raises(SealedError, match="not sealed to receiver"):
+            stranger.capture()
+        process.kill()
 
 
 def settings(tmp_path: Path, bundle: Path, scene: Path, **more: object) -> Settings:
@@ -355,8 +372,6 @@ def test_a_device_that_is_not_there_is_never_replaced(tmp_path: Path, bundle_fil
 def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(
     tmp_path: Path, bundle: Bundle, bundle_file: Path, scene_file: Path
 ) -> None:
-    import dataclasses
-
     from veilcam_training.bundle import write_bundle
 
     service = build_service(settings(tmp_path, bundle_file, scene_file, wrong_classifier=True))
@@ -371,8 +386,6 @@ def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(
 def test_rotation_of_a_lone_pair_is_refused_at_the_start(
     tmp_path: Path, bundle: Bundle, scene_file: Path
 ) -> None:
-    import dataclasses
-
     from veilcam_training.bundle import write_bundle
 
     lone = tmp_path / "lone.veilcam"
@@ -383,69 +396,73 @@ def test_rotation_of_a_lone_pair_is_refused_at_the_start(
 
 
 @pytest.mark.parametrize(
-    ("device", "mode", "given", "expected"),
+    ("mode", "given", "form", "paired"),
     [
-        ("simulated", "pairs", None, "raw"),
-        ("simulated", "fresh", None, "white"),
-        ("pi", "pairs", None, "none"),
-        ("pi", "fresh", None, "white"),
-        ("pi", "pairs", "raw", "raw"),
-        ("pi", "fresh", "none", "none"),
-        ("pi", "fresh", "flat", "flat"),
+        ("pairs", None, "none", "sealed"),
+        ("fresh", None, "white", "sealed"),
+        ("pairs", "raw", "raw", "raw"),
+        ("pairs", "sealed", "sealed", "sealed"),
+        ("fresh", "none", "none", "none"),
+        ("fresh", "white", "white", "white"),
     ],
 )
 def test_how_embeddings_leave(
     bundle: Bundle,
     fresh_bundle: Bundle,
+    tmp_path: Path,
     *,
-    device: str,
     mode: str,
     given: str | None,
-    expected: str,
+    form: str,
+    paired: str,
 ) -> None:
     chosen = bundle if mode == "pairs" else fresh_bundle
-    made = Settings.model_validate({"bundle": "x", "device": device, "release": given})
-    assert release_form(made, chosen) == expected
+    made = Settings.model_validate({"bundle": "x", "release": given, "raw_budget": 1})
+    store = ReceiverStore(tmp_path)
+    terms = release_terms(made, chosen, store)
+    assert terms() == Terms(form)  # type: ignore[arg-type]
+    receiver = ReceiverKey.generate().public
+    added = store.add("archive", receiver)
+    assert terms() == Terms(paired, (receiver,))  # type: ignore[arg-type]
+    store.remove(added.id)
+    assert terms().form == form
 
 
-@pytest.mark.parametrize("form", ["flat", "white"])
-def test_forms_that_pairs_do_not_have(
-    tmp_path: Path, bundle_file: Path, scene_file: Path, form: str
+def test_embeddings_stay_sealed_where_the_receivers_are_lost(
+    fresh_bundle: Bundle, tmp_path: Path
 ) -> None:
-    with pytest.raises(StartError, match=f"--release {form} needs the scene statistics"):
-        build_service(settings(tmp_path, bundle_file, scene_file, release=form))
+    """A fault of the disk must not let them out in another form."""
+    ReceiverStore(tmp_path).add("archive", ReceiverKey.generate().public)
+    for end in ("", ".copy"):
+        (tmp_path / f"receivers.json{end}").write_bytes(b"")
+    terms = release_terms(Settings(bundle=Path("x")), fresh_bundle, ReceiverStore(tmp_path))
+    assert terms() == Terms("sealed")
+
+
+def test_forms_that_are_not_served(tmp_path: Path, bundle_file: Path, scene_file: Path) -> None:
+    with pytest.raises(StartError, match="--release white needs the scene statistics"):
+        build_service(settings(tmp_path, bundle_file, scene_file, release="white"))
+    with pytest.raises(StartError, match="say with --raw-budget N how many"):
+        build_service(settings(tmp_path, bundle_file, scene_file, release="raw"))
 
 
 def test_when_masks_change(bundle: Bundle, fresh_bundle: Bundle) -> None:
     made = Settings(bundle=Path("x"))
-    assert rotation_policy(made, bundle) == RotationOff()
+    assert rotation_policy(made, bundle) == EveryCaptures(captures=10)
     assert rotation_policy(made, fresh_bundle) == EveryCaptures(captures=1)
     often = made.model_copy(update={"rotation": EverySeconds(seconds=3)})
     assert rotation_policy(often, fresh_bundle) == EverySeconds(seconds=3)
 
 
-def test_fresh_masks_need_a_secret_and_pairs_have_none(
-    tmp_path: Path, bundle_file: Path, fresh_file: Path, scene_file: Path, secret_file: Path
-) -> None:
-    with pytest.raises(StartError, match="make one with 'veilcamd secret FILE'"):
-        build_service(settings(tmp_path, fresh_file, scene_file))
-    for more in ({"mask_secret": secret_file}, {"device_label": "a"}):
-        with pytest.raises(StartError, match="is for fresh masks: this bundle holds pairs"):
-            build_service(settings(tmp_path, bundle_file, scene_file, **more))
-
-
-@pytest.mark.slow
-def test_a_label_makes_other_masks(
-    tmp_path: Path, fresh_file: Path, scene_file: Path, secret_file: Path, secret: Secret
-) -> None:
-    made = settings(
-        tmp_path, fresh_file, scene_file, mask_secret=secret_file, device_label="the other one"
-    )
-    service = build_service(made)
-    counter = EpochNames(secret, "the other one").counter(service.rotation().epoch or "")
-    service.stop()
-    record = json.loads((made.state_dir / "epochs.json").read_text().splitlines()[1])
-    assert 0 < record["counter"] + 1 - counter <= RESERVED
+def test_a_lone_mask_is_not_served_unasked(bundle: Bundle) -> None:
+    lone = dataclasses.replace(bundle, pairs=bundle.pairs[:1])
+    made = Settings(bundle=Path("x"))
+    with pytest.raises(StartError, match=r"one mask only, which never changes: .* --rotation-off"):
+        rotation_policy(made, lone)
+    asked = made.model_copy(update={"rotation": RotationOff()})
+    assert rotation_policy(asked, lone) == RotationOff()
+    simulated = made.model_copy(update={"device": "simulated"})
+    assert rotation_policy(simulated, lone) == RotationOff()
 
 
 @pytest.mark.slow

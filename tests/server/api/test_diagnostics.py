@@ -200,8 +200,6 @@ async def test_settings_are_told_without_what_could_be_secret(
         "imperfections": tmp_path / planted,
         "host": "127.9.8.7",
         "state_dir": tmp_path / planted,
-        "mask_secret": tmp_path / planted,
-        "device_label": planted,
         "tls_certificate": tmp_path / planted,
         "tls_key": tmp_path / planted,
         "rotation": {"mode": "captures", "captures": 77},
@@ -216,7 +214,7 @@ async def test_settings_are_told_without_what_could_be_secret(
     assert "127.9.8.7" not in text
     told = Diagnostics.model_validate_json(text).settings
     assert set(told) == set(Settings.model_fields)
-    assert told["mask_secret"] == told["host"] == "given"
+    assert told["tls_key"] == told["host"] == "given"
     assert told["device"] == "simulated"
     assert told["queue_limit"] == 5
     assert told["socket"] is None

@@ -102,7 +102,7 @@ async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> Non
     with capture_logs() as logs:
         async with scheduler(bench, camera, watchdog=0.004, tell=told.append).running():
             await until(lambda: len(told) >= 3)
-            capturing = asyncio.create_task(asyncio.to_thread(camera.capture))
+            capturing = asyncio.create_task(asyncio.to_thread(camera.capture, release=False))
             await asyncio.to_thread(hanging.wait, 20)
             await until(lambda: not camera.healthy())
             fed = len(told)
