@@ -18,6 +18,7 @@ from veilcam_optics.camera.imperfections import (
     half_field,
 )
 from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
+from veilcam_optics.effects.base import Assessment
 from veilcam_optics.effects.light import OffAxis, Zone
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
@@ -169,12 +170,16 @@ ALWAYS = {
 }
 
 
-@pytest.mark.slow
+@pytest.fixture(scope="module")
+def ordinary() -> dict[str, Assessment]:
+    """What a plan of an ordinary scene says of each effect."""
+    return {found.name: found for found in plan(CAMERA, SCENE, EMBEDDING, 1e-2).assessments}
+
+
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_it_is_off_in_an_ordinary_scene(effect: Effect) -> None:
+def test_it_is_off_in_an_ordinary_scene(ordinary: dict[str, Assessment], effect: Effect) -> None:
     """What conditions would have to call for is off; what is always there has tests of its own."""
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-2)
-    found = {assessment.name: assessment for assessment in chosen.assessments}[effect.name]
+    found = ordinary[effect.name]
     if effect.name in ALWAYS:
         assert found.error > 0
     else:
