@@ -118,7 +118,7 @@ numerical-SSE-%: $(INSTALLED)
 numerical-AVX2-%: $(INSTALLED)
 	$(AVX2) VEILCAM_TEST_THREADS=$* $(PYTEST) -m numerical
 
-# All tests; `python -m benchmarks.capabilities` runs these two, and pytest where that shows more.
+# All tests; `python -m benchmarks.capabilities` runs those below the machine's best, and `test`.
 .PHONY: suite-SSE suite-AVX2
 suite-SSE: $(INSTALLED)
 	$(SSE) $(PYTEST) -m "not system"

@@ -18,7 +18,7 @@ README: Figures = {
     "demo_accuracy": ("main-job", "demo: held-out digits read right through six masks", "{:.3f}"),
     "demo_wrong_classifier_accuracy": (
         "main-job",
-        "the same with the classifier of another mask",
+        "the same by an attacker who does not adapt: with the classifier of another mask",
         "{:.3f}",
     ),
     "mnist_lr_learned_24x32": (
@@ -143,9 +143,80 @@ FRESH: Figures = {
         }.items()
         for suffix, said in {
             "": "",
-            "_wrong_key": ", decoded with a wrong key, nothing else tried",
+            "_wrong_key": ", read by an attacker who does not adapt: decoded with another key",
         }.items()
     },
+}
+
+KEYS: Figures = {
+    name: ("keys", words, pattern)
+    for name, (words, pattern) in {
+        "past_opened": (
+            "earlier captures opened with state directory and memory of the daemon, of 1,000",
+            "{}",
+        ),
+        "forgeries_taken": ("forged answers that a receiver took for true, of 10,000", "{}"),
+        "epochs_repeated": (
+            "names, keys and numbers that came twice, over 200 kills, restored states and clones",
+            "{:.0f}",
+        ),
+        "clear_part_auc": (
+            "two scenes told apart by a classifier trained on the clear part of answers: AUC",
+            "{:.3f}",
+        ),
+        "white_digit_advantage_upper": (
+            "digits read from `white`, one capture a mask: points above chance, at most",
+            "{:.2f}",
+        ),
+        "white_presence_auc": ("whether anything is there, from `white`: AUC", "{:.3f}"),
+        "white_linkage_auc": ("whether two `white` show the same scene: AUC", "{:.3f}"),
+        "seal_open_ms": ("sealing and opening an embedding, 24 x 32", "{:.2f} ms"),
+        "fresh_accuracy_sealed": (
+            "MNIST by the holder of a receiver's key, fresh masks, 24 x 32",
+            "{:.2f} %",
+        ),
+    }.items()
+}
+
+MORE_KEYS: Figures = {
+    **{
+        f"clear_part_auc_{form}": (
+            "keys",
+            f"two scenes told apart by the clear part of answers with `{form}`: AUC",
+            "{:.3f}",
+        )
+        for form in ("sealed", "white")
+    },
+    **{
+        f"{where}white_{question}": ("keys", f"{words}{said}", pattern)
+        for where, said in {"": "", "rest_": ", over REST"}.items()
+        for question, words, pattern in (
+            ("kind_advantage_upper", "the kind of scene, from `white`: points, at most", "{:.2f}"),
+            (
+                "skin_advantage_upper",
+                "skin of drawn faces, from `white`: points, at most",
+                "{:.2f}",
+            ),
+            (
+                "presence_auc_upper",
+                "whether anything is there, from `white`: AUC, at most",
+                "{:.3f}",
+            ),
+            ("linkage_auc_upper", "whether two `white` show the same: AUC, at most", "{:.3f}"),
+            ("digit_advantage", "digits read from `white`: points above chance", "{:.2f}"),
+        )
+    },
+    "legacy_white_digit_advantage": (
+        "keys",
+        "digits read from `white` as it was, with its length: points above chance",
+        "{:.1f}",
+    ),
+    "seal_open_first_ms": (
+        "keys",
+        "sealing, and opening the first embedding of an epoch, 24 x 32",
+        "{:.2f} ms",
+    ),
+    "prepare_sealed_ratio": ("keys", "preparing an epoch, over preparing its mask", "{:.2f} x"),
 }
 
 RELEASED: Figures = {
@@ -154,7 +225,7 @@ RELEASED: Figures = {
         ("cluster_ari", "masks told apart without a key (adjusted Rand index)", "{:.4f}"),
         ("keyless_accuracy", "digits read without a key, many masks known", "{:.1f} %"),
     )
-    for form in ("raw", "flat", "white")
+    for form in ("raw", "white")
     for suffix, said in {"": "", "_exponent4": ", sparse masks"}.items()
 }
 
@@ -257,6 +328,7 @@ SIEGE: Figures = {
         "state_faults_tried": ("damaged state: starts tried", "{:.0f}"),
         "starts_refused": ("of them refused", "{:.0f}"),
         "silent_rollbacks": ("that rolled something back in silence", "{:.0f}"),
+        "beyond_budget": ("embeddings beyond the budget of their mask", "{:.0f}"),
         "kills": ("kills", "{:.0f}"),
         "kills_lost": ("what was acknowledged and lost", "{:.0f}"),
         "epochs_repeated": ("epochs that came again", "{:.0f}"),
@@ -265,10 +337,11 @@ SIEGE: Figures = {
 
 PAGES: dict[str, list[Figures]] = {
     "CONTRIBUTING.md": [CHECKS],
-    "README.md": [README],
+    "README.md": [README | KEYS],
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/siege.md": [SIEGE],
+    "docs/threat-model.md": [KEYS | MORE_KEYS],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
 }
 """The tables of each page, from top to bottom."""

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from veilcam_client import Camera
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import BUNDLE, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -32,6 +34,15 @@ def prompt_daemon(folder: Path, *options: str) -> Iterator[str]:
     write_scene(scene, load_digits().images[0])
     with running(BUNDLE, scene, folder, "--settle", "0", "--exposure", "0", *options) as url:
         yield url
+
+
+def pair(url: str) -> ReceiverKey:
+    """Have a daemon seal to a receiver that is made for it, from the mask that is shown next."""
+    key = ReceiverKey.generate()
+    with Camera(url) as camera:
+        camera.add_receiver("measurement", key.public)
+        camera.rotate()
+    return key
 
 
 def resident() -> float:

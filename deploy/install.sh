@@ -1,6 +1,6 @@
 #!/bin/sh
 # Installs veilcamd on this machine, or upgrades it: sudo deploy/install.sh
-# Run it from a checkout. It may be run again at any time, and keeps settings, state and secrets.
+# Run it from a checkout. It may be run again at any time, and keeps settings and state.
 set -eu
 
 here=$(cd "$(dirname "$0")" && pwd)
@@ -44,7 +44,6 @@ install -D -m 644 "$here/veilcamd.socket" /etc/systemd/system/veilcamd.socket
 systemd-sysusers /etc/sysusers.d/veilcam.conf
 install -d -m 755 /etc/veilcam
 [ -e /etc/veilcam/veilcam.env ] || install -m 644 "$here/veilcam.env" /etc/veilcam/veilcam.env
-install -d -m 700 /etc/credstore.encrypted
 
 ln -sfn "$name" "$root/current.new"
 mv -T "$root/current.new" "$root/current"

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Removes veilcamd: sudo deploy/uninstall.sh
-# State, settings and secrets stay, unless --purge is given: a secret that is gone decodes nothing.
+# State and settings stay, unless --purge is given: the device's key and its tokens are among them.
 set -eu
 
 [ "$(id -u)" = 0 ] || { echo "uninstall.sh: error: run it as root: sudo $0" >&2; exit 1; }
@@ -19,10 +19,10 @@ rm -f /etc/systemd/system/veilcamd.service /etc/systemd/system/veilcamd.socket \
     /etc/udev/rules.d/60-veilcam.rules /etc/sysusers.d/veilcam.conf \
     /etc/avahi/services/veilcam.service
 if [ "${1:-}" = --purge ]; then
-    rm -rf /var/lib/veilcam /etc/veilcam /etc/credstore.encrypted/veilcam.mask-key \
+    rm -rf /var/lib/veilcam /etc/veilcam \
         /etc/systemd/system/veilcamd.service.d /etc/systemd/system/veilcamd.socket.d
-    echo "Removed, with state, settings and secrets."
+    echo "Removed, with state and settings."
 else
-    echo "Removed. Left: /var/lib/veilcam, /etc/veilcam, /etc/credstore.encrypted/veilcam.mask-key"
+    echo "Removed. Left: /var/lib/veilcam, /etc/veilcam"
 fi
 if [ -d /run/systemd/system ]; then systemctl daemon-reload; fi

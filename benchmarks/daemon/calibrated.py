@@ -21,7 +21,6 @@ from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import work_folder
 
 from veilcam_client import Camera
-from veilcam_optics.keys.masks import Secret
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import FRESH, Digits, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
@@ -58,13 +57,11 @@ def main(
     """Serve, calibrate, serve again."""
     digits = load_digits()
     with work_folder() as folder:
-        secret, built, scene = folder / "secret", folder / "built.json", folder / "scene.npy"
-        secret.touch(mode=0o600)
-        secret.write_text(Secret.generate().reveal().hex())
+        built, scene = folder / "built.json", folder / "scene.npy"
         built.write_text(json.dumps(BUILT))
         write_scene(scene, digits.images[0])
         options = (
-            *("--mask-secret", str(secret), "--imperfections", str(built), "--scene-api"),
+            *("--imperfections", str(built), "--scene-api"),
             *("--settle", "0.02", "--exposure", "0.001"),
         )
         values = {}

@@ -29,8 +29,8 @@ import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from veilcam_client.keys.epoch_key import KEY_BYTES, EpochKey
 from veilcam_optics.camera.imperfections import Imperfections
-from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.plot import write_picture
 from veilcam_server.calibration.procedure import Calibrated, calibrate
@@ -234,21 +234,21 @@ class Bench:
     def read(self, masks: int, found: Calibrated | None) -> tuple[Tally, Tally | None]:
         """Read digits behind fresh masks, decoded as nominal and as found."""
         digits, random = load_digits(), np.random.default_rng(7)
-        secret = Secret(random.bytes(32))
-        drawn = FreshSource(self.bundle, secret)
+        drawn = FreshSource(self.bundle)
         before = Tally()
         settle = SETTLE + SCAN
         built, after = None, None
         if found is not None:
             record = found.record
-            built = FreshSource(self.bundle, secret, imperfections=imperfections_of(record))
+            built = FreshSource(self.bundle, imperfections=imperfections_of(record))
             after = Tally()
             settle = record.settling_s.value + record.settling_s.uncertainty
         chosen = iter(random.choice(len(digits), masks * PER_MASK, replace=False))
-        for epoch in range(masks):
-            mask = drawn.make(epoch, "")
+        for _ in range(masks):
+            key = EpochKey(random.bytes(KEY_BYTES), device="0" * 64, bundle=drawn.bundle)
+            mask = drawn.make(key, "none", frozenset())
             assert isinstance(mask.reader, FreshReader)
-            other = built.make(epoch, "").reader if built is not None else None
+            other = built.make(key, "none", frozenset()).reader if built is not None else None
             shown = self.device.display.show(mask.levels).completed_at
             for index in [next(chosen) for _ in range(PER_MASK)]:
                 image = digits.images[index] / np.float32(255)

@@ -4,15 +4,18 @@
 
 Run it on a quiet machine: the figures are of milliseconds, and a busy scheduler adds as many.
 
-A real daemon serves a simulated device that settles and exposes in no time, over TCP on loopback.
-Clients, each with a connection of its own, ask for one classification after the other. The
-*overhead* of a request is what its client waited, less what the device was at work meanwhile, for
-this request and for those before it in the queue: ``queue_s + rotation_s + settle_s + capture_s``
-of its timing. Inference, the queue's own delays, threads, JSON, HTTP and the network count as
-overhead. The simulator's light takes a few ms for a capture; that is device time.
+A real daemon serves a simulated device that settles and exposes in no time, over TCP on loopback;
+its mask stays. Clients, each with a connection of its own, ask for one classification after the
+other. The *overhead* of a request is what its client waited, less what the device was at work
+meanwhile, for this request and for those before it in the queue: ``queue_s + rotation_s + settle_s
++ capture_s`` of its timing. Timings leave a daemon only in the notes that are sealed with an
+embedding, so that every request asks for its embedding too, and the clients are a receiver that the
+daemon was paired with. Inference, sealing, the queue's own delays, threads, JSON, HTTP and the
+network count as overhead. The simulator's light takes a few ms for a capture; that is device time.
 
 It is measured twice: by plain clients (``http.client``), from the request's first byte to the
-answer's last, which is what the daemon costs; and by clients of the SDK, which adds what they cost.
+answer's last, which is what the daemon costs; and by clients of the SDK, which adds what they cost,
+opening included.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from http.client import HTTPConnection
@@ -30,18 +33,21 @@ from urllib.parse import urlsplit
 import numpy as np
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.rig import prompt_daemon, work_folder
+from benchmarks.rig import pair, prompt_daemon, work_folder
 
-from veilcam_client import AsyncCamera
-from veilcam_client.wire.captures import Classification, Timing
+from veilcam_client import AsyncCamera, Camera, RotationOff
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.captures import Classification, ClassificationRequest, Timing
 
 WARM_UP = 5
 """Requests of each client that do not count."""
+QUESTION = ClassificationRequest(include_embedding=True).model_dump_json()
 
 
 @dataclass(frozen=True)
 class Request:
-    """One classification: what its client waited [s], and where the daemon says it went."""
+    """One classification: what its client waited [s], and where its notes say it went."""
 
     waited: float
     timing: Timing
@@ -58,61 +64,71 @@ class Request:
         return self.waited - self.device
 
 
-def ask_plainly(url: str, count: int) -> list[Request]:
-    """Classify ``count`` times, one after the other, as one client that does nothing else."""
+def ask_plainly(url: str, count: int) -> list[tuple[float, bytes]]:
+    """Classify ``count`` times, one after the other, as one client that does nothing else.
+
+    Returns:
+        What it waited [s], and the answer.
+    """
     parts = urlsplit(url)
     connection = HTTPConnection(str(parts.hostname), parts.port)
-    requests = []
+    headers, answers = {"Content-Type": "application/json"}, []
     try:
         for _ in range(WARM_UP + count):
             begun = time.perf_counter()
-            connection.request("POST", "/v1/classifications")
+            connection.request("POST", "/v1/classifications", QUESTION, headers)
             body = connection.getresponse().read()
-            waited = time.perf_counter() - begun
-            timing = Classification.model_validate_json(body).timing
-            requests.append(Request(waited, timing))
+            answers.append((time.perf_counter() - begun, body))
     finally:
         connection.close()
-    return requests[WARM_UP:]
+    return answers[WARM_UP:]
 
 
-def plain_clients(url: str, clients: int, count: int) -> list[Request]:
+def plain_clients(url: str, key: ReceiverKey, clients: int, count: int) -> list[Request]:
     """Ask as many plain clients at the same time, ``count`` requests each."""
     with ThreadPoolExecutor(clients) as pool:
-        asked = pool.map(lambda _: ask_plainly(url, count), range(clients))
-        return [request for requests in asked for request in requests]
+        asked = list(pool.map(lambda _: ask_plainly(url, count), range(clients)))
+    # Opened only now: while others wait for their answers, it would be their overhead.
+    return [request for answers in asked for request in opened(answers, Opener(key))]
 
 
-async def ask(url: str, count: int) -> list[Request]:
+def opened(answers: Sequence[tuple[float, bytes]], opener: Opener) -> Iterator[Request]:
+    """Find in each answer of one client what its notes say of the device."""
+    for waited, body in answers:
+        yield Request(waited, timing_of(opener.open(Classification.model_validate_json(body))))
+
+
+def timing_of(answer: Classification) -> Timing:
+    """Timing in the notes of an answer that was opened."""
+    if answer.notes is None:
+        raise RuntimeError("an answer came without its notes: is the receiver paired?")
+    return answer.notes.timing
+
+
+async def ask(url: str, key: ReceiverKey, count: int) -> list[Request]:
     """As :func:`ask_plainly`, with the SDK."""
     requests = []
-    async with AsyncCamera(url) as camera:
+    async with AsyncCamera(url, key=key) as camera:
         for _ in range(WARM_UP + count):
             begun = time.perf_counter()
-            answer = await camera.classify()
-            requests.append(Request(time.perf_counter() - begun, answer.timing))
+            answer = await camera.classify(include_embedding=True)
+            requests.append(Request(time.perf_counter() - begun, timing_of(answer)))
     return requests[WARM_UP:]
 
 
-def sdk_clients(url: str, clients: int, count: int) -> list[Request]:
+def sdk_clients(url: str, key: ReceiverKey, clients: int, count: int) -> list[Request]:
     """As :func:`plain_clients`, with the SDK."""
 
     async def ask_all() -> list[list[Request]]:
-        return await asyncio.gather(*(ask(url, count) for _ in range(clients)))
+        return await asyncio.gather(*(ask(url, key, count) for _ in range(clients)))
 
     return [request for requests in asyncio.run(ask_all()) for request in requests]
 
 
 def describe(requests: Sequence[Request]) -> None:
     """Print median, 95 % and 99 % of every part."""
-
-    def inference(timing: Timing) -> float:
-        return timing.inference_s or 0.0
-
     parts: dict[str, Callable[[Request], float]] = {
         "overhead": lambda request: request.overhead,
-        "  of it inference": lambda request: inference(request.timing),
-        "  of it in the daemon": lambda request: request.timing.total_s - request.device,
         "device": lambda request: request.device,
         "  of it queue": lambda request: request.timing.queue_s,
         "  of it capture": lambda request: request.timing.capture_s,
@@ -137,9 +153,12 @@ def main(
     options = ("--queue-limit", str(clients + 1))
     values: dict[str, float] = {}
     with work_folder() as folder, prompt_daemon(folder, *options) as url:
+        with Camera(url) as camera:
+            camera.set_rotation(RotationOff())
+        key = pair(url)
         for name, measure in {"": plain_clients, "sdk_": sdk_clients}.items():
             begun = time.perf_counter()
-            requests = measure(url, clients, count)
+            requests = measure(url, key, clients, count)
             rate = clients * (WARM_UP + count) / (time.perf_counter() - begun)
             load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
             print(

@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
@@ -30,7 +31,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.keys.masks import MaskDistribution, Secret, epoch_levels
+from veilcam_optics.keys.masks import KEY_BYTES, MaskDistribution, draw_levels
 from veilcam_optics.transfer.conditioning import Conditioning, ConditioningMeter
 from veilcam_server.bundles.hiding import LEAST, HidingCheck
 from veilcam_server.demo_data import BUNDLE, FRESH
@@ -44,12 +45,11 @@ app = typer.Typer(pretty_exceptions_enable=False)
 
 
 def drawn(camera: Camera, exponent: float, count: int) -> Iterator[Tensor]:
-    """Masks that a key draws."""
-    distribution = MaskDistribution.power(camera, exponent)
-    for epoch in range(count):
-        levels = epoch_levels(
-            Secret(bytes(range(32))), "benchmark", epoch, camera=camera, distribution=distribution
-        )
+    """Masks that keys draw, a key for each."""
+    distribution, random = MaskDistribution.power(camera, exponent), np.random.default_rng(1)
+    for _ in range(count):
+        key = random.bytes(KEY_BYTES)
+        levels = draw_levels(key, camera=camera, distribution=distribution)
         yield to_weights(levels, camera.panel)
 
 

@@ -28,9 +28,9 @@ def environment(folder: Path, script: str) -> str:
 
 
 def test_each_kind_of_instructions_is_shown_once() -> None:
-    assert targets_up_to("DEFAULT") == ("suite-SSE",)
-    assert targets_up_to("AVX2") == ("suite-SSE", "suite-AVX2")
-    assert targets_up_to("AVX512") == ("suite-SSE", "suite-AVX2", "pytest")
+    assert targets_up_to("DEFAULT") == ("test",)
+    assert targets_up_to("AVX2") == ("suite-SSE", "test")
+    assert targets_up_to("AVX512") == ("suite-SSE", "suite-AVX2", "test")
     with pytest.raises(ValueError, match="torch runs on SVE256 here"):
         targets_up_to("SVE256")
 
@@ -91,18 +91,23 @@ def test_a_small_selection_under_the_oldest_instructions(tmp_path: Path) -> None
     assert done == Run("suite-SSE", "DEFAULT", passed=True)
 
 
-@pytest.mark.parametrize(("failing", "count"), [(None, 2), ("suite-AVX2", 1)])
+@pytest.mark.parametrize(("failing", "count"), [(None, 2), ("suite-SSE", 1), ("test", 1)])
 def test_the_count_is_recorded_and_what_is_not_had_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str | None, count: int
 ) -> None:
     monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
-    told = {target: level for level, target in capabilities.TARGETS.items()}
+    told = {"suite-SSE": "DEFAULT", "test": "AVX2"}
+    costs = {"wall_s": 600.0, "user_cpu_s": 700.0}
     monkeypatch.setattr(
-        capabilities, "run", lambda target: Run(target, told[target], target != failing)
+        capabilities, "run", lambda target: Run(target, told[target], target != failing, **costs)
     )
     app, record = typer.Typer(), tmp_path / "house.json"
     app.command()(capabilities.main)
     done = CliRunner().invoke(app, ["--figures", str(record)])
     assert done.exit_code == (failing is not None)
     assert "not shown here: AVX512" in done.output
-    assert json.loads(record.read_text())["capabilities_green"]["value"] == count
+    figures = {name: each["value"] for name, each in json.loads(record.read_text()).items()}
+    assert figures.pop("capabilities_green") == count
+    # What fails has no cost.
+    cost = {"make_test_wall_s": 600.0, "make_test_user_cpu_s": 700.0}
+    assert figures == ({} if failing == "test" else cost)

@@ -296,7 +296,7 @@ def test_many_steps(*, long_form: bool) -> None:
     weights = torch.rand(4, 3, generator=generator).requires_grad_()
     optimiser = torch.optim.Adam([weights], lr=1e-2, fused=True)
 
-    steps, calm = (100_000, 90_000) if long_form else (10_000, 7_000)
+    steps, calm = (100_000, 90_000) if long_form else (5_000, 2_000)
 
     def gradient_of_error() -> Tensor:
         """Of half the squared error, relative to the energy."""

@@ -1,4 +1,4 @@
-"""The README says what is: figures as measured, links that lead somewhere, every dependency."""
+"""The README says what is: figures as measured, every dependency."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ def test_figures_are_those_of_the_result_files() -> None:
     for name in script["PAGES"]:
         page = (ROOT / name).read_text()
         assert script["with_tables"](name, page) == page, "run python -m benchmarks.readme_figures"
-
-
-def test_links_lead_somewhere() -> None:
-    for target in re.findall(r"\]\((?!http)([^)#]+)", README):
-        assert (ROOT / target).exists(), target
 
 
 def test_every_dependency_has_its_reason() -> None:

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import torch
-from scipy.signal import max_len_seq
 from torch import Tensor
 
 from veilcam_optics.errors import require, require_count, require_positive
@@ -26,6 +25,8 @@ def mls_cells(order: int = 6, repeats: int = 2) -> Tensor:
     require_count("repeats", repeats)
     require_count("order", order, least=2)
     require(order <= 16, "order", order, "", "an integer from 2 to 16")
+    from scipy.signal import max_len_seq  # noqa: PLC0415 - slow to import, and few ask for it
+
     bits = np.asarray(max_len_seq(order)[0], dtype=np.float64)
     signs = torch.from_numpy(2 * np.tile(bits, repeats) - 1)
     return (torch.outer(signs, signs) + 1) / 2

@@ -255,6 +255,7 @@ class MaskedCamera:
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and the source has one only.
+            NotReadyError: who receives has changed since ``first`` was prepared.
             SelfTestError, SensorError, FenceError, DisplayError: as :meth:`rotate`; the source
                 before goes on.
         """
@@ -264,10 +265,8 @@ class MaskedCamera:
                     "this bundle holds one mask only: turn the rotation of masks off first"
                 )
             self._require_running()
-            if not self.preparation.is_current(first):
-                # Who receives has changed since, and that holds from the next epoch on: this one.
-                first.retire()
-                first = self.preparation.first_of(source)
+            if first.receivers != self.preparation.receivers:
+                raise NotReadyError("who receives has changed meanwhile: try again")
             self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:

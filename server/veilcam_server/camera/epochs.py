@@ -38,8 +38,8 @@ class Epoch:
     """In which embeddings leave, from its preparation to its end."""
     sealer: Sealer | None = field(default=None, repr=False)
     """Seals embeddings to the receivers; None: to nobody."""
-    receivers: tuple[Receiver, ...] = ()
-    """Who were receivers when it was prepared."""
+    receivers: tuple[Receiver, ...] = field(default=(), repr=False)
+    """Who was paired when it was prepared."""
     erased: bool = field(default=False, init=False)
     """Whether mask, readers and keys were overwritten."""
     _uses: int = field(default=0, init=False, repr=False)
@@ -110,6 +110,11 @@ class Preparation:
         return bool(marks) and marks == self._budget.spent(marks, self._terms().form)
 
     @property
+    def receivers(self) -> tuple[Receiver, ...]:
+        """Who is paired now."""
+        return self._terms().receivers
+
+    @property
     def under_way(self) -> bool:
         """Whether to take the next epoch means to wait for it."""
         future = self._next
@@ -162,10 +167,6 @@ class Preparation:
         except TimeoutError:
             _abandon(future)
             raise NotReadyError("the first mask is still being prepared: try again") from None
-
-    def is_current(self, epoch: Epoch) -> bool:
-        """Whether an epoch would be prepared on the same terms now."""
-        return Terms(epoch.form, epoch.receivers) == self._terms()
 
     def serve(self, source: MaskSource) -> None:
         """Take epochs from another source from now on; one prepared before is discarded."""

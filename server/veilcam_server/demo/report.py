@@ -1,7 +1,8 @@
-"""``report.png``: for some captures, the scene, the mask, the embedding and the label."""
+"""``report.png``: for some captures, scene, mask, what left the camera, what a key opens, label."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,13 @@ FILTERS = np.array([[1.0, 0.42, 0.36], [0.45, 0.92, 0.5], [0.42, 0.62, 1.0]])
 """How the red, green and blue sub-pixels are drawn."""
 CELL = (12, 36)
 """Drawn pixels per sub-pixel: the ratio of its sides."""
+COLUMNS = (
+    "scene",
+    "mask on the panel",
+    "embedding, as it leaves",
+    "opened with the key",
+    "label",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,19 +34,22 @@ class Row:
 
     image: npt.NDArray[np.uint8]
     levels: npt.NDArray[np.uint8] = field(repr=False)
+    block: bytes = field(repr=False)
+    """What left the camera: the embedding, sealed."""
     embedding: npt.NDArray[np.float32]
+    """What a receiver makes of it with its key: the embedding as it was read."""
     scores: dict[str, float]
     truth: str
 
 
 def write_report(path: Path, rows: Sequence[Row], camera: Camera, title: str, caption: str) -> None:
     """Draw ``rows`` one below the other and write the picture."""
-    figure = Figure(figsize=(11, 1.35 + 2.05 * len(rows)), facecolor=PAPER, dpi=130)
+    figure = Figure(figsize=(13.7, 1.35 + 2.05 * len(rows)), facecolor=PAPER, dpi=130)
     height = float(figure.get_figheight())
     grid = figure.add_gridspec(
         len(rows),
-        4,
-        width_ratios=(1, 1.3, 1.34, 1.35),
+        len(COLUMNS),
+        width_ratios=(1, 1.3, 1.34, 1.34, 1.35),
         left=0.03,
         right=0.97,
         top=1 - 1.25 / height,
@@ -49,18 +60,18 @@ def write_report(path: Path, rows: Sequence[Row], camera: Camera, title: str, ca
     figure.text(0.03, 1 - 0.42 / height, title, color=INK, fontsize=19, weight="bold")
     figure.text(0.03, 1 - 0.74 / height, caption, color=FAINT, fontsize=10.5)
     for number, row in enumerate(rows):
-        # White embeddings have either sign; raw ones start at darkness.
+        # Noise may be read as less than darkness.
         least = min(0.0, float(row.embedding.min()))
-        axes = [figure.add_subplot(grid[number, column]) for column in range(4)]
+        axes = [figure.add_subplot(grid[number, column]) for column in range(len(COLUMNS))]
         if number == 0:
-            names = ("scene", "mask on the panel", "embedding", "label")
-            for each, name in zip(axes, names, strict=True):
+            for each, name in zip(axes, COLUMNS, strict=True):
                 each.set_title(name, color=INK, fontsize=11, loc="left", pad=7)
         _image(axes[0], row.image, "gray", vmin=0, vmax=255)
         axes[1].imshow(draw_mask(row.levels, camera), interpolation="antialiased")
         _bare(axes[1])
-        _image(axes[2], row.embedding, "magma", vmin=least, vmax=float(row.embedding.max()))
-        _scores(axes[3], row)
+        _image(axes[2], draw_block(row.block, row.embedding.shape), "gray", vmin=0, vmax=255)
+        _image(axes[3], row.embedding, "magma", vmin=least, vmax=float(row.embedding.max()))
+        _scores(axes[4], row)
     figure.savefig(path, facecolor=PAPER)
 
 
@@ -77,6 +88,15 @@ def draw_mask(levels: npt.NDArray[np.uint8], camera: Camera) -> npt.NDArray[np.f
     rows = np.arange(len(levels)) + camera.window.first_row
     colours = FILTERS[np.array(cycle)[rows % len(cycle)]] if cycle else np.ones((len(levels), 3))
     return np.asarray(tiled[..., None] * np.repeat(colours, CELL[0], axis=0)[:, None, :])
+
+
+def draw_block(block: bytes, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Return all bytes as an image about as wide as ``shape``; NaN where the last row has none."""
+    rows = round(math.sqrt(len(block) * shape[0] / shape[1]))
+    columns = math.ceil(len(block) / rows)
+    drawn = np.full(rows * columns, np.nan)
+    drawn[: len(block)] = np.frombuffer(block, np.uint8)
+    return drawn.reshape(rows, columns)
 
 
 def _scores(axes: Axes, row: Row) -> None:
@@ -116,6 +136,7 @@ def _image(
 
 
 def _bare(axes: Axes) -> None:
+    axes.set_facecolor(PAPER)
     axes.set_xticks([])
     axes.set_yticks([])
     for side in axes.spines.values():

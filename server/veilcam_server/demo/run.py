@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from veilcam_client import Camera, Classification, EveryCaptures
+from veilcam_client import Camera, EveryCaptures
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.captures import Classification, SealedEmbedding
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo.observer import KeyObserver, Observer, PairObserver
 from veilcam_server.demo.report import Row, write_report
@@ -19,7 +24,6 @@ from veilcam_server.demo.tally import Sample, Tally
 from veilcam_server.demo_data import BUNDLE, DIGITS, FRESH, Digits, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.errors import StartError
-from veilcam_server.masks.secret import find_secret, write_secret
 from veilcam_training.bundle import Bundle, BundleError, read_bundle
 
 REPORT_ROWS = 6
@@ -75,16 +79,13 @@ def demonstrate(plan: Plan, console: Console) -> Tally:
     with tempfile.TemporaryDirectory(prefix="veilcam-demo-") as temporary:
         directory = Path(temporary)
         scene = directory / "scene.npy"
-        write_scene(scene, np.zeros(bundle.scene.shape, np.uint8))
-        options, observer = _mode(bundle, directory)
-        if plan.wrong_classifier:
-            options = (*options, "--wrong-classifier")
+        write_scene(scene, digits.images[0])
+        options = ("--wrong-classifier",) if plan.wrong_classifier else ()
         with running(plan.path, scene, directory, *options) as url:
             console.print(f"daemon    {url}, simulated camera in a process of its own")
             with Camera(url) as camera:
-                tally, rows = _classify(
-                    plan, bundle, digits, observer, scene=scene, camera=camera, console=console
-                )
+                show = _Show(plan, bundle, scene, camera, ReceiverKey.generate())
+                tally, rows = show.classify(digits, console)
     console.print(tally.table())
     report = plan.out / "report.png"
     write_report(report, rows, bundle.camera, *_titles(bundle, tally, plan))
@@ -92,70 +93,85 @@ def demonstrate(plan: Plan, console: Console) -> Tally:
     return tally
 
 
-def _mode(bundle: Bundle, directory: Path) -> tuple[tuple[str, ...], Observer]:
-    """Return options for the daemon, and who knows its masks."""
-    if bundle.mode == "pairs":
-        # Pairs are told apart by what was read behind them.
-        return ("--release", "raw"), PairObserver(bundle)
-    secret = directory / "mask-secret"
-    write_secret(secret)
-    return ("--mask-secret", str(secret)), KeyObserver(bundle, find_secret(secret))
+class _Show:
+    """Digits before one camera, seen by the receiver that it is paired with."""
+
+    def __init__(
+        self, plan: Plan, bundle: Bundle, scene: Path, camera: Camera, key: ReceiverKey
+    ) -> None:
+        self._plan, self._bundle, self._scene, self._camera = plan, bundle, scene, camera
+        self._key, self._opener = key, Opener(key)
+        self._observer: Observer = (
+            PairObserver(bundle) if bundle.mode == "pairs" else KeyObserver(bundle, key)
+        )
+        self._masks: dict[str, int] = {}
+
+    def classify(self, digits: Digits, console: Console) -> tuple[Tally, list[Row]]:
+        """Show digits, and return what was counted and what is drawn."""
+        self._pair(console)
+        plan, tally, report = self._plan, Tally(), dict[int, Row]()
+        order = np.random.default_rng(plan.seed).choice(len(digits), plan.captures, replace=False)
+        with _progress(console) as progress:
+            task = progress.add_task("classifying", total=plan.captures, accuracy="")
+            for index in order:
+                truth = self._bundle.labels[int(digits.labels[index])]
+                sample, row = self._one(digits.images[index], truth)
+                tally.samples.append(sample)
+                if sample.mask not in report and len(report) < REPORT_ROWS:
+                    report[sample.mask] = row
+                progress.update(task, advance=1, accuracy=f"accuracy {tally.accuracy:.3f}")
+        return tally, list(report.values())
+
+    def _pair(self, console: Console) -> None:
+        """Have every embedding from now on sealed to our key, and say what serves."""
+        camera, plan = self._camera, self._plan
+        camera.add_receiver("demonstration", self._key.public)
+        camera.set_rotation(EveryCaptures(captures=plan.captures_per_mask))
+        # The mask that is shown was prepared before there was a receiver.
+        camera.rotate()
+        status = camera.status()
+        rows, columns = status.bundle.embedding_shape
+        console.print(
+            f"task      {status.bundle.task}, {rows} x {columns} embeddings, "
+            f"{status.bundle.pairs or 'fresh'} masks, "
+            f"a new one every {plan.captures_per_mask} captures"
+        )
+        console.print(
+            f"receiver  {self._key.public.id[:16]}, made for this: it alone can open them"
+        )
+        if status.experiment:
+            console.print(f"[yellow]experiment {status.experiment}: labels mean nothing[/yellow]")
+
+    def _one(self, image: npt.NDArray[np.uint8], truth: str) -> tuple[Sample, Row]:
+        write_scene(self._scene, image)
+        begun = time.perf_counter()
+        answer = self._camera.classify(include_embedding=True)
+        elapsed = time.perf_counter() - begun
+        sealed = answer.embedding
+        if not isinstance(sealed, SealedEmbedding) or answer.scores is None:
+            raise StartError("the daemon sealed no embedding, or told no scores: update it")
+        opened = self._opener.open(answer)
+        embedding = np.asarray(opened.embedding)
+        if answer.epoch not in self._masks:
+            self._masks[answer.epoch] = self._observer.which(image, embedding, sealed.envelope)
+        mask = self._masks[answer.epoch]
+        sample = _sample(opened, mask, right=answer.label == truth, elapsed=elapsed)
+        levels, block = self._observer.levels(mask), base64.b64decode(sealed.block)
+        return sample, Row(image, levels, block, embedding, dict(answer.scores), truth)
 
 
-def _classify(
-    plan: Plan,
-    bundle: Bundle,
-    digits: Digits,
-    observer: Observer,
-    *,
-    scene: Path,
-    camera: Camera,
-    console: Console,
-) -> tuple[Tally, list[Row]]:
-    status = camera.status()
-    rows, columns = status.bundle.embedding_shape
-    console.print(
-        f"task      {status.bundle.task}, {rows} x {columns} embeddings, "
-        f"{status.bundle.pairs or 'fresh'} masks, a new one every {plan.captures_per_mask} captures"
-    )
-    if status.experiment:
-        console.print(f"[yellow]experiment {status.experiment}: labels mean nothing[/yellow]")
-    camera.set_rotation(EveryCaptures(captures=plan.captures_per_mask))
-    tally, report = Tally(), dict[int, Row]()
-    order = np.random.default_rng(plan.seed).choice(len(digits), plan.captures, replace=False)
-    masks: dict[str, int] = {}
-    with _progress(console) as progress:
-        task = progress.add_task("classifying", total=plan.captures, accuracy="")
-        for index in order:
-            image, truth = digits.images[index], bundle.labels[int(digits.labels[index])]
-            write_scene(scene, image)
-            begun = time.perf_counter()
-            answer = camera.classify(include_embedding=True)
-            elapsed = time.perf_counter() - begun
-            if answer.embedding is None:
-                raise StartError("the daemon left the embedding out: update it")
-            embedding = np.asarray(answer.embedding)
-            if answer.epoch not in masks:
-                masks[answer.epoch] = observer.which(image, embedding, answer.epoch)
-            mask = masks[answer.epoch]
-            tally.samples.append(_sample(answer, mask, truth, elapsed))
-            if mask not in report and len(report) < REPORT_ROWS:
-                report[mask] = Row(
-                    image, observer.levels(mask), embedding, dict(answer.scores), truth
-                )
-            progress.update(task, advance=1, accuracy=f"accuracy {tally.accuracy:.3f}")
-    return tally, list(report.values())
-
-
-def _sample(answer: Classification, mask: int, truth: str, elapsed: float) -> Sample:
+def _sample(opened: Classification, mask: int, *, right: bool, elapsed: float) -> Sample:
+    if opened.notes is None:
+        raise StartError("the daemon sealed no notes: update it")
+    timing = opened.notes.timing
+    device = timing.queue_s + timing.rotation_s + timing.settle_s + timing.capture_s
     return Sample(
-        epoch=answer.epoch,
+        epoch=opened.epoch,
         mask=mask,
-        right=answer.label == truth,
-        settle=answer.timing.settle_s,
-        capture=answer.timing.capture_s,
-        inference=answer.timing.inference_s or 0.0,
-        http=elapsed - answer.timing.total_s,
+        right=right,
+        settle=timing.settle_s,
+        capture=timing.capture_s,
+        rest=elapsed - device,
     )
 
 

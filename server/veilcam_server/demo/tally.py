@@ -22,8 +22,8 @@ class Sample:
     right: bool
     settle: float
     capture: float
-    inference: float
-    http: float
+    rest: float
+    """What the client waited beside the device: classifying, sealing and HTTP."""
 
 
 @dataclass(slots=True)
@@ -51,7 +51,7 @@ class Tally:
         table = Table(title="Median times in ms", box=SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
         table.add_column("mask epoch", no_wrap=True)
         table.add_column("mask", justify="right", no_wrap=True)
-        for name in ("captures", "accuracy", "settle", "capture", "infer", "HTTP"):
+        for name in ("captures", "accuracy", "settle", "capture", "classify + HTTP"):
             table.add_column(name, justify="right", no_wrap=True)
         epochs = list(dict.fromkeys(sample.epoch for sample in self.samples))
         for epoch in epochs[:EPOCHS_SHOWN]:
@@ -80,6 +80,5 @@ def _cells(samples: Sequence[Sample], firsts: Sequence[Sample]) -> tuple[str, ..
         f"{sum(sample.right for sample in samples) / len(samples):.3f}",
         milliseconds([sample.settle for sample in firsts]),
         milliseconds([sample.capture for sample in samples]),
-        milliseconds([sample.inference for sample in samples]),
-        milliseconds([sample.http for sample in samples]),
+        milliseconds([sample.rest for sample in samples]),
     )

@@ -18,7 +18,10 @@ from hypothesis.extra import numpy as npst
 from tests.client.sealing import AT, BUNDLE, NOTES, VALUES, Device, Epoch
 
 from veilcam_client.errors import SealedError
+from veilcam_client.keys import blocks
 from veilcam_client.keys.blocks import NOTES_BYTES, Opener
+from veilcam_client.keys.envelopes import open_key
+from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import (
     Capture,
@@ -277,3 +280,40 @@ def test_the_key_of_a_forgotten_epoch_is_overwritten(device: Device, receiver: R
     assert held != bytes(32)
     opener.open(Epoch(device, receiver).capture(0, AT + timedelta(seconds=1)))
     assert held == bytes(32)
+
+
+def test_what_was_used_last_is_forgotten_last(device: Device, receiver: ReceiverKey) -> None:
+    opener = Opener(receiver, epochs=2)
+    first, second, third = (Epoch(device, receiver) for _ in range(3))
+    opener.open(first.capture(0, AT))
+    opener.open(second.capture(0, AT + timedelta(seconds=1)))
+    opener.open(first.capture(1, AT + timedelta(seconds=2)))
+    opener.open(third.capture(0, AT + timedelta(seconds=3)))
+    # The second one is forgotten, and the first still known: its number says all, not the time.
+    assert opener.open(first.capture(2, AT)).number == 2
+
+
+def test_what_is_forgotten_never_becomes_younger(device: Device, receiver: ReceiverKey) -> None:
+    """Two are known; the younger of them is forgotten first, as it was used first."""
+    opener = Opener(receiver, epochs=2)
+    for second in (5, 1, 9, 9):
+        opener.open(Epoch(device, receiver).capture(0, AT + timedelta(seconds=second)))
+    with pytest.raises(SealedError, match="came before"):
+        opener.open(Epoch(device, receiver).capture(0, AT + timedelta(seconds=3)))
+
+
+def test_the_key_of_an_epoch_is_not_kept(
+    epoch: Epoch, receiver: ReceiverKey, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What seals is all that an opener needs; masks are drawn from the rest."""
+    keys = []
+
+    def spied(*arguments: Any, **options: Any) -> EpochKey:
+        keys.append(open_key(*arguments, **options))
+        return keys[-1]
+
+    monkeypatch.setattr(blocks, "open_key", spied)
+    Opener(receiver).open(epoch.capture(0))
+    (key,) = keys
+    with pytest.raises(ValueError, match="was erased"):
+        key.reveal()

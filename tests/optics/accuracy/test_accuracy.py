@@ -11,7 +11,15 @@ import torch
 from torch import Tensor
 from typer.testing import CliRunner
 
-from veilcam_optics.accuracy import Point, Prepared, Setting, measure, pareto_front, relative_error
+from veilcam_optics.accuracy import (
+    Job,
+    Point,
+    Prepared,
+    Setting,
+    measure,
+    pareto_front,
+    relative_error,
+)
 from veilcam_optics.accuracy.chart import draw
 from veilcam_optics.accuracy.field_job import FieldJob
 from veilcam_optics.accuracy.psf_job import PsfJob
@@ -20,6 +28,13 @@ from veilcam_optics.accuracy.transfer_job import PLAN, TOLERANCES, TransferJob
 from veilcam_optics.cli import accuracy as command
 from veilcam_optics.cli.main import app
 from veilcam_optics.errors import OpticsError
+
+
+@pytest.fixture(scope="module")
+def transfer() -> tuple[Job, Tensor]:
+    """The quick job of transfers with its truth, which takes longer than all that is held to it."""
+    job = TransferJob(quick=True).job()
+    return job, job.reference()
 
 
 def point(seconds: float, error: float, method: str = "a") -> Point:
@@ -104,9 +119,9 @@ def test_measure_refuses_nonsense() -> None:
 
 
 @pytest.mark.slow
-def test_transfer_job_ranks_its_methods() -> None:
+def test_transfer_job_ranks_its_methods(transfer: tuple[Job, Tensor]) -> None:
     """The operator beats every field by ten times in error; finer sampling helps the field."""
-    job = TransferJob(quick=True).job()
+    job, truth = transfer
     chosen = {s.label: s for s in job.settings}
     labels = (
         "transfer operator (reach 3,1, step 1.55 um, dtype float32)",
@@ -114,7 +129,6 @@ def test_transfer_job_ranks_its_methods() -> None:
         "factored field (oversampling 2, dtype float32)",
         "angular spectrum (oversampling 1, padding reach, dtype float32)",
     )
-    truth = job.reference()
     best, coarse, fine, grid = (
         measure(chosen[label], truth, least=1, budget=1e-9).error for label in labels
     )
@@ -124,12 +138,12 @@ def test_transfer_job_ranks_its_methods() -> None:
 
 
 @pytest.mark.slow
-def test_the_papers_algorithm_is_one_of_the_methods() -> None:
+def test_the_papers_algorithm_is_one_of_the_methods(transfer: tuple[Job, Tensor]) -> None:
     """It skips pixels between its samples, and knows the PSF on the sensor alone."""
-    job = TransferJob(quick=True)
+    job, truth = transfer
     errors = {
-        s.dials["resampling"]: measure(s, job.reference(), least=1, budget=1e-9).error
-        for s in job.job().settings
+        s.dials["resampling"]: measure(s, truth, least=1, budget=1e-9).error
+        for s in job.settings
         if s.method == "Algorithm 1" and s.dials["dtype"] == "float32"
     }
     assert 4 * errors["area"] < errors["bilinear"] < 0.5
@@ -180,10 +194,10 @@ def test_quick_has_fewer_settings() -> None:
 
 
 @pytest.mark.slow
-def test_plans_join_the_job_and_keep_their_word() -> None:
-    job = TransferJob(quick=True)
-    plans = [setting for setting in job.job().settings if setting.method == PLAN]
-    points = [measure(s, job.reference(), least=1, budget=1e-9) for s in plans]
+def test_plans_join_the_job_and_keep_their_word(transfer: tuple[Job, Tensor]) -> None:
+    job, truth = transfer
+    plans = [setting for setting in job.settings if setting.method == PLAN]
+    points = [measure(s, truth, least=1, budget=1e-9) for s in plans]
     assert [point.dials["tolerance"] for point in points] == [f"{t:.0e}" for t in TOLERANCES]
     for found, tolerance in zip(points[:3], TOLERANCES[:3], strict=True):
         assert found.error < 2 * tolerance

@@ -44,6 +44,12 @@ def mask(camera: Camera, seed: int = 0) -> Tensor:
     return torch.rand(camera.mask_shape, generator=generator, dtype=torch.float64)
 
 
+@pytest.fixture(scope="module")
+def of_some() -> Plan:
+    """A plan to one in a thousand under many conditions."""
+    return plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
+
+
 def relative(value: Tensor, reference: Tensor) -> float:
     return float((value - reference).norm() / reference.norm())
 
@@ -69,8 +75,9 @@ def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -
 
 
 @pytest.mark.slow
-def test_finer_tolerances_cost_more_and_err_less() -> None:
-    plans = [plan(CAMERA, SCENE, EMBEDDING, tolerance, SOME) for tolerance in (1e-1, 1e-2, 1e-3)]
+def test_finer_tolerances_cost_more_and_err_less(of_some: Plan) -> None:
+    coarser = [plan(CAMERA, SCENE, EMBEDDING, tolerance, SOME) for tolerance in (1e-1, 1e-2)]
+    plans = [*coarser, of_some]
     times = [chosen.cost.step_ms for chosen in plans]
     assert times == sorted(times)
     assert times[0] < times[-1]
@@ -111,10 +118,10 @@ def test_plan_equals_no_plan() -> None:
 
 
 @pytest.mark.slow
-def test_planning_twice_gives_the_same() -> None:
-    first, second = (plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME) for _ in range(2))
-    assert first.model == second.model
-    assert first.error == second.error
+def test_planning_twice_gives_the_same(of_some: Plan) -> None:
+    again = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
+    assert again.model == of_some.model
+    assert again.error == of_some.error
 
 
 def test_operator_learns_through_a_plan() -> None:
@@ -141,7 +148,13 @@ def test_operator_learns_through_a_plan() -> None:
 
 EXTREMES = [
     ("near", replace(CAMERA, distance=1e-6), SCENE, EMBEDDING, 1e-3),
-    ("near and fine", replace(CAMERA, distance=1e-5), SCENE, Embedding(125, 150), 1e-4),
+    (
+        "near and fine",
+        replace(CAMERA, sensor=Sensor(rows=200, columns=240), distance=1e-5),
+        SCENE,
+        Embedding(50, 60),
+        1e-4,
+    ),
     ("far", replace(CAMERA, distance=1.0), SCENE, EMBEDDING, 1e-2),
     ("very far", replace(CAMERA, distance=1e3), SCENE, EMBEDDING, 1e-2),
     ("ultraviolet", replace(CAMERA, wavelengths=(2e-7,) * 3), SCENE, EMBEDDING, 1e-3),
@@ -197,7 +210,12 @@ def test_total(camera: Camera, scene: Scene, embedding: Embedding, tolerance: fl
 
 @pytest.mark.slow
 @pytest.mark.long
-@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(
+    deadline=None,
+    derandomize=True,
+    # Whether the form is long is the same for every example.
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 @given(
     rows=st.integers(1, 9),
     columns=st.integers(1, 5),
@@ -229,7 +247,9 @@ def test_total_over_conditions(
     tolerance: float,
     shape: tuple[int, int],
     conditions: Conditions,
+    long_form: bool,
 ) -> None:
+    """The short form embeds what a plan says takes less than two seconds; the long one all."""
     camera = Camera(
         window=Window(rows, columns),
         sensor=Sensor(rows=80, columns=100),
@@ -238,8 +258,9 @@ def test_total_over_conditions(
     chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
     assert 0 <= chosen.error < math.inf
     assert len(chosen.assessments) == len(EFFECTS)
-    values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
-    assert bool(torch.isfinite(values).all())
+    if long_form or chosen.cost.step_ms < 2000:
+        values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
+        assert bool(torch.isfinite(values).all())
 
 
 def test_what_cannot_be_reached_is_said() -> None:
@@ -288,10 +309,9 @@ def test_no_batch_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_explanation_says_what_was_chosen() -> None:
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, SOME)
-    text = chosen.explain()
-    sampling = chosen.model.sampling
+def test_explanation_says_what_was_chosen(of_some: Plan) -> None:
+    text = of_some.explain()
+    sampling = of_some.model.sampling
     assert (
         f"reach of interference    {sampling.reach.rows} rows, {sampling.reach.columns} columns"
         in text
@@ -299,7 +319,7 @@ def test_explanation_says_what_was_chosen() -> None:
     assert f"wavelengths per channel  {sampling.wavelengths}" in text
     assert "number format            float32" in text
     assert "tolerance                1.0e-03" in text
-    for found in chosen.assessments:
+    for found in of_some.assessments:
         line = next(line for line in text.splitlines() if line.startswith(f" {found.name} "))
         assert f" {'on' if found.matters else 'off'} " in line
 

@@ -28,6 +28,7 @@ from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.errors import (
     MasksSpentError,
     NoReceiverError,
+    NotReadyError,
     ReleaseNotRecordedError,
     SelfTestError,
     WithheldError,
@@ -420,6 +421,24 @@ def test_who_receives_from_now_on_holds_for_the_next_mask(sealed_bench: Bench) -
     camera.stop()
 
 
+def test_a_first_epoch_of_another_bundle_is_not_shown_to_who_was_removed_meanwhile(
+    sealed_bench: Bench, fresh_bundle: Bundle
+) -> None:
+    camera = sealed_bench.camera()
+    other = FreshSource(fresh_bundle)
+    first = camera.first_of(other)
+    kept = pair_with(sealed_bench, ReceiverKey.generate())
+    sealed_bench.receivers.remove(RECEIVER.public.id)
+    camera.renew()
+    with pytest.raises(NotReadyError, match="who receives has changed"):
+        camera.change_source(other, first)
+    assert is_gone(first)
+    assert is_whole(active(camera))
+    camera.change_source(other, camera.first_of(other))
+    assert receivers(camera) == {kept}
+    camera.stop()
+
+
 def receivers(camera: MaskedCamera) -> set[str]:
     """To whom the epoch on the panel is sealed."""
     sealer = active(camera).sealer
@@ -688,19 +707,3 @@ def test_marks_are_kept_of_stored_masks_alone(fresh_bench: Bench, bundle: Bundle
     assert len(source.marks) == len(bundle.pairs)
     with closing(alone(fresh_bench)) as preparation:
         assert not preparation.spent
-
-
-def test_who_receives_no_more_is_not_in_the_first_mask_of_another_bundle(
-    sealed_bench: Bench,
-) -> None:
-    camera = sealed_bench.camera()
-    added = pair_with(sealed_bench, ReceiverKey.generate())
-    camera.renew()
-    # Prepared before its receiver was removed, and shown afterwards.
-    first = camera.first_of(sealed_bench.source)
-    sealed_bench.receivers.remove(RECEIVER.public.id)
-    camera.renew()
-    camera.change_source(sealed_bench.source, first)
-    assert receivers(camera) == {added}
-    assert is_gone(first)
-    camera.stop()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,23 +10,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import torch
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from typer.testing import CliRunner
 
+from veilcam_client.keys.envelopes import seal_key
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.sealing import EXAMPLE_ENVELOPE
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_server.cli.main import app
 from veilcam_server.demo.observer import KeyObserver, PairObserver
-from veilcam_server.demo.report import draw_mask
+from veilcam_server.demo.report import draw_block, draw_mask
 from veilcam_server.demo.tally import EPOCHS_SHOWN, Sample, Tally
 from veilcam_server.demo_data import load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.sealing.identity import DeviceKey
 
 pytestmark = pytest.mark.numerical
 
 if TYPE_CHECKING:
-    from veilcam_optics.keys.masks import Secret
     from veilcam_training.bundle import Bundle
 
 runner = CliRunner()
@@ -46,6 +52,7 @@ def test_the_demo_runs(bundle_file: Path, tmp_path: Path) -> None:
     found = re.fullmatch(r"accuracy=(\d\.\d{3}) captures=12 masks=([123])", last)
     assert found
     assert "experiment wrong-classifier" in result.stdout
+    assert "receiver " in result.stdout
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -108,22 +115,30 @@ def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
         for image in digits.images[:5]:
             scene = torch.from_numpy(image / np.float32(255))
             seen = shot_noise(light.embed(scene, psf, bundle.embedding)[None], 40.0, generator)
-            assert observer.which(image, seen[0].numpy(), "any") == index
+            assert observer.which(image, seen[0].numpy(), EXAMPLE_ENVELOPE) == index
 
 
-def test_the_observer_with_the_key_finds_the_mask_of_an_epoch(
-    fresh_bundle: Bundle, secret: Secret
+def test_the_observer_with_a_key_draws_the_mask_of_an_envelope(
+    fresh_bundle: Bundle,
 ) -> None:
-    source, observer = FreshSource(fresh_bundle, secret), KeyObserver(fresh_bundle, secret)
+    receiver, bundle = ReceiverKey.generate(), "0f" * 32
+    signer = DeviceKey(Ed25519PrivateKey.generate())
+    keys = [EpochKey.generate(device=signer.public, bundle=bundle) for _ in range(3)]
+    envelopes = [
+        seal_key(key, signer, epoch=name * 32, bundle=bundle, receivers=[receiver.public])
+        for key, name in zip(keys, "fab", strict=True)
+    ]
+    source, observer = FreshSource(fresh_bundle), KeyObserver(fresh_bundle, receiver)
     image, measurement = np.zeros((28, 28), np.uint8), np.zeros((4, 5), np.float32)
-    for counter, number in ((70, 0), (9, 1), (70, 0), (12, 2)):
-        assert observer.which(image, measurement, source.name(counter)) == number
-        assert np.array_equal(observer.levels(number), source.make(counter, "").levels)
+    for number in (0, 1, 0, 2):
+        assert observer.which(image, measurement, envelopes[number]) == number
+        mask = source.make(keys[number], "none", frozenset())
+        assert np.array_equal(observer.levels(number), mask.levels)
 
 
 def test_a_long_table_is_cut_short() -> None:
     def sample(number: int) -> Sample:
-        return Sample(f"{number:032}", number, True, settle=0, capture=0, inference=0, http=0)
+        return Sample(f"{number:032}", number, True, settle=0, capture=0, rest=0)
 
     table = Tally([sample(number) for number in range(EPOCHS_SHOWN + 7)]).table()
     assert table.row_count == EPOCHS_SHOWN + 2
@@ -132,11 +147,22 @@ def test_a_long_table_is_cut_short() -> None:
 
 def test_the_tally_counts() -> None:
     def sample(epoch: str, mask: int, right: bool) -> Sample:
-        return Sample(epoch, mask, right, settle=0.1, capture=0.02, inference=0.001, http=0.003)
+        return Sample(epoch, mask, right, settle=0.1, capture=0.02, rest=0.004)
 
     tally = Tally([sample("a", 0, True), sample("a", 0, False), sample("b", 2, True)])
     assert tally.summary() == "accuracy=0.667 captures=3 masks=2"
     assert tally.table().row_count == 3
+    assert list(tally.table().columns[-1].cells) == ["4.0"] * 3
+
+
+def test_a_drawn_block_shows_every_byte() -> None:
+    block = bytes(range(256)) * 5 + b"\7"
+    for shape in ((24, 32), (3, 4), (4, 3), (1, 1)):
+        drawn = draw_block(block, shape)
+        shown = drawn[np.isfinite(drawn)]
+        assert bytes(shown.astype(np.uint8)) == block
+        assert drawn.size - shown.size < drawn.shape[1]
+        assert math.isclose(drawn.shape[0] / drawn.shape[1], shape[0] / shape[1], rel_tol=0.05)
 
 
 def test_a_drawn_mask_shows_levels_filters_and_dead_space(bundle: Bundle) -> None:

@@ -128,7 +128,7 @@ def test_a_panel_and_a_sensor_that_were_added_serve(
         status = service.status()
         assert (status.state, status.detail) == ("ready", None)
         assert (status.device.display, status.device.sensor) == ("PROMPT", "OTHER")
-        service._camera.capture()
+        service._camera.capture(release=False)
     finally:
         service.stop()
 

@@ -20,6 +20,7 @@ from structlog.testing import capture_logs
 
 from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.propagation.sampling import area_average
+from veilcam_server.camera.capture import MaskedCapture
 from veilcam_server.daemon import build_service
 from veilcam_server.devices import DeviceError, SensorError
 from veilcam_server.devices.imx477 import HALF
@@ -159,8 +160,9 @@ def test_a_raspberry_pi_serves(board: Board, settings: Settings) -> None:
         # Nothing leaves a real camera unless it is said.
         assert status.release == "none"
         begun = time.monotonic()
-        captured = service._camera.capture()
-        assert captured.started_after_shown >= settings.settle
+        captured = service._camera.capture(release=False)
+        assert isinstance(captured, MaskedCapture)
+        assert captured.exposure.started_after_shown_s >= settings.settle
         assert time.monotonic() >= begun
     finally:
         service.stop()
@@ -254,7 +256,7 @@ def test_a_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Set
     time.sleep(1.0)  # the pause before another attempt
     service._camera.test_if_due()
     assert service.status().state == "ready"
-    service._camera.capture()
+    service._camera.capture(release=False)
     service.stop()
 
 

@@ -142,11 +142,11 @@ class Failing:
     def __init__(self, inner: Callable[..., Any], times: int = 3) -> None:
         self.inner, self.left = inner, times
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
         if self.left > 0:
             self.left -= 1
             raise RuntimeError(SECRET)
-        return self.inner(*arguments)
+        return self.inner(*arguments, **named)
 
     def __get__(self, instance: object, _: type) -> Callable[..., Any]:
         """As a method of a class."""

@@ -16,6 +16,7 @@ from typing import Any
 import httpx
 from PIL import Image
 
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_server.demo_data import BUNDLE
 from veilcam_training.bundle import read_bundle, write_bundle
@@ -87,7 +88,8 @@ def _picture() -> bytes:
 
 
 def asks() -> Mapping[str, Ask]:
-    """Twenty of them, by name."""
+    """All of them, by name."""
+    receiver = str(ReceiverKey.generate().public)
     made = (
         Ask("fetch", "GET", "/v1/status"),
         Ask("fetch no-cors", "GET", "/v1/diagnostics"),
@@ -95,6 +97,7 @@ def asks() -> Mapping[str, Ask]:
         Ask("fetch", "POST", "/v1/rotation/advance"),
         Ask("fetch text/plain", "POST", "/v1/lease", _json(owner="a page", seconds=60)),
         Ask("fetch text/plain", "POST", "/v1/bundles", _bundle(), BUNDLE_MEDIA_TYPE),
+        Ask("fetch text/plain", "POST", "/v1/receivers", _json(label="a page", key=receiver)),
         Ask("fetch with its type", "PUT", "/v1/rotation", _json(mode="captures", captures=7)),
         Ask("fetch with its type", "PUT", "/v1/simulation/scene", _picture(), "image/png"),
         Ask("fetch with its type", "DELETE", "/v1/simulation/scene"),

@@ -25,7 +25,7 @@ from veilcam_server.security.audit import DONE, REFUSED
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 120.0
 """Longest wait for a page to have made all its requests [s]; they take about 20."""
-STATE = ("rotation", "bundles", "lease", "calibration")
+STATE = ("rotation", "bundles", "lease", "calibration", "receivers")
 
 
 def browser() -> str | None:
@@ -48,7 +48,7 @@ class Watched:
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def state(self) -> dict[str, Any]:
-        """All that a request could change: counts, mask, policy, bundles, lease, tokens, log."""
+        """All that a request could change: mask, policy, bundles, lease, receivers, tokens, log."""
         with httpx.Client(base_url=self.url, headers=self.headers, trust_env=False) as client:
             found = {path: client.get(f"/v1/{path}").json() for path in STATE}
             diagnostics = client.get("/v1/diagnostics").json()

@@ -66,5 +66,5 @@ def test_a_link_leads_to_the_page_of_the_daemon_and_a_frame_does_not(
 
 @pytest.mark.parametrize("auth", ["none", "tokens"])
 def test_the_same_requests_of_a_program_do_what_they_say(daemons: Daemons, auth: str) -> None:
-    assert len(asks()) == 20
+    assert len(asks()) == 21
     assert try_program(asks(), daemons(auth)) == []

@@ -7,12 +7,12 @@
 #
 #     tests/system/real_picamera2/build.sh [PYTHON]    PYTHON has this project installed; .venv/bin/python
 set -euo pipefail
-cd "$(dirname "$0")/../.."
+cd "$(dirname "$0")/../../.."
 
 readonly SUITE=sid KNOWN=0.7.2
 readonly PACKAGES=(dpkg-dev g++ pkg-config
   libcap-dev libgnutls28-dev libjpeg-dev libudev-dev libyaml-dev libyuv-dev)
-readonly BUILD="$PWD/build/libcamera" HERE="$PWD/tests/real_picamera2"
+readonly BUILD="$PWD/build/libcamera" HERE="$PWD/tests/system/real_picamera2"
 # Or libcamera would call itself by the version of the repository around it.
 export GIT_CEILING_DIRECTORIES="$BUILD"
 PYTHON=$(realpath --no-symlinks "${1:-.venv/bin/python}")

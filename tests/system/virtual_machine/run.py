@@ -24,7 +24,7 @@ from rich.table import Table
 from veilcam_training.experiments.records import Origin, record_figures
 
 ROOT = Path(__file__).resolve().parents[3]
-IMAGE = ROOT / "tests" / "virtual_machine" / "build-image.sh"
+IMAGE = Path(__file__).with_name("build-image.sh")
 BUILD = ROOT / "build" / "virtual-machine"
 TOOLS = {
     "qemu-system-x86_64": "qemu-system-x86",

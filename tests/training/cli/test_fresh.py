@@ -19,9 +19,20 @@ from veilcam_training.bundle import read_bundle
 from veilcam_training.cli.main import app
 from veilcam_training.errors import TrainingError
 
+SMALL = 'rank = 20\nclassifier = "CNN4"\n[misalignment]\npanels = 2\n'
+"""What a fit spends its time on, made small: nothing that a command says depends on it."""
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A configuration of a fit of a second."""
+    file = tmp_path / "small.toml"
+    file.write_text(SMALL)
+    return file
+
 
 @pytest.mark.slow
-def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None:
+def test_the_command_writes_a_bundle(digit_folder: Path, small: Path, tmp_path: Path) -> None:
     out = tmp_path / "fresh.veilcam"
     command = [
         "fit-fresh",
@@ -30,9 +41,8 @@ def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None
         "--out",
         str(out),
     ]
-    result = CliRunner().invoke(
-        app, [*command, "--task", "mnist_3x4", "--epochs", "1", "--masks", "5", "--seed", "2"]
-    )
+    chosen = ["--task", "mnist_3x4", "--config", str(small), "--epochs", "1", "--seed", "2"]
+    result = CliRunner().invoke(app, [*command, *chosen, "--masks", "5"])
     assert result.exit_code == 0, result.output
     assert "on 5 unseen masks" in result.output
     bundle = read_bundle(out)
@@ -59,10 +69,7 @@ def test_the_command_writes_a_bundle(digit_folder: Path, tmp_path: Path) -> None
 @pytest.mark.slow
 def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     config, logs, work = tmp_path / "a.toml", tmp_path / "logs", tmp_path / "work"
-    config.write_text(
-        'task = "mnist_3x4"\nepochs = 2\nrank = 20\nclassifier = "CNN4"\n'
-        "[misalignment]\npanels = 2\n"
-    )
+    config.write_text(f'task = "mnist_3x4"\nepochs = 2\n{SMALL}')
     out = tmp_path / "fresh.veilcam"
     command = ["fit-fresh", "--data", str(digit_folder), "--out", str(out), "--masks", "5"]
     command += ["--config", str(config), "--device", "cpu", "--work", str(work), "--batch", "80"]
@@ -92,11 +99,11 @@ def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_two_processes(digit_folder: Path, tmp_path: Path) -> None:
+def test_two_processes(digit_folder: Path, small: Path, tmp_path: Path) -> None:
     """Each with masks of its own, and one bar, one bundle."""
     out, binaries = tmp_path / "a.veilcam", Path(sys.executable).parent
     launch = (binaries / "torchrun", "--standalone", "--nproc-per-node", 2, "--no-python")
-    chosen = ("--task", "mnist_3x4", "--epochs", 1, "--batch", 128, "--masks", 5)
+    chosen = ("--task", "mnist_3x4", "--config", small, "--epochs", 1, "--masks", 5)
     fit = ("fit-fresh", "--data", digit_folder, *chosen, "--device", "cpu", "--out", out)
     command = [*launch, binaries / "veilcam-train", *fit]
     done = subprocess.run(

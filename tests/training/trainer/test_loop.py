@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from tests.training.conftest import write_digits
 
 from veilcam_optics.camera.geometry import Camera, Window
 from veilcam_training.bundle.layers import Affine
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import FreshSettings, Settings
-from veilcam_training.data import Source, split
+from veilcam_training.data import Source, open_source, split
 from veilcam_training.encoders import PanelErrors
 from veilcam_training.encoders.fresh import FreshCamera, Misalignment
 from veilcam_training.errors import TrainingError
@@ -30,7 +31,7 @@ from veilcam_training.trainer.loop import Fit, fit
 from veilcam_training.trainer.step import make_optimiser
 from veilcam_training.transforms.augmentation import Augmentation
 
-WINDOW = Camera(window=Window(rows=18, columns=9))
+WINDOW = Camera(window=Window(rows=8, columns=4))
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
 
 
@@ -72,13 +73,19 @@ def weights_of(result: Fit) -> torch.Tensor:
 
 
 @pytest.fixture(scope="module")
-def reference(source: Source) -> Fit:
-    return run(source, settings())
+def few(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    """Images for three steps of an epoch: enough where results are compared, not judged."""
+    return open_source("mnist", write_digits(tmp_path_factory.mktemp("few"), 300, 100, packed=True))
 
 
 @pytest.fixture(scope="module")
-def fresh_reference(source: Source) -> Fit:
-    return run(source, fresh())
+def reference(few: Source) -> Fit:
+    return run(few, settings())
+
+
+@pytest.fixture(scope="module")
+def fresh_reference(few: Source) -> Fit:
+    return run(few, fresh())
 
 
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated", "digital"])
@@ -98,14 +105,14 @@ def test_it_learns(source: Source, encoder: str) -> None:
     ("chosen", "other"), [(settings(), settings(seed=1)), (fresh(), fresh(seed=1))]
 )
 def test_the_same_seed_gives_the_same_result(
-    source: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
+    few: Source, chosen: Settings | FreshSettings, other: Settings | FreshSettings
 ) -> None:
-    first = run(source, chosen)
+    first = run(few, chosen)
     torch.manual_seed(1)  # what ran before does not matter
-    again = run(source, chosen)
+    again = run(few, chosen)
     assert torch.equal(weights_of(again), weights_of(first))
     assert again.history[0].loss == first.history[0].loss
-    assert not torch.equal(weights_of(run(source, other)), weights_of(first))
+    assert not torch.equal(weights_of(run(few, other)), weights_of(first))
 
 
 def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
@@ -146,9 +153,9 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
     ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items()),
 )
 def test_every_option_changes_the_result(
-    source: Source, reference: Fit, changes: dict[str, Any]
+    few: Source, reference: Fit, changes: dict[str, Any]
 ) -> None:
-    changed = run(source, settings(SMALL.model_copy(update=changes)))
+    changed = run(few, settings(SMALL.model_copy(update=changes)))
     before, after = weights_of(reference), weights_of(changed)
     assert before.shape != after.shape or not torch.equal(before, after)
 
@@ -158,9 +165,9 @@ def test_every_option_changes_the_result(
     "changes", [{"classifier": "FC20"}, {"embedding": "3x4"}, {"binning": "point"}]
 )
 def test_every_setting_changes_the_result(
-    source: Source, reference: Fit, changes: dict[str, Any]
+    few: Source, reference: Fit, changes: dict[str, Any]
 ) -> None:
-    after = weights_of(run(source, settings(**changes)))
+    after = weights_of(run(few, settings(**changes)))
     assert after.shape != weights_of(reference).shape or not torch.equal(
         after, weights_of(reference)
     )
@@ -196,31 +203,35 @@ def test_every_setting_changes_the_result(
     ids=lambda changes: "-".join(map(str, changes)),
 )
 def test_every_setting_for_fresh_masks_changes_the_result(
-    source: Source, fresh_reference: Fit, changes: dict[str, Any]
+    few: Source, fresh_reference: Fit, changes: dict[str, Any]
 ) -> None:
-    other = run(source, fresh(**{"epochs": 1, **changes}))
+    other = run(few, fresh(**{"epochs": 1, **changes}))
     first, after = fresh_reference.history[0], other.history[0]
     assert len(other.history) == changes.get("epochs", 1)
     assert (after.loss, after.validation_loss) != (first.loss, first.validation_loss)
 
 
 @pytest.mark.slow
-def test_the_rate_of_learned_ranges_changes_them(source: Source) -> None:
+def test_the_rate_of_learned_ranges_changes_them(few: Source) -> None:
     slow, fast = (
-        run(source, fresh(spread=0.4, epochs=1, mask_rate=rate)).model.encoder
-        for rate in (1e-3, 0.1)
+        run(few, fresh(spread=0.4, epochs=1, mask_rate=rate)).model.encoder for rate in (1e-3, 0.1)
     )
     assert isinstance(slow, FreshCamera)
     assert isinstance(fast, FreshCamera)
     assert not np.array_equal(slow.distribution.lowest, fast.distribution.lowest)
 
 
+@pytest.fixture(scope="module")
+def unchanged(source: Source) -> Fit:
+    return run(source, settings())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rescale", "rotate", "perspective"])
-def test_changes_of_the_scene(source: Source, reference: Fit, name: str) -> None:
+def test_changes_of_the_scene(source: Source, unchanged: Fit, name: str) -> None:
     """Training and testing both see the change, and it makes the task harder."""
     outcome = run_fit(settings(change=name), source, Camera())
-    assert outcome.fit.best.validation_loss > reference.best.validation_loss
+    assert outcome.fit.best.validation_loss > unchanged.best.validation_loss
     model, test = outcome.fit.model, source.test()
     first, again = (evaluate(model, test, 0, "test") for _ in range(2))
     assert torch.equal(first.predictions, again.predictions)
@@ -338,22 +349,22 @@ class StopAfter:
     ids=["plain", "fixed", "white", "everything", "fresh", "fresh ranges"],
 )
 def test_resumed_is_the_same_as_unbroken(
-    source: Source, tmp_path: Path, chosen: Settings | FreshSettings
+    few: Source, tmp_path: Path, chosen: Settings | FreshSettings
 ) -> None:
     path = tmp_path / "work" / "fit.checkpoint"
     with pytest.raises(InterruptionError):
-        run(source, chosen, checkpoint=path, fingerprint="a", callbacks=[StopAfter(1, 2)])
+        run(few, chosen, checkpoint=path, fingerprint="a", callbacks=[StopAfter(1, 2)])
     observer = StopAfter(-1, -1)
-    resumed = run(source, chosen, checkpoint=path, fingerprint="a", callbacks=[observer])
+    resumed = run(few, chosen, checkpoint=path, fingerprint="a", callbacks=[observer])
     assert observer.seen[0] == (1, 1)
-    unbroken = run(source, chosen)
+    unbroken = run(few, chosen)
     assert torch.equal(weights_of(resumed), weights_of(unbroken))
     assert [(e.loss, e.validation_loss) for e in resumed.history] == [
         (e.loss, e.validation_loss) for e in unbroken.history
     ]
     # One that is done is not done again.
     again = StopAfter(-1, -1)
-    done = run(source, chosen, checkpoint=path, fingerprint="a", callbacks=[again])
+    done = run(few, chosen, checkpoint=path, fingerprint="a", callbacks=[again])
     assert again.seen == []
     assert torch.equal(weights_of(done), weights_of(unbroken))
     assert [file.name for file in path.parent.iterdir()] == [path.name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import http.client
 import json
 import os
@@ -18,7 +17,7 @@ from pathlib import Path
 from veilcam_client import Camera, EveryCaptures, VeilcamError
 
 from . import network, panel, probe
-from .prepare import CREDENTIAL, SHARED
+from .prepare import SHARED
 
 SOCKET = Path("/run/veilcam/api.sock")
 URLS = (f"unix://{SOCKET}", "http://127.0.0.1:8787")
@@ -186,7 +185,6 @@ class Checks:
     def sandbox_holds(self) -> str:
         """Everything that the daemon has no use for is refused, and possible outside."""
         self._open_everything()
-        digest = hashlib.sha256((SHARED / "secret").read_bytes()).hexdigest()
         with socket.create_server(("127.0.0.1", probe.PORT)):
             Path("/srv/state").mkdir()
             shutil.chown("/srv/state", "veilcam")
@@ -205,7 +203,6 @@ class Checks:
             )
             with self._instead("Type=oneshot", "Restart=no", "WatchdogSec=0",
                 "StandardOutput=truncate:/run/panel/probe", "StandardError=journal",
-                f"Environment=MASK_KEY_DIGEST={digest}",
                 program=f"{PYTHON} -m guest.probe attempts,needs {STATE}"):  # fmt: skip
                 run("systemctl", "start", "veilcamd.service")
         inside = json.loads(Path("/run/panel/probe").read_text())
@@ -261,13 +258,13 @@ class Checks:
         return f"label {label} with a token, none without"
 
     def uninstall_leaves_the_state(self) -> str:
-        """Nothing is left but state, settings and secrets; with --purge these go, too."""
+        """Nothing is left but state and settings; with --purge these go, too."""
         uninstall = str(HERE.parent / "uninstall.sh")
         run(uninstall)
         edited = {network.UNITS / f"veilcamd.{kind}.d" for kind in ("service", "socket")}
-        kept = {STATE, Path("/etc/veilcam"), CREDENTIAL, *edited}
+        kept = {STATE, Path("/etc/veilcam"), *edited}
         assert self._left() == kept, self._left()
-        assert (STATE / "epochs.json").exists()
+        assert (STATE / "device-key.json").exists()
         assert not SOCKET.exists()
         assert "veilcamd" not in run("systemctl", "list-unit-files", "--no-legend")
         run(uninstall, "--purge")

@@ -1,8 +1,7 @@
-"""Before the daemon starts: GPIO lines, the panel's bus, and a mask secret as a credential."""
+"""Before the daemon starts: GPIO lines and the panel's bus."""
 
 from __future__ import annotations
 
-import secrets
 import subprocess
 import time
 from pathlib import Path
@@ -12,7 +11,6 @@ LABEL = "pinctrl-rp1"
 DATA, RESET = 24, 25
 SPI = Path("/dev/spidev0.0")
 SHARED = Path("/run/panel")
-CREDENTIAL = Path("/etc/credstore.encrypted/veilcam.mask-key")
 
 
 def main() -> None:
@@ -21,7 +19,6 @@ def main() -> None:
     _run("systemctl", "start", "veilcam-spidev.service")
     _wait_for(SPI)
     _run("udevadm", "settle")
-    _make_credential()
 
 
 def _make_lines() -> None:
@@ -40,13 +37,6 @@ def _make_lines() -> None:
     SHARED.mkdir()
     # Where the bus looks for D/C while bytes pass.
     (SHARED / "data").symlink_to(lines / f"sim_gpio{DATA}" / "value")
-
-
-def _make_credential() -> None:
-    secret = SHARED / "secret"
-    # As 'veilcamd secret' does, without a minute of loading torch.
-    secret.write_text(secrets.token_hex(32) + "\n")
-    _run("systemd-creds", "encrypt", "--name=mask-key", str(secret), str(CREDENTIAL))
 
 
 def _wait_for(path: Path) -> None:

@@ -7,7 +7,6 @@ opened to all, so that it is the sandbox that refuses, or nobody.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import json
 import mmap
 import os
@@ -60,7 +59,7 @@ def needs(state: Path) -> dict[str, Callable[[], object]]:
     """Return what the daemon must be able to do, by name."""
     return {
         "write to its state": lambda: _write(state),
-        "read its mask secret": _credential,
+        "draw a key and seal it to a receiver": _seal,
         "open the panel's bus": lambda: os.close(os.open("/dev/spidev0.0", os.O_RDWR)),
         "open a GPIO chip": lambda: os.close(os.open("/dev/gpiochip0", os.O_RDWR)),
         "open a unix socket": lambda: socket.socket(socket.AF_UNIX).close(),
@@ -117,10 +116,12 @@ def _dump_core() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (1024, 1024))
 
 
-def _credential() -> None:
-    given = Path(os.environ["CREDENTIALS_DIRECTORY"], "mask-key").read_bytes()
-    if hashlib.sha256(given).hexdigest() != os.environ["MASK_KEY_DIGEST"]:
-        raise OSError(0, "it is another one")
+def _seal() -> None:
+    from veilcam_client.keys.epoch_key import EpochKey
+    from veilcam_client.keys.receivers import ReceiverKey
+
+    key = EpochKey.generate(device="d7" * 32, bundle="0f" * 32)
+    ReceiverKey.generate().public.seal(key.reveal(), b"probe")
 
 
 def _convolve() -> None:

@@ -1,0 +1,212 @@
+"""Attackers who are to answer a question about one released embedding, without any key.
+
+Three families: by length, by inner products and distances, by trained networks. Each has several
+members; which of them is used, and with which settings, is chosen on captures that were set apart
+from those it learned from and from those it is judged by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy, one_hot
+
+Family = Literal["length", "products", "networks"]
+Scores = Callable[[Tensor], Tensor]
+"""From vectors (count, pixels) to scores (count, classes)."""
+_ROWS = 2048
+"""Vectors that are judged at once."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Vectors (count, pixels) float32 and their answers (count,) int64."""
+
+    vectors: Tensor
+    labels: Tensor
+
+    def take(self, chosen: Tensor) -> Seen:
+        """Some of them."""
+        return Seen(self.vectors[chosen], self.labels[chosen])
+
+
+class Attacker(Protocol):
+    """Learns to answer."""
+
+    def __call__(self, learned: Seen, check: Seen, classes: int) -> Scores:
+        """Learn; ``check`` serves to stop in time, and to choose settings."""
+
+
+def best_of(attackers: Sequence[Attacker]) -> Attacker:
+    """The attacker that answers most of ``check`` right."""
+
+    def attack(learned: Seen, check: Seen, classes: int) -> Scores:
+        tried = [attacker(learned, check, classes) for attacker in attackers]
+        return max(tried, key=lambda scores: _right(scores, check))
+
+    return attack
+
+
+def _right(scores: Scores, seen: Seen) -> float:
+    return float((judged(scores, seen.vectors).argmax(1) == seen.labels).double().mean())
+
+
+def judged(scores: Scores, vectors: Tensor) -> Tensor:
+    """Scores of many vectors, (count, classes)."""
+    with torch.no_grad():
+        return torch.cat([scores(part) for part in torch.split(vectors, _ROWS)])
+
+
+def by_length(learned: Seen, check: Seen, classes: int, *, bins: int) -> Scores:
+    """Bayes' rule on a histogram of the lengths of vectors."""
+    del check
+    lengths = _length(learned.vectors)
+    inner = torch.linspace(0, 1, bins + 1, dtype=torch.float64)[1:-1]
+    edges = torch.quantile(lengths, inner)
+    places = torch.bucketize(lengths, edges)
+    counts = torch.ones(bins, classes, dtype=torch.float64)
+    counts.index_put_((places, learned.labels), torch.ones_like(lengths), accumulate=True)
+    table = (counts / counts.sum(0)).log()
+    return lambda vectors: table[torch.bucketize(_length(vectors), edges)]
+
+
+def _length(vectors: Tensor) -> Tensor:
+    lengths: Tensor = torch.linalg.vector_norm(vectors.double(), dim=1)
+    return lengths
+
+
+def by_means(learned: Seen, check: Seen, classes: int) -> Scores:
+    """Inner products with the mean of each class."""
+    del check
+    members = one_hot(learned.labels, classes).float()
+    means = (learned.vectors.T @ members) / members.sum(0).clamp_min(1)
+    return lambda vectors: vectors @ means
+
+
+def by_neighbours(
+    learned: Seen, check: Seen, classes: int, *, count: int, distances: bool
+) -> Scores:
+    """Votes of the vectors that have the largest inner products, or are nearest."""
+    del check
+    votes = one_hot(learned.labels, classes).float()
+    squares = learned.vectors.square().sum(1) / 2 if distances else 0.0
+    near = min(count, len(votes))
+
+    def scores(vectors: Tensor) -> Tensor:
+        likeness = vectors @ learned.vectors.T - squares
+        return votes[likeness.topk(near, dim=1).indices].sum(1)
+
+    return scores
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One way to fit a network, with a seed of its own."""
+
+    seed: int
+    rate: float
+    decay: float
+
+
+TRIALS = (Trial(1, 1e-3, 1e-4), Trial(2, 3e-3, 1e-2), Trial(3, 3e-4, 1e-1))
+_BATCH = 256
+
+Build = Callable[[int, int], nn.Module]
+"""From pixels and classes to a network of inputs (batch, 2, pixels): values and their squares."""
+
+
+def linear(pixels: int, classes: int) -> nn.Module:
+    """Logistic regression."""
+    return nn.Sequential(nn.Flatten(), nn.Linear(2 * pixels, classes))
+
+
+def perceptron(pixels: int, classes: int) -> nn.Module:
+    """One hidden layer."""
+    return nn.Sequential(
+        nn.Flatten(),
+        nn.Linear(2 * pixels, 256),
+        nn.ReLU(),
+        nn.Dropout(0.2),
+        nn.Linear(256, classes),
+    )
+
+
+def convolutions(shape: tuple[int, int], pixels: int, classes: int) -> nn.Module:
+    """Two convolutions and a linear layer, on the embedding as a picture."""
+    rows, columns = shape
+    if rows * columns != pixels:
+        raise ValueError(f"{pixels} pixels are no picture of {shape}")
+    return nn.Sequential(
+        nn.Unflatten(2, shape),
+        *(nn.Conv2d(2, 16, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)),
+        *(nn.Conv2d(16, 32, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)),
+        *(nn.Flatten(), nn.Linear(32 * (rows // 4) * (columns // 4), classes)),
+    )
+
+
+def by_network(
+    learned: Seen, check: Seen, classes: int, *, build: Build, trial: Trial, epochs: int
+) -> Scores:
+    """Fit a network by Adam; the epoch that does best on ``check`` counts."""
+    pixels = learned.vectors.shape[1]
+    # One scale for all: what the length tells is kept.
+    scale = 1 / float(learned.vectors.square().mean().sqrt())
+    with torch.random.fork_rng():
+        torch.manual_seed(trial.seed)
+        network = build(pixels, classes)
+        optimiser = torch.optim.AdamW(network.parameters(), trial.rate, weight_decay=trial.decay)
+        best, kept = np.inf, network.state_dict()
+        for _ in range(epochs):
+            network.train()
+            for part in torch.split(torch.randperm(len(learned.labels)), _BATCH):
+                batch = learned.take(part)
+                optimiser.zero_grad()
+                loss = cross_entropy(network(_inputs(batch.vectors, scale)), batch.labels)
+                loss.backward()  # type: ignore[no-untyped-call]
+                optimiser.step()
+            network.eval()
+            logits = judged(lambda each: network(_inputs(each, scale)), check.vectors)
+            found = float(cross_entropy(logits, check.labels))
+            if found < best:
+                best, kept = found, {k: v.clone() for k, v in network.state_dict().items()}
+    network.load_state_dict(kept)
+    return lambda vectors: network(_inputs(vectors, scale))
+
+
+def _inputs(vectors: Tensor, scale: float) -> Tensor:
+    values = vectors * scale
+    return torch.stack([values, values.square() - 1], dim=1)
+
+
+def attackers(family: Family, shape: tuple[int, int], epochs: int) -> list[Attacker]:
+    """All members of a family.
+
+    Args:
+        family: of attackers.
+        shape: rows and columns of an embedding.
+        epochs: most that a network is fitted for.
+    """
+    if family == "length":
+        return [partial(by_length, bins=bins) for bins in (8, 32, 128)]
+    if family == "products":
+        neighbours: list[Attacker] = [
+            partial(by_neighbours, count=count, distances=distances)
+            for distances in (False, True)
+            for count in (1, 10, 100)
+        ]
+        return [by_means, *neighbours]
+    builds: list[Build] = [linear, perceptron, partial(convolutions, shape)]
+    return [
+        partial(by_network, build=build, trial=trial, epochs=epochs)
+        for build in builds
+        for trial in TRIALS
+    ]
+
+
+FAMILIES: tuple[Family, ...] = ("length", "products", "networks")

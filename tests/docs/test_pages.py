@@ -1,0 +1,123 @@
+"""The pages name commands and options that exist, and lead where there is something to read."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.main import get_command
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "SECURITY.md", "CONTRIBUTING.md", "deploy/README.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+PROGRAMS = {
+    "veilcam": "veilcam_client.cli.main",
+    "veilcamd": "veilcam_server.cli.main",
+    "veilcam-train": "veilcam_training.cli.main",
+    "veilcam-optics": "veilcam_optics.cli.main",
+}
+BLOCK = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"(?:^|[\s/])(veilcam(?:d|-train|-optics)?) ([a-z][a-z-]*(?=\s|$).*)")
+
+
+OTHERS = {"--purge", "--long"}
+"""Options of uninstall.sh and of the tests."""
+Command = TyperCommand | TyperGroup
+
+
+@cache
+def program(name: str) -> Command:
+    command = get_command(import_module(PROGRAMS[name]).app)
+    assert isinstance(command, TyperCommand | TyperGroup)
+    return command
+
+
+def code(text: str) -> Iterator[str]:
+    """Every line of a block of code, a line that goes on joined; then every span of code."""
+    text = text.replace("\\\n", " ")
+    for block in BLOCK.findall(text):
+        yield from block.splitlines()
+    text = BLOCK.sub("", text)
+    yield from re.findall(r"^    .*$", text, re.MULTILINE)
+    yield from (span.replace("\n", " ") for span in re.findall(r"`([^`]+)`", text))
+
+
+def commands(text: str) -> Iterator[tuple[str, list[str]]]:
+    for line in code(text):
+        if found := COMMAND.search(line):
+            name, rest = found.groups()
+            yield name, shlex.split(rest, comments=True)
+
+
+def resolved(name: str, words: list[str]) -> tuple[Command, list[str]]:
+    """The command that the words name, and what they say after it."""
+    command = program(name)
+    while isinstance(command, TyperGroup) and words:
+        assert words[0] in command.commands, f"{name} has no command {words[0]}"
+        inner, words = command.commands[words[0]], words[1:]
+        assert isinstance(inner, TyperCommand | TyperGroup)
+        command = inner
+    return command, words
+
+
+def options(command: Command) -> set[str]:
+    here = {
+        option
+        for each in command.params
+        if isinstance(each, TyperOption)
+        for option in (*each.opts, *each.secondary_opts)
+    }
+    return here | {"--help"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_and_their_options_exist(name: str) -> None:
+    for program_name, words in commands((ROOT / name).read_text()):
+        command, rest = resolved(program_name, words)
+        said = {word.partition("=")[0] for word in rest if word.startswith("--")}
+        assert said <= options(command), f"{program_name} {' '.join(words)}"
+
+
+def all_options(command: Command) -> Iterator[str]:
+    yield from options(command)
+    for inner in command.commands.values() if isinstance(command, TyperGroup) else ():
+        assert isinstance(inner, TyperCommand | TyperGroup)
+        yield from all_options(inner)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_options_that_are_named_alone_exist(name: str) -> None:
+    known = {option for each in PROGRAMS for option in all_options(program(each))} | OTHERS
+    text = BLOCK.sub("", (ROOT / name).read_text())
+    assert set(re.findall(r"`(--[a-z][a-z0-9-]*)[^`]*`", text)) <= known
+
+
+def test_commands_are_found() -> None:
+    block = "```\nsudo /bin/veilcamd show \\\n --digit 3  # three\n```"
+    text = f"`veilcam status` and `veilcam bundle, signed`\n{block}"
+    assert list(commands(text)) == [("veilcamd", ["show", "--digit", "3"]), ("veilcam", ["status"])]
+
+
+def anchors(page: Path) -> set[str]:
+    """As GitHub makes them of headings."""
+    text = BLOCK.sub("", page.read_text())
+    titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("name", [*NAMES, "CHANGELOG.md"])
+def test_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    for path, anchor in re.findall(r"\]\((?!http)([^)#\s]*)#?([^)\s]*)\)", page.read_text()):
+        target = page.parent / path if path else page
+        assert target.exists(), path
+        assert not anchor or anchor in anchors(target), f"{path}#{anchor}"
