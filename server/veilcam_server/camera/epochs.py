@@ -163,6 +163,10 @@ class Preparation:
             _abandon(future)
             raise NotReadyError("the first mask is still being prepared: try again") from None
 
+    def is_current(self, epoch: Epoch) -> bool:
+        """Whether an epoch would be prepared on the same terms now."""
+        return Terms(epoch.form, epoch.receivers) == self._terms()
+
     def serve(self, source: MaskSource) -> None:
         """Take epochs from another source from now on; one prepared before is discarded."""
         self._source = source
