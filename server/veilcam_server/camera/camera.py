@@ -406,7 +406,10 @@ class MaskedCamera:
     def _require_releasing(self) -> None:
         """Have a mask shown behind which an embedding may leave; another one if need be."""
         active = self._panel.active
-        if active is None or self._withheld(active.epoch) is None:
+        if active is None:
+            return
+        # Who was removed receives nothing more, also where the mask does not change by itself.
+        if self._withheld(active.epoch) is None and self.preparation.is_current(active.epoch):
             return
         if self.preparation.spent:
             raise MasksSpentError

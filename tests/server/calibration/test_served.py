@@ -51,7 +51,6 @@ def nearest_template() -> Bundle:
         embedding=GEOMETRY.embedding,
         mode="fresh",
         fresh=Fresh(
-            device="test camera",
             distribution=MaskDistribution.uniform(GEOMETRY.camera),
             statistics=fit_statistics([seen], pixels),
             noise=MeasurementNoise(40.0),

@@ -16,11 +16,11 @@ from tests.server.calibration.camera import Built
 from tests.server.calibration.test_record import make_record, settings_for
 from typer.testing import CliRunner
 
+from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.calibration import CalibrationStatus, SignedCalibration
 from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.decoding import read_frame
-from veilcam_optics.keys.masks import Secret
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.loading import open_calibration
 from veilcam_server.calibration.procedure import Calibrated
@@ -150,10 +150,11 @@ def test_the_lamp_is_in_the_middle() -> None:
         assert 0 < image.mean() < 1
 
 
-def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle, secret: Secret) -> None:
+def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle) -> None:
     found = imperfections_of(make_record())
+    key = EpochKey.generate(device="d7" * 32, bundle=fresh_bundle.digest)
     drawn, built = (
-        FreshSource(fresh_bundle, secret, imperfections=imperfections).make(1, "")
+        FreshSource(fresh_bundle, imperfections=imperfections).make(key, "none", frozenset())
         for imperfections in (NOMINAL, found)
     )
     assert np.array_equal(drawn.levels, built.levels)
@@ -168,7 +169,7 @@ def test_decoders_are_prepared_for_what_was_found(fresh_bundle: Bundle, secret: 
     assert torch.equal(built.reader.decoder.estimator, decoder.estimator)
     assert not torch.allclose(drawn.reader.decoder.estimator, decoder.estimator, rtol=0.01)
     with pytest.raises(StartError, match="rows"):
-        FreshSource(fresh_bundle, secret, imperfections=replace(found, dead_rows=(9,)))
+        FreshSource(fresh_bundle, imperfections=replace(found, dead_rows=(9,)))
 
 
 @pytest.mark.anyio

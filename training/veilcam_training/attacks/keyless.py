@@ -20,9 +20,10 @@ class ReleasedMask(PreparedMask):
     """None: they leave raw."""
 
     def decode(self, measurements: Tensor) -> Tensor:
-        """What leaves, (batch, E): white, or raw in units of each measurement's mean."""
+        """What leaves, (batch, E): white times sqrt(E), or raw in units of each one's mean."""
         if self.whitening is not None:
-            return self.whitening.whiten(measurements)
+            # Of variance 1, as a network likes its inputs.
+            return self.whitening.whiten(measurements) * measurements[0].numel() ** 0.5
         scale = measurements.mean(1, keepdim=True)
         return measurements / scale.clamp_min(torch.finfo(measurements.dtype).tiny)
 
