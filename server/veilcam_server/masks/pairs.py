@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import secrets
 from collections.abc import Sequence
@@ -17,6 +16,8 @@ from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
 from veilcam_server.masks.source import Mask
 from veilcam_training.bundle import Bundle, Pair
+
+_MARKS = b"veilcam stored masks, marks, version 1"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,13 +98,12 @@ def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
     return PairSource(
         bundle.digest,
         [
-            Mask(pair.levels, reader, mark)
-            for pair, reader, mark in zip(bundle.pairs, readers, _marks(bundle.pairs), strict=True)
+            Mask(pair.levels, reader, _mark(pair))
+            for pair, reader in zip(bundle.pairs, readers, strict=True)
         ],
     )
 
 
-def _marks(pairs: Sequence[Pair]) -> list[str]:
-    """A keyed digest of every mask; the key is made of all masks, so it stands in no file."""
-    key = hashlib.sha256(b"".join(pair.levels.tobytes() for pair in pairs)).digest()
-    return [hmac.new(key, pair.levels.tobytes(), "sha256").hexdigest()[:32] for pair in pairs]
+def _mark(pair: Pair) -> str:
+    """A digest of a mask for this use alone: whichever bundle it stands in, its budget is one."""
+    return hmac.new(_MARKS, pair.levels.tobytes(), "sha256").hexdigest()[:32]

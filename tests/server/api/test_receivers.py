@@ -197,3 +197,22 @@ async def test_an_answer_has_one_size_and_the_same_fields_whatever_is_seen(
             sizes.add(len(json.dumps(found)))
     assert len(sizes) == 1
     assert fields == {frozenset(("id", "epoch", "number", "taken_at", "embedding"))}
+
+
+async def test_stored_masks_that_are_spent_release_nothing_more(
+    running: Running, bench: Bench
+) -> None:
+    bench.raw_budget = 2
+    budget = 2 * len(bench.bundle.pairs)
+    async with running() as client:
+        answers = [await client.post("/v1/captures") for _ in range(budget + 2)]
+        assert [answer.status_code for answer in answers] == [200] * budget + [409] * 2
+        assert answers[-1].json()["code"] == "masks_spent"
+        epochs = [answer.json()["epoch"] for answer in answers[:budget]]
+        assert max(map(epochs.count, epochs)) == 2
+        # A label alone costs nothing.
+        assert (await client.post("/v1/classifications", json={})).status_code == 200
+        assert (await client.get("/v1/status")).json()["raw_budget"] == 2
+    # Nor does a restart give any back.
+    async with running() as client:
+        assert (await client.post("/v1/captures")).json()["code"] == "masks_spent"

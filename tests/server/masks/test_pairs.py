@@ -73,7 +73,9 @@ def test_masks_to_avoid_come_only_where_no_other_is_left(bundle: Bundle) -> None
     assert made(first, third) == {second}
 
 
-def test_a_mark_is_no_plain_digest_of_its_mask_and_hangs_on_all_of_them(bundle: Bundle) -> None:
+def test_a_mark_is_no_plain_digest_of_its_mask_and_is_the_same_in_every_bundle(
+    bundle: Bundle,
+) -> None:
     marks = [mask.mark for mask in load_pairs(bundle)._masks]
     assert marks == [mask.mark for mask in load_pairs(bundle)._masks]  # also after a restart
     for pair, mark in zip(bundle.pairs, marks, strict=True):
@@ -81,7 +83,10 @@ def test_a_mark_is_no_plain_digest_of_its_mask_and_hangs_on_all_of_them(bundle: 
             assert mark[:16] not in hashlib.new(name, pair.levels.tobytes()).hexdigest()
     changed = dataclasses.replace(bundle.pairs[-1], levels=bundle.pairs[-1].levels ^ np.uint8(1))
     other = dataclasses.replace(bundle, pairs=(*bundle.pairs[:-1], changed))
-    assert not {mask.mark for mask in load_pairs(other)._masks} & set(marks)
+    assert [mask.mark for mask in load_pairs(other)._masks][:-1] == marks[:-1]
+    assert load_pairs(other)._masks[-1].mark not in marks
+    turned = dataclasses.replace(bundle, pairs=bundle.pairs[::-1])
+    assert [mask.mark for mask in load_pairs(turned)._masks] == marks[::-1]
 
 
 def test_a_pair_cannot_whiten_and_is_not_erased(bundle: Bundle) -> None:
