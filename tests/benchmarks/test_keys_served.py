@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.privacy.keys import served
+from benchmarks.privacy.keys.__main__ import forgeries_command
 from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
 from benchmarks.privacy.keys.past import Findings, past_of
 from tests.server.conftest import make_fresh_bundle
@@ -35,9 +36,10 @@ def test_two_planted_scenes_become_figures(bundle_file: Path, tmp_path: Path, fo
     figures, work = tmp_path / "figures.json", tmp_path / "work"
     served.answers(work, form, count=20, bundle=bundle_file, epochs=1, figures=figures)
     found = figures_of(figures)
-    assert found[f"clear_part_differences_{form}"] == 0
+    end = {"sealed": "", "white": "_white"}[form]
+    assert found[f"clear_part_differences{end}"] == 0
     # 20 against 20: a standard error of .09.
-    assert abs(found[f"clear_part_auc_{form}"] - 0.5) < 0.35
+    assert abs(found[f"clear_part_auc{end}"] - 0.5) < 0.35
     assert ("rest_white_presence_auc" in found) == (form == "white")
     (record,) = work.iterdir()
     assert len(record.read_text().splitlines()) == 40
@@ -48,6 +50,12 @@ def test_planted_digits_become_figures(bundle_file: Path, tmp_path: Path) -> Non
     figures, work = tmp_path / "figures.json", tmp_path / "work"
     served.digits(work, count=24, bundle=bundle_file, epochs=1, figures=figures)
     assert "rest_white_digit_advantage_upper" in figures_of(figures)
+
+
+def test_forgeries_become_a_figure(tmp_path: Path) -> None:
+    figures = tmp_path / "figures.json"
+    forgeries_command(count=40, figures=figures)
+    assert figures_of(figures) == {"forgeries_taken": 0}
 
 
 @pytest.mark.slow
