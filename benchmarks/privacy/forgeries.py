@@ -1,6 +1,6 @@
 """Forged answers of a sealing camera: how many of them a receiver takes for true.
 
-python -m benchmarks.privacy.forgeries [COUNT]
+python -m benchmarks.privacy.forgeries --figures benchmarks/results/keys.json
 """
 
 from __future__ import annotations
@@ -12,14 +12,15 @@ import itertools
 import json
 import random
 import secrets
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
+from benchmarks.figures import FiguresOption, record
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from pydantic import ValidationError
 
@@ -241,11 +242,18 @@ def _readings(text: str) -> Iterator[tuple[bytes, Callable[[bytes], str]]]:
         yield base64.b64decode(text, validate=True), lambda data: base64.b64encode(data).decode()
 
 
-def main() -> None:
-    """Say how many of so many were taken."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
-    print(f"{forgeries(count, seed=1)} of {count} forged answers were taken")
+def main(
+    count: Annotated[
+        int, typer.Argument(min=1, help="Forged answers, of all kinds alike.")
+    ] = 10_000,
+    seed: Annotated[int, typer.Option(help="Of what is forged; keys are the kernel's.")] = 1,
+    figures: FiguresOption = None,
+) -> None:
+    """Forge answers on their way to a receiver, and count those that it takes for true."""
+    taken = forgeries(count, seed=seed)
+    print(f"{taken} of {count} forged answers were taken")
+    record(figures, {"forgeries_taken": taken})
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -169,6 +169,12 @@ class WithheldError(
 ):
     """An embedding was asked for, and this daemon lets none out."""
 
+    def __init__(self) -> None:
+        super().__init__(
+            "this daemon releases no embeddings: ask for a classification, pair a receiver with "
+            "'veilcam receiver add', or start it with --release"
+        )
+
 
 class QueueFullError(
     ProblemError,

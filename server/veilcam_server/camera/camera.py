@@ -419,7 +419,7 @@ class MaskedCamera:
     def _withheld(self, epoch: Epoch) -> ProblemError | None:
         """Why no embedding may leave behind the mask of an epoch."""
         if epoch.form == "none":
-            return WithheldError("this daemon releases no embeddings: start it with --release")
+            return WithheldError()
         if epoch.form == "sealed" and epoch.sealer is None:
             return NoReceiverError()
         return MasksSpentError() if self._budget.is_spent(epoch.mask, epoch.form) else None

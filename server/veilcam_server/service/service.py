@@ -397,10 +397,7 @@ class Service:
     def _require_released(self) -> None:
         form = self.release
         if form == "none":
-            raise WithheldError(
-                "this daemon releases no embeddings: ask for a classification, "
-                "or start it with --release"
-            )
+            raise WithheldError
         if form == "sealed" and self._pairing is not None and not self._pairing.paired:
             raise NoReceiverError
 

@@ -7,6 +7,7 @@ import math
 import random
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -28,12 +29,13 @@ from veilcam_server.siege.ground import (
     write_small_bundle,
 )
 
-WHITE, RAW = 1, 20
+WHITE, RAW = 1, 4
 """Budgets: embeddings that may leave behind one mask."""
 RACERS = 4
 """Callers who capture, and as many who classify."""
-LIFE, MOST_LIVES = 0.8, 40
-"""A daemon lives so long on average [s]; stored masks are spent after so many lives."""
+EACH, LIFE, MOST_LIVES = 6, 3.0, 30
+"""A daemon lives until so many embeddings left at most, and no longer than that [s]; stored masks
+are spent after so many lives."""
 CAPTURE, CLASSIFY, SPENT = "/v1/captures", "/v1/classifications", "masks_spent"
 # What is tried here in a second, nobody tries in an hour.
 UNHINDERED = {"rate_limit": 1e6, "rate_burst": 1_000_000, "queue_limit": 64}
@@ -61,6 +63,14 @@ class Loot:
             taken = Capture.model_validate_json(reply.body)
             self.epochs[taken.epoch] += 1
             self.masks[np.asarray(taken).tobytes()] += 1
+
+    async def grows(self, more: int) -> None:
+        """Wait until it has grown by so many, or for ``LIFE``."""
+        wanted = self.epochs.total() + more
+        with suppress(TimeoutError):
+            async with asyncio.timeout(LIFE):
+                while self.epochs.total() < wanted:
+                    await asyncio.sleep(0.005)
 
     @property
     def most(self) -> int:
@@ -117,7 +127,7 @@ async def _race(
                 partial(_activate, digests, address),
             ]
             async with busy(works):
-                await asyncio.sleep(random.uniform(0.0, 2 * LIFE))  # noqa: S311 - no secret
+                await loot.grows(random.randint(1, EACH))  # noqa: S311 - no secret
                 if life % 2:
                     daemon.kill()
     return loot

@@ -41,7 +41,7 @@ def test_whoever_is_paired_is_told_and_stays(tmp_path: Path, store: ReceiverStor
     first, second = some(2)
     made = [store.add("archive", first), store.add("lamp", second)]
     assert store.paired == tuple(made)
-    assert store.keys == (first, second)
+    assert list(store.keys) == [first, second]
     assert [each.id for each in made] == [first.id, second.id]
     assert [each.label for each in made] == ["archive", "lamp"]
     assert all(abs(datetime.now(UTC) - each.added_at) < timedelta(minutes=1) for each in made)

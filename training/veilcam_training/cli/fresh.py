@@ -77,7 +77,7 @@ def fit_fresh_command(
         write_bundle(out, as_fresh_bundle(result, source, camera))
     console.print(
         f"test {100 * result.accuracy.value:.2f} % on {result.masks} unseen masks "
-        f"({100 * result.wrong_key_accuracy:.2f} % with the wrong key)\n"
+        f"({100 * result.wrong_key_accuracy:.2f} % decoded with another key)\n"
         f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)"
     )
 
