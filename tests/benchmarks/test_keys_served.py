@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.privacy.keys import served
-from benchmarks.privacy.keys.__main__ import forgeries_command
 from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
 from benchmarks.privacy.keys.past import Findings, past_of
 from tests.server.conftest import make_fresh_bundle
@@ -50,12 +49,6 @@ def test_planted_digits_become_figures(bundle_file: Path, tmp_path: Path) -> Non
     figures, work = tmp_path / "figures.json", tmp_path / "work"
     served.digits(work, count=24, bundle=bundle_file, epochs=1, figures=figures)
     assert "rest_white_digit_advantage_upper" in figures_of(figures)
-
-
-def test_forgeries_become_a_figure(tmp_path: Path) -> None:
-    figures = tmp_path / "figures.json"
-    forgeries_command(count=40, figures=figures)
-    assert figures_of(figures) == {"forgeries_taken": 0}
 
 
 @pytest.mark.slow

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.privacy.forgeries import forgeries
 from benchmarks.privacy.keys import served, white
 from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
 from benchmarks.privacy.keys.options import BundleOption, SeedOption, fresh_bundle, shown_progress
@@ -28,19 +27,6 @@ app.command("white")(white.attack_command)
 app.command("answers")(served.answers)
 app.command("digits")(served.digits)
 app.command("past")(served.past)
-
-
-@app.command("forgeries")
-def forgeries_command(
-    *,
-    count: Annotated[int, typer.Option(min=1, help="Of every kind alike.")] = 10_000,
-    seed: SeedOption = 1,
-    figures: FiguresOption = None,
-) -> None:
-    """Forge sealed answers, and count those that a receiver takes for true."""
-    taken = forgeries(count, seed)
-    print(f"{taken} of {count} forged answers were taken")
-    record(figures, {"forgeries_taken": taken})
 
 
 @app.command()
