@@ -68,10 +68,12 @@ def answers(
     waits = np.array([each.waited for each in found])
     wait, error = area(waits, planted_labels == 1)
     print(f"no part of an answer: how long it took, AUC {wait:.4f}, standard error {error:.4f}")
+    end = "" if form == "sealed" else f"_{form}"
     values = {
-        f"clear_part_auc_{form}": round(gain.shown, 4),
-        f"clear_part_auc_{form}_error": round(gain.error, 4),
-        f"clear_part_differences_{form}": len(told),
+        f"clear_part_auc{end}": round(gain.shown, 4),
+        f"clear_part_auc_error{end}": round(gain.error, 4),
+        f"clear_part_differences{end}": len(told),
+        f"answer_time_auc{end}": round(wait, 4),
     }
     if form == "white":
         presence = released_of(found, planted_labels)

@@ -93,6 +93,8 @@ def attack_command(
     figures: FiguresOption = None,
 ) -> None:
     """Attack collected embeddings; each row is kept in the folder, and not attacked twice."""
+    if row and figures is not None:
+        raise typer.BadParameter("figures are of all rows, which share one error: leave out --row")
     said = json.loads((work / _SHAPE).read_text())
     classes = cast("dict[Question, int]", said["classes"])
     asked = [each for each in QUESTIONS if each in classes and (not row or each in row)]
