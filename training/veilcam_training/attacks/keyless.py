@@ -1,5 +1,6 @@
 """What a classifier reads from released embeddings without any key: how well a form hides."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -23,7 +24,7 @@ class ReleasedMask(PreparedMask):
         """What leaves, (batch, E): white times sqrt(E), or raw in units of each one's mean."""
         if self.whitening is not None:
             # Of variance 1, as a network likes its inputs.
-            return self.whitening.whiten(measurements) * measurements[0].numel() ** 0.5
+            return self.whitening.whiten(measurements) * math.sqrt(measurements[0].numel())
         scale = measurements.mean(1, keepdim=True)
         return measurements / scale.clamp_min(torch.finfo(measurements.dtype).tiny)
 
