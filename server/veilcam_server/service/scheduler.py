@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import structlog
 
 from veilcam_client.wire.events import Event, StateChanged
+from veilcam_client.wire.status import State
 from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.queue import DeviceQueue
@@ -77,10 +78,7 @@ class Scheduler:
     def wake(self, event: Event | None = None) -> None:
         """Look again at what is due, whatever happened; for the event loop's thread."""
         if isinstance(event, StateChanged):
-            down = event.state in _DOWN
-            if down and not self._down:
-                self._down_since = time.monotonic()
-            self._down = down
+            self._note(event.state)
         self._rotation.changed.set()
         self._test.changed.set()
 
@@ -135,16 +133,30 @@ class Scheduler:
             self._test.changed.set()
             raise
 
+    def _note(self, state: State) -> None:
+        """Note when the camera went down."""
+        down = state in _DOWN
+        if down and not self._down:
+            self._down_since = time.monotonic()
+        self._down = down
+
     def _test_due_in(self) -> float:
-        due = self._camera.test_due_in()
-        if self._camera.state.state not in _DOWN:
+        due, state = self._camera.test_due_in(), self._camera.state.state
+        # The event that tells of it may be on its way still.
+        self._note(state)
+        if state not in _DOWN:
             return due
         # What failed a moment ago, for whoever asked, is not tried again at once.
         return max(due, self._down_since + self._first_pause - time.monotonic())
 
     async def _test_panel(self) -> None:
         """Test the panel, and find the way back to ``ready``; the state tells what is wrong."""
-        await self._queue.run(self._camera.test_if_due, told=False)
+        try:
+            await self._queue.run(self._camera.test_if_due, told=False)
+        except Exception:
+            # What failed here has pauses of its own, which grow.
+            self._down, self._down_since = True, -math.inf
+            raise
 
     def _feed_due_in(self) -> float:
         return self._fed + self._feed_every - time.monotonic()

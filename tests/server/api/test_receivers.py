@@ -12,7 +12,7 @@ import pytest
 from veilcam_client import AsyncCamera
 from veilcam_client.errors import ApiError, SealedError
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures, RotationOff
 from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.tokens import Scope
 from veilcam_server.sealing.receivers import ReceiverStore
@@ -105,8 +105,10 @@ async def test_it_holds_from_the_next_epoch_on(running: Running, fresh_bench: Be
         assert second.epoch == first.epoch
         await sdk.remove_receiver(KEY.public.id)
         await sdk.add_receiver("another", ReceiverKey.generate().public)
-        # The mask that is shown has one capture left; the one prepared after it is not shown.
-        assert (await sdk.capture()).epoch == first.epoch
+        # The mask that is shown has one capture left, which is a label's: for what is sealed, the
+        # next epoch begins.
+        assert (await sdk.classify()).epoch == first.epoch
+        await sdk.set_rotation(RotationOff())
         with pytest.raises(SealedError, match="not sealed to receiver"):
             await sdk.capture()
 
