@@ -76,14 +76,14 @@ def accuracy(camera: Camera, captures: int) -> float:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # two daemons and a calibration, on a machine that may be busy
-def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path, secret_file: Path) -> None:
+def test_a_calibration_is_what_tells_scenes_apart(tmp_path: Path) -> None:
     bundle, built = tmp_path / "a.veilcam", tmp_path / "built.json"
     write_bundle(bundle, nearest_template())
     built.write_text(json.dumps(BUILT))
     scene = tmp_path / "scene.npy"
     np.save(scene, scenes()[0])
     options = (
-        *("--mask-secret", str(secret_file), "--imperfections", str(built), "--scene-api"),
+        *("--imperfections", str(built), "--scene-api"),
         *("--settle", "0.02", "--exposure", "0.001"),
     )
     with running(bundle, scene, tmp_path, *options) as url, Camera(url) as camera:
