@@ -188,7 +188,13 @@ async def _make_token(address: Address, ledger: Ledger) -> None:
 
 async def _make_token_by_hand(settings: Settings, _: Address, ledger: Ledger) -> None:
     """As ``veilcamd token create`` does beside the daemon."""
-    [secret] = await asyncio.to_thread(make_tokens, settings, ("by hand",), ("classify",))
+    making = asyncio.to_thread(make_tokens, settings, ("by hand",), ("classify",))
+    task = asyncio.create_task(making)
+    try:
+        [secret] = await asyncio.shield(task)
+    finally:
+        # A thread goes on after it was called off, and would write where the next life copies.
+        await asyncio.wait([task])
     ledger.valid.add(secret.split("_")[1])
 
 

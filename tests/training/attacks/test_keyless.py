@@ -42,7 +42,10 @@ def test_without_a_key_one_sees_the_released_form(
     else:
         correlation = torch.corrcoef(torch.stack([seen[0], measurements[0]]))[0, 1]
         assert abs(float(correlation)) < 0.6
-        assert torch.allclose(seen.norm(dim=1), torch.ones(len(seen)), atol=1e-6)
+        size = measurements[0].numel()
+        # Each number is rounded, and each of the sums that make a length.
+        rounding = 2 * size * torch.finfo(torch.float32).eps
+        assert torch.allclose(seen.norm(dim=1), torch.full((len(seen),), size**0.5), rtol=rounding)
 
 
 def test_every_mask_is_turned_by_a_key_of_its_own_and_a_seed_gives_them_again(
@@ -58,4 +61,4 @@ def test_every_mask_is_turned_by_a_key_of_its_own_and_a_seed_gives_them_again(
     assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
     for one, other in itertools.combinations((*first, *seen("y")), 2):
         # Of 48 dimensions: the product of unrelated directions has deviation 0.14.
-        assert float((one * other).sum(1).abs().max()) < 0.8
+        assert float((one * other).mean(1).abs().max()) < 0.8
