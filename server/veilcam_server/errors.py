@@ -165,15 +165,14 @@ class PolicyStoreError(
 
 
 class WithheldError(
-    ProblemError, code="embedding_withheld", status=403, title="Embeddings are not released"
+    ProblemError,
+    code="embedding_withheld",
+    status=403,
+    title="Embeddings are not released",
+    detail="this daemon releases no embeddings: ask for a classification, pair a receiver with "
+    "'veilcam receiver add', or start it with --release",
 ):
     """An embedding was asked for, and this daemon lets none out."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "this daemon releases no embeddings: ask for a classification, pair a receiver with "
-            "'veilcam receiver add', or start it with --release"
-        )
 
 
 class QueueFullError(
