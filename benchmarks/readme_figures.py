@@ -161,7 +161,7 @@ KEYS: Figures = {
             "{:.0f}",
         ),
         "clear_part_auc": (
-            "two scenes told apart by a classifier trained on the clear part of `sealed` answers: AUC",
+            "two scenes told apart by a classifier trained on what `sealed` answers show: AUC",
             "{:.3f}",
         ),
         "white_digit_advantage_upper": (
