@@ -52,7 +52,7 @@ class Extent:
 
 
 SHORT = Extent(
-    sockets=300, seconds=6.0, streams=80, clients=20, flips=1, starts=10, kills=4, gone=3.0
+    sockets=300, seconds=6.0, streams=80, clients=20, flips=1, starts=6, kills=4, gone=3.0
 )
 """Shows that an attack is met; the bars are those of the long one."""
 
