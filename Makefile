@@ -24,10 +24,10 @@ export OMP_NUM_THREADS := 1
 # that they start, would compile anew all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Tests in three processes: a third of their time they wait for daemons, which leaves two cores idle
-# between two. A worker that is done takes over the last tests of another, so that tests of one file,
+# Tests in four processes: a third of their time they wait for daemons, and two cores would idle with
+# two. A worker that is done takes over the last tests of another, so that tests of one file,
 # which share what is slow to make, mostly stay together.
-PYTEST := $(BIN)/pytest -n 3 --dist worksteal
+PYTEST := $(BIN)/pytest -n 4 --dist worksteal
 
 .PHONY: help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm mutants clean
 
