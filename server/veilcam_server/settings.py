@@ -68,6 +68,10 @@ class Wiring(BaseSettings):
     """Line of A0 (D/C)."""
     reset_line: int = Field(default=24, ge=0, le=1023)
     """Line of RESET."""
+    panel_read_back: Literal["miso", "sda"] | None = None
+    """Ask the panel after each mask whether it shows it: miso where its SDA is wired to MISO too,
+    sda where the bus can turn its wire around (not on a Raspberry Pi 5). Default: it is not
+    asked."""
     camera_number: int = Field(default=0, ge=0, le=15)
     """Of the cameras that are connected."""
 

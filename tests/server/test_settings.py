@@ -267,6 +267,7 @@ def test_bad_options_end_with_one_line(options: list[str], message: str) -> None
         ("gpio_chip", ""),
         ("data_line", -1),
         ("reset_line", 5000),
+        ("panel_read_back", "yes"),
         ("camera_number", -1),
         ("exposure_factor", 0.5),
         ("exposure_factor", float("inf")),

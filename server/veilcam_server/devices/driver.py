@@ -42,7 +42,13 @@ class EmulateDisplay(Protocol):
     """Opens an emulated panel."""
 
     def __call__(
-        self, camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
+        self,
+        camera: Camera,
+        *,
+        scan: float,
+        settle: float,
+        read_back: bool,
+        clock: Callable[[], float],
     ) -> tuple[Callable[[], OpenDisplay], EmulatedPanel]:
         """Return what sets the panel up, and the panel as it is looked through.
 
@@ -50,6 +56,7 @@ class EmulateDisplay(Protocol):
             camera: whose window is the mask.
             scan: time between two refreshes of a line [s].
             settle: what a sub-pixel takes to turn after that [s].
+            read_back: whether the panel is asked after each mask if it shows it.
             clock: monotonic time [s].
         """
 
@@ -91,6 +98,9 @@ class DisplayDriver:
     """Opens it, opaque, for the camera whose window is the mask; raises :class:`DeviceError`."""
     check: Callable[[Camera], None] = lambda _: None
     """Refuses a camera with another panel; raises :class:`DisplayError`."""
+    identify: Callable[[Wiring], str] | None = None
+    """Asks the panel who it is and changes nothing; raises :class:`DeviceError`, or ``OSError``
+    where its bus fails. None for a panel that cannot be asked."""
     emulate: EmulateDisplay | None = None
     packages: tuple[str, ...] = ()
     """To import when it is opened."""

@@ -61,6 +61,8 @@ def open_device(settings: Settings, bundle: Bundle) -> Device:
         StartError: how the simulated one was built cannot be read.
     """
     display, sensor = drivers(settings)
+    if settings.panel_read_back is not None and display.identify is None:
+        raise DisplayError(f"{display.name} cannot be asked: leave out --panel-read-back")
     if settings.device == "simulated":
         return _simulated(settings, bundle, display, sensor)
     for name, what in display.needs.items():
@@ -110,6 +112,7 @@ def _simulated(
             scan=min(REFRESH, 0.1 * settings.settle),
             exposure=settings.exposure,
             snr_db=settings.snr_db,
+            read_back=settings.panel_read_back is not None,
         ),
         display=display,
         sensor=sensor,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,6 +15,28 @@ from veilcam_server.settings import Wiring
 
 GPIO_CHIPS = ("pinctrl-rp1", "pinctrl-bcm2711")
 """Labels of the chip with the header's lines: Raspberry Pi 5, and 4."""
+FASTEST_READ = 2_000_000
+"""Clock at which a panel is read [Hz]: that of Linux's own drivers (drm_mipi_dbi.c)."""
+_MESSAGE_OF_TWO = 0x4040_6B00
+"""SPI_IOC_MESSAGE(2) of linux/spi/spidev.h."""
+
+
+class _Transfer(ctypes.Structure):
+    """struct spi_ioc_transfer of linux/spi/spidev.h."""
+
+    _fields_ = (
+        ("tx_buf", ctypes.c_uint64),
+        ("rx_buf", ctypes.c_uint64),
+        ("len", ctypes.c_uint32),
+        ("speed_hz", ctypes.c_uint32),
+        ("delay_usecs", ctypes.c_uint16),
+        ("bits_per_word", ctypes.c_uint8),
+        ("cs_change", ctypes.c_uint8),
+        ("tx_nbits", ctypes.c_uint8),
+        ("rx_nbits", ctypes.c_uint8),
+        ("word_delay_usecs", ctypes.c_uint8),
+        ("pad", ctypes.c_uint8),
+    )
 
 
 class Spi(Protocol):
@@ -23,6 +47,13 @@ class Spi(Protocol):
 
         Raises:
             OSError: they were not sent, or not all.
+        """
+
+    def read(self, command: int, count: int) -> bytes:
+        """Send a byte, then receive ``count`` of them before CS rises.
+
+        Raises:
+            OSError: the bus failed. That nobody answers is no error.
         """
 
     def close(self) -> None:
@@ -49,15 +80,17 @@ class LinuxSpi:
         self._device = device
 
     @classmethod
-    def open(cls, path: str, speed: int) -> Self:
+    def open(cls, path: str, speed: int, *, one_wire: bool = False) -> Self:
         """Open a bus.
 
         Args:
             path: of the device node, e.g. ``/dev/spidev0.0``.
             speed: clock of the bus [Hz]; the kernel rounds it down to what the chip can do.
+            one_wire: whether answers come on the wire that was written to, and not on MISO.
 
         Raises:
-            DeviceMissingError: no such node, no right to open it, or no spidev to import.
+            DeviceMissingError: no such node, no right to open it, no spidev to import, or the bus
+                cannot turn its wire around.
         """
         device = import_extra("spidev").SpiDev()
         try:
@@ -70,11 +103,35 @@ class LinuxSpi:
                 f"{path} cannot be opened ({error.strerror}): switch SPI on with raspi-config, "
                 "and be in the group spi"
             ) from None
+        if one_wire:
+            try:
+                device.threewire = True
+            except OSError as error:
+                device.close()
+                raise DeviceMissingError(
+                    f"{path} cannot turn its wire around ({error}): wire the panel's SDA to MISO "
+                    "too, and give --panel-read-back miso"
+                ) from None
         return cls(device)
 
     def write(self, buffer: memoryview | bytes) -> None:
         """Send all bytes; spidev splits them at its buffer's size."""
         self._device.writebytes2(buffer)
+
+    def read(self, command: int, count: int) -> bytes:
+        """Send a byte and receive others, one after the other and under one CS.
+
+        No call of spidev's does that: its ``xfer2`` sends while it receives, and CS rises between
+        ``writebytes`` and ``readbytes``.
+        """
+        sent, answer = ctypes.c_uint8(command), (ctypes.c_uint8 * count)()
+        speed = min(self._device.max_speed_hz, FASTEST_READ)
+        message = (_Transfer * 2)(
+            _Transfer(tx_buf=ctypes.addressof(sent), len=1, speed_hz=speed),
+            _Transfer(rx_buf=ctypes.addressof(answer), len=count, speed_hz=speed),
+        )
+        fcntl.ioctl(self._device.fileno(), _MESSAGE_OF_TWO, message)
+        return bytes(answer)
 
     def close(self) -> None:
         """Let go of the bus."""
@@ -141,7 +198,9 @@ def open_bus(wiring: Wiring) -> Iterator[tuple[LinuxSpi, LinuxLines]]:
         DeviceMissingError: the bus or a line is not there.
     """
     with ExitStack() as undo:
-        spi = LinuxSpi.open(str(wiring.spi), wiring.spi_hz)
+        spi = LinuxSpi.open(
+            str(wiring.spi), wiring.spi_hz, one_wire=wiring.panel_read_back == "sda"
+        )
         undo.callback(spi.close)
         lines = LinuxLines.open(wiring.gpio_chip, data=wiring.data_line, reset=wiring.reset_line)
         undo.callback(lines.close)

@@ -23,6 +23,7 @@ from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel
 from veilcam_server.devices.errors import DisplayError
 from veilcam_server.devices.spi import Lines, Spi, open_bus
 from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, TABS, Tab
+from veilcam_server.devices.st7735r_status import identify, require_sound
 from veilcam_server.settings import Wiring
 
 FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS
@@ -76,11 +77,12 @@ class ST7735R:
         lines: D/C and RST; closed with this.
         camera: whose window is the mask.
         tab: where the glass sits in the controller's memory.
+        read_back: whether the panel is asked after every write if it shows what is in its memory.
         sleep: waits so many seconds.
         clock: monotonic time [s].
 
     Raises:
-        DisplayError: the bus failed.
+        DisplayError: the bus failed, or the panel answers that it does not show what it has.
     """
 
     def __init__(
@@ -90,12 +92,14 @@ class ST7735R:
         *,
         camera: Camera,
         tab: Tab,
+        read_back: bool = False,
         sleep: Callable[[float], None] = time.sleep,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         panel, window = camera.panel, camera.window
         self._spi, self._lines, self._tab = spi, lines, tab
-        self._sleep, self._clock = sleep, clock
+        self._sleep, self._clock, self._read_back = sleep, clock, read_back
+        self._madctl = _TURNED_BGR if tab.filters == "BGR" else 0
         self._shape, self._levels = camera.mask_shape, panel.levels
         first = window.first_row // COLOURS
         last = (window.first_row + window.rows - 1) // COLOURS
@@ -108,6 +112,7 @@ class ST7735R:
         self._window: npt.NDArray[np.uint8] = self._pixels[:, lead : lead + window.rows]
         with self._bus():
             self._initialise()
+            self._confirm()
 
     def show(self, levels: Levels) -> Shown:
         """Write a mask to the window."""
@@ -120,12 +125,15 @@ class ST7735R:
             self._address(self._columns, self._rows)
             self._send(_Command(_RAMWR))
             self._spi.write(self._pixels.data.cast("B"))
-            return Shown(self._clock())
+            shown = Shown(self._clock())
+            self._confirm()
+        return shown
 
     def blank(self) -> None:
         """Make all visible pixels opaque, not the window alone."""
         with self._bus():
             self._blank()
+            self._confirm()
 
     def close(self) -> None:
         """Let go of the bus; the panel goes on showing what it shows."""
@@ -155,7 +163,7 @@ class ST7735R:
         self._sleep(0.120)
         for command in _SETUP:
             self._send(command)
-        self._send(_Command(_MADCTL, bytes([_TURNED_BGR if self._tab.filters == "BGR" else 0])))
+        self._send(_Command(_MADCTL, bytes([self._madctl])))
         self._send(_Command(_COLMOD, _666))
         for command in _GAMMA:
             self._send(command)
@@ -169,6 +177,10 @@ class ST7735R:
         self._send(_Command(_RAMWR))
         for begin in range(0, FULL_FRAME, len(_OPAQUE)):
             self._spi.write(_OPAQUE[: FULL_FRAME - begin])
+
+    def _confirm(self) -> None:
+        if self._read_back:
+            require_sound(self._spi, self._lines, self._madctl)
 
     def _address(self, columns: tuple[int, int], rows: tuple[int, int]) -> None:
         """Choose the pixels that are written next; both ends belong to them."""
@@ -204,11 +216,24 @@ def check(camera: Camera) -> None:
 def _open(wiring: Wiring, camera: Camera) -> ST7735R:
     assert wiring.panel_tab is not None  # noqa: S101 - the panel needs it
     with open_bus(wiring) as (spi, lines):
-        return ST7735R(spi, lines, camera=camera, tab=TABS[wiring.panel_tab])
+        return ST7735R(
+            *(spi, lines),
+            camera=camera,
+            tab=TABS[wiring.panel_tab],
+            read_back=wiring.panel_read_back is not None,
+        )
+
+
+def _identify(wiring: Wiring) -> str:
+    with open_bus(wiring) as (spi, lines):
+        answer = identify(spi, lines)
+    spi.close()
+    lines.close()
+    return answer
 
 
 def _emulate(
-    camera: Camera, *, scan: float, settle: float, clock: Callable[[], float]
+    camera: Camera, *, scan: float, settle: float, read_back: bool, clock: Callable[[], float]
 ) -> tuple[Callable[[], OpenDisplay], EmulatedPanel]:
     # Imported late: no real panel needs it.
     from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator  # noqa: PLC0415
@@ -225,6 +250,7 @@ def _emulate(
         *(emulator, emulator),
         camera=camera,
         tab=emulator.tab,
+        read_back=read_back,
         sleep=lambda _: None,
         clock=clock,
     )
@@ -235,6 +261,7 @@ DRIVER: Final = DisplayDriver(
     name="ST7735R",
     open=_open,
     check=check,
+    identify=_identify,
     emulate=_emulate,
     packages=("spidev", "gpiod"),
     needs={"panel_tab": "red, black or green, the colour of the tab on its film (docs/device.md)"},

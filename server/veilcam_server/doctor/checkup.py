@@ -57,6 +57,7 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
         ("packages", packages.values),
         *_panel_bus(machine, settings, display, usable),
         ("panel", lambda: [_needed(settings, name, what) for name, what in display.needs.items()]),
+        ("panel answers", lambda: _answers(settings, display, usable)),
         ("frame memory", lambda: [_frame_memory(machine)]),
         ("camera", lambda: [_camera(machine, settings, sensor, usable)]),
         ("environment", lambda: [_environment()]),
@@ -189,6 +190,23 @@ def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Findi
                 "end what uses it (a running veilcamd, or an overlay in config.txt), or wire "
                 "another line",
             )
+
+
+def _answers(wiring: Wiring, display: DisplayDriver, usable: Set[str]) -> Iterator[Finding]:
+    """Where it is asked after each mask."""
+    name = "panel answers"
+    if wiring.panel_read_back is None:
+        return
+    if display.identify is None:
+        remedy = "leave out --panel-read-back"
+        yield Finding(name, "bad", f"{display.name} cannot be asked", remedy)
+    elif not set(display.packages) <= usable:
+        yield Finding(name, "skipped", f"needs {' and '.join(display.packages)}")
+    else:
+        try:
+            yield Finding(name, "ok", display.identify(wiring))
+        except DeviceError as error:
+            yield Finding(name, "bad", *_halves(error))
 
 
 def _frame_memory(machine: Machine) -> Finding:

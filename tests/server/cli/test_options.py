@@ -30,6 +30,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "gpio_chip": (("--gpio-chip", "mine"), "mine"),
     "data_line": (("--data-line", "5"), 5),
     "reset_line": (("--reset-line", "6"), 6),
+    "panel_read_back": (("--panel-read-back", "miso"), "miso"),
     "camera_number": (("--camera-number", "1"), 1),
     "exposure_factor": (("--exposure-factor", "3"), 3.0),
     "bundle": (("--bundle", "other.veilcam"), Path("other.veilcam")),

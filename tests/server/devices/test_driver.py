@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
 from veilcam_server.daemon import build_service
-from veilcam_server.devices import DeviceMissingError, SensorError
+from veilcam_server.devices import DeviceMissingError, DisplayError, SensorError
 from veilcam_server.devices.registry import DISPLAYS, SENSORS, drivers, open_device
 from veilcam_server.doctor.checkup import examine
 from veilcam_server.doctor.machine import Machine
@@ -58,7 +58,7 @@ class Prompt:
         return True
 
 
-def _emulate(camera, *, scan, settle, clock):
+def _emulate(camera, *, scan, settle, read_back, clock):
     panel = Prompt(camera, clock)
     return lambda: panel, panel
 
@@ -190,6 +190,43 @@ def test_a_driver_without_an_emulator_is_not_simulated(
     )
     with pytest.raises(DeviceMissingError, match="emulator for PROMPT and IMX477"):
         open_device(settings, bundle)
+
+
+@pytest.mark.usefixtures("others")
+@pytest.mark.parametrize("device", ["pi", "simulated"])
+def test_a_panel_that_cannot_be_asked_is_not(
+    bundle: Bundle, scene_file: Path, tmp_path: Path, device: Literal["pi", "simulated"]
+) -> None:
+    given: dict[str, Any] = {"panel": "PROMPT", "panel_read_back": "miso"}
+    scenes = (str(scene_file),) if device == "simulated" else ()
+    settings = Settings(bundle=Path("x.veilcam"), device=device, scenes=scenes, **given)
+    with pytest.raises(DisplayError, match="PROMPT cannot be asked: leave out --panel-read-back"):
+        open_device(settings, bundle)
+    machine = Machine(root=tmp_path, run=lambda *_: None)
+    found = {finding.name: finding for finding in examine(machine, DoctorSettings(**given))}
+    assert found["panel answers"].outcome == "bad"
+    assert found["panel answers"].remedy == "leave out --panel-read-back"
+
+
+@pytest.mark.usefixtures("others")
+def test_an_added_panel_that_can_be_asked_is(
+    bundle: Bundle, scene_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[bool] = []
+
+    prompt: Any = DISPLAYS["PROMPT"].emulate
+
+    def emulate(*given: Any, read_back: bool, **more: Any) -> Any:
+        told.append(read_back)
+        return prompt(*given, read_back=read_back, **more)
+
+    asked = replace(DISPLAYS["PROMPT"], identify=lambda _: "a prompt", emulate=emulate)
+    monkeypatch.setitem(DISPLAYS, "PROMPT", asked)
+    given: dict[str, Any] = {"bundle": Path("x.veilcam"), "panel": "PROMPT", "device": "simulated"}
+    for read_back in (None, "miso", "sda"):
+        more: dict[str, Any] = {"panel_read_back": read_back, "scenes": (str(scene_file),)}
+        open_device(Settings(**given, **more), bundle)
+    assert told == [False, True, True]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,9 @@ camera, so that wiring, drivers, self test and a capture are those of a real dev
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
+import struct
 import sys
 import time
 from contextlib import contextmanager
@@ -22,16 +25,16 @@ from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.camera.capture import MaskedCapture
 from veilcam_server.daemon import build_service
-from veilcam_server.devices import DeviceError, SensorError
+from veilcam_server.devices import DeviceError, DisplayError, SensorError
 from veilcam_server.devices.imx477 import HALF
 from veilcam_server.devices.raw import Raw
-from veilcam_server.devices.registry import open_device
+from veilcam_server.devices.registry import DISPLAYS, open_device
 from veilcam_server.devices.reopening import ReopeningSensor
 from veilcam_server.devices.simulated.panel import PanelEmulator
 from veilcam_server.devices.simulated.picamera import FakePicamera2
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import StartError
-from veilcam_server.settings import Settings
+from veilcam_server.settings import Settings, Wiring
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
 
 BLOCK = 4
 """Raw pixels that get the same light, along each side: a frame has three million."""
+BUS = 1_000_000
+"""File of the bus."""
 
 
 class Board:
@@ -72,6 +77,14 @@ class Board:
 
         class SpiDev:
             mode = max_speed_hz = 0
+
+            def __setattr__(self, name: str, value: object) -> None:
+                if name == "threewire":
+                    board.asked[name] = value
+                super().__setattr__(name, value)
+
+            def fileno(self) -> int:
+                return BUS
 
             def open_path(self, path: str) -> None:
                 board.asked["spi"] = path
@@ -143,6 +156,19 @@ def board(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> Board:
         return [folder / "gpiochip4"] if chips else glob(folder, pattern)
 
     monkeypatch.setattr(Path, "glob", find)
+    ioctl = fcntl.ioctl
+
+    def exchange(file: Any, request: int, message: Any) -> Any:
+        """What the kernel does with a question to the panel and the room for its answer."""
+        if file != BUS:
+            return ioctl(file, request, message)
+        (asked, _, *_), (_, room, count, *_) = struct.iter_unpack("=QQIIQ", bytes(message))
+        (code,) = ctypes.string_at(asked, 1)
+        ctypes.memmove(room, made.panel.read(code, count), count)
+        made.asked["questions"] = made.asked.get("questions", 0) + 1
+        return 1 + count
+
+    monkeypatch.setattr(fcntl, "ioctl", exchange)
     return made
 
 
@@ -225,6 +251,50 @@ def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None
     assert "does not hide the scene" in str(status.detail)
     assert status.rotation.epoch is None
     service.stop()
+
+
+@pytest.mark.parametrize(("read_back", "turned"), [("miso", False), ("sda", True)])
+def test_a_panel_is_asked_as_it_is_wired(
+    board: Board, settings: Settings, bundle: Bundle, *, read_back: str, turned: bool
+) -> None:
+    device = open_device(settings.model_copy(update={"panel_read_back": read_back}), bundle)
+    device.display.blank()
+    assert board.asked.get("threewire", False) is turned
+    asked = board.asked["questions"]
+    assert asked == 2  # after setting up, and after that
+    device.display.show(np.full(bundle.camera.mask_shape, 9, np.uint8))
+    assert board.asked["questions"] == asked + 1
+    board.panel.faults = PanelFaults(dead=True)
+    with pytest.raises(DisplayError, match="does not answer"):
+        device.display.show(np.full(bundle.camera.mask_shape, 9, np.uint8))
+    device.display.close()
+
+
+def test_a_panel_is_not_asked_unless_it_is_said(
+    board: Board, settings: Settings, bundle: Bundle
+) -> None:
+    device = open_device(settings, bundle)
+    device.display.blank()
+    board.panel.faults = PanelFaults(dead=True)
+    device.display.show(np.full(bundle.camera.mask_shape, 9, np.uint8))
+    assert not board.asked.keys() & {"questions", "threewire"}
+    device.display.close()
+
+
+def test_the_doctor_asks_the_panel_who_it_is(board: Board) -> None:
+    wiring = Wiring(panel_read_back="miso")
+    identify = DISPLAYS["ST7735R"].identify
+    assert identify is not None
+    assert identify(wiring) == "identity 7c89f0, status 00610000"
+    assert board.asked["spi closed"]
+    assert board.asked["lines closed"]
+    assert board.panel.transparent
+    board.panel.faults = PanelFaults(dead=True)
+    del board.asked["spi closed"], board.asked["lines closed"]
+    with pytest.raises(DisplayError, match="does not answer"):
+        identify(wiring)
+    assert board.asked["spi closed"]
+    assert board.asked["lines closed"]
 
 
 @pytest.mark.parametrize(

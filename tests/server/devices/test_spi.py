@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
+import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,7 +34,7 @@ class SpiDev:
     last: SpiDev
 
     def __init__(self) -> None:
-        self.path, self.mode, self.max_speed_hz = "", 3, 0
+        self.path, self.mode, self.max_speed_hz, self.threewire = "", 3, 0, False
         self.sent: list[bytes] = []
         self.closed = False
         SpiDev.last = self
@@ -43,6 +46,9 @@ class SpiDev:
 
     def writebytes2(self, buffer: memoryview | bytes) -> None:
         self.sent.append(bytes(buffer))
+
+    def fileno(self) -> int:
+        return 77
 
     def close(self) -> None:
         self.closed = True
@@ -100,6 +106,73 @@ def test_the_bus_is_mode_0_at_the_clock_asked_for(spidev: type[SpiDev]) -> None:
     assert device.sent == [b"abc"]
     spi.close()
     assert device.closed
+
+
+def test_a_question_and_its_answer_are_one_message_of_two_halves(
+    spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[int, int]] = []
+    clocks: list[int] = []
+
+    def kernel(file: int, request: int, message: Any) -> int:
+        """As spidev does: ``struct spi_ioc_transfer``, twice."""
+        asked.append((file, request))
+        first, second = struct.iter_unpack("=QQIIHBBBBBB", bytes(message))
+        sent, nothing, length, clock, *rest = first
+        assert (nothing, length, rest) == (0, 1, [0] * 7)
+        assert ctypes.string_at(sent, length) == b"\x09"
+        clocks.append(clock)
+        nothing, answer, length, clock, *rest = second
+        # Nothing is sent while the panel drives the line, and CS does not rise in between.
+        assert (nothing, length, rest) == (0, 5, [0] * 7)
+        ctypes.memmove(answer, b"\x72\x31\x82\x00\x00", length)
+        clocks.append(clock)
+        return 6
+
+    monkeypatch.setattr(fcntl, "ioctl", kernel)
+    for speed, expected in ((15_000_000, 2_000_000), (500_000, 500_000)):
+        spi = LinuxSpi.open("/dev/spidev0.0", speed)
+        assert not spidev.last.threewire
+        assert spi.read(0x09, 5) == b"\x72\x31\x82\x00\x00"
+        assert asked.pop() == (77, 0x40406B00)  # SPI_IOC_MESSAGE(2)
+        assert [clocks.pop(), clocks.pop()] == [expected, expected]
+        assert not spidev.last.sent
+
+
+def test_a_bus_that_fails_when_it_is_read_is_an_error(
+    spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kernel(*_: object) -> int:
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(fcntl, "ioctl", kernel)
+    with pytest.raises(OSError, match="Invalid argument"):
+        LinuxSpi.open("/dev/spidev0.0", 1_000_000).read(0x09, 5)
+
+
+def test_a_bus_of_one_wire_is_turned_around_by_the_kernel(spidev: type[SpiDev]) -> None:
+    LinuxSpi.open("/dev/spidev0.0", 1_000_000, one_wire=True)
+    assert spidev.last.threewire
+    assert (spidev.last.path, spidev.last.mode) == ("/dev/spidev0.0", 0)
+
+
+def test_a_bus_that_cannot_turn_around_says_how_to_wire_it(
+    spidev: type[SpiDev], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of a Raspberry Pi 5."""
+
+    class Fixed(SpiDev):
+        def __setattr__(self, name: str, value: object) -> None:
+            if name == "threewire" and value is True:
+                raise OSError(22, "Invalid argument")
+            super().__setattr__(name, value)
+
+    sys.modules["spidev"].SpiDev = Fixed  # type: ignore[attr-defined]
+    with pytest.raises(
+        DeviceMissingError, match=r"cannot turn its wire .*Invalid argument.*--panel-read-back miso"
+    ):
+        LinuxSpi.open("/dev/spidev0.0", 1_000_000, one_wire=True)
+    assert spidev.last.closed
 
 
 def test_a_bus_that_is_not_there_says_what_to_do(

@@ -14,12 +14,14 @@ import pytest
 from typer.testing import CliRunner
 
 from veilcam_server.cli.main import app
-from veilcam_server.devices import DeviceMissingError
+from veilcam_server.devices import DeviceMissingError, DisplayError
+from veilcam_server.devices.driver import DisplayDriver
 from veilcam_server.devices.extras import import_extra
+from veilcam_server.devices.registry import DISPLAYS
 from veilcam_server.doctor import machine as machines
 from veilcam_server.doctor.checkup import Finding, examine
 from veilcam_server.doctor.machine import Machine
-from veilcam_server.settings import DoctorSettings
+from veilcam_server.settings import DoctorSettings, Wiring
 from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
@@ -275,6 +277,40 @@ def test_wiring_is_looked_at_as_it_is_set(bed: Bed, plan: DoctorSettings) -> Non
     assert bed.opened == [1]
     fast = wiring.model_copy(update={"allow_fast_spi": True})
     assert findings(bed, fast)["bus clock"].outcome == "ok"
+
+
+def answering(answer: str | Exception) -> DisplayDriver:
+    """A driver whose panel says that."""
+
+    def identify(wiring: Wiring) -> str:
+        assert wiring.panel_read_back == "miso"
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    return replace(DISPLAYS["ST7735R"], identify=identify)
+
+
+def test_a_panel_that_is_wired_to_answer_is_asked(
+    bed: Bed, plan: DoctorSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wired = plan.model_copy(update={"panel_read_back": "miso"})
+    name = "panel answers"
+    for answer, outcome, found, remedy in (
+        ("identity 7c89f0", "ok", "identity 7c89f0", None),
+        (DisplayError("it is silent: look"), "bad", "it is silent", "look"),
+        (OSError(22, "Invalid argument"), "bad", "OSError: [Errno 22] Invalid argument", None),
+    ):
+        monkeypatch.setitem(DISPLAYS, "ST7735R", answering(answer))
+        finding = findings(bed, wired)[name]
+        assert finding.outcome == outcome
+        assert found in finding.found
+        assert remedy is None or finding.remedy == remedy
+    # It is left alone where nothing says that it can answer.
+    assert name not in findings(bed, plan)
+    bed.missing.append("gpiod")
+    finding = findings(bed, wired)[name]
+    assert (finding.outcome, finding.found) == ("skipped", "needs spidev and gpiod")
 
 
 def test_a_setting_that_is_misspelled_is_said(

@@ -101,6 +101,8 @@ class Conditions:
     """Share of the light that is missing at first."""
     warm_up_time: float = 60.0
     """After which 37 % of that is still missing [s]."""
+    read_back: bool = False
+    """Whether the panel is asked after each mask if it shows it."""
 
     def __post_init__(self) -> None:
         for name in ("settle", "exposure", "scan"):
@@ -257,7 +259,11 @@ def simulated_device(
         full_scale = _HEADROOM * float(white.max())
     display.check(camera)
     open_display, emulated = display.emulate(
-        camera, scan=conditions.scan, settle=conditions.settle, clock=clock
+        camera,
+        scan=conditions.scan,
+        settle=conditions.settle,
+        read_back=conditions.read_back,
+        clock=clock,
     )
     frames = SimulatedLight(
         emulated,

@@ -31,12 +31,18 @@ _KEPT = 8
 """Changes that are remembered, so that an exposure over several of them can be evaluated."""
 
 _NOP, _SWRESET, _SLPIN, _SLPOUT = 0x00, 0x01, 0x10, 0x11
+_RDDID, _RDDST, _RDDPM = 0x04, 0x09, 0x0A
 _INVOFF, _INVON, _DISPOFF, _DISPON = 0x20, 0x21, 0x28, 0x29
 _CASET, _RASET, _RAMWR, _MADCTL, _COLMOD = 0x2A, 0x2B, 0x2C, 0x36, 0x3A
 _MY, _MX, _MV, _BGR = 0x80, 0x40, 0x20, 0x08
 _VISIBLE_BY_DATA = frozenset({_RAMWR, _MADCTL, _CASET, _RASET, _COLMOD})
 """Commands that change nothing by themselves; all others change nothing by their parameters."""
 _BITS_PER_PIXEL = {0x03: 12, 0x05: 16, 0x06: 18}
+_PIXEL_FORMATS = {bits: code for code, bits in _BITS_PER_PIXEL.items()}
+_IDENTITY = 0x7C89F0
+"""A maker writes it to the controller's own memory; bit 15 is always 1 (data sheet, 10.1.3)."""
+_DUMMY = "1"
+"""What is on the line for the one clock before longer answers is not said: not what follows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,22 +105,52 @@ class PanelEmulator:
 
     def write(self, buffer: memoryview | bytes) -> None:
         """Receive bytes under the present level of D/C; OSError if it is gone."""
+        self._receive(np.frombuffer(buffer, np.uint8))
+
+    def read(self, command: int, count: int) -> bytes:
+        """Receive a command, and answer until CS rises; OSError if it is gone.
+
+        A line that nobody drives is low: a Raspberry Pi pulls those of its bus down.
+        """
+        taken = self._receive(np.array([command], np.uint8))
+        said = self._say(command) if taken and not self._is_data else ""
+        return int(said.ljust(8 * count, "0")[: 8 * count], 2).to_bytes(count, "big")
+
+    def _receive(self, received: _Bytes) -> bool:
+        """Return whether it took the bytes."""
         self._require_connected()
-        received = np.frombuffer(buffer, np.uint8)
         self.bytes_received += received.size
         self._writes += 1
         lost = self._faults.lost and self._writes % self._faults.lost == 0
         if self._deaf or self._in_reset or lost or self._clock() < self._busy_until:
-            return
+            return False
         if self._is_data:
             self._take_data(received)
             if self._command in _VISIBLE_BY_DATA:
                 self._changed()
-            return
+            return True
         for code in received.tolist():
             self._take_command(code)
         if not _VISIBLE_BY_DATA.issuperset(received.tolist()):
             self._changed()
+        return True
+
+    def _say(self, command: int) -> str:
+        """Bits that it sends after a command (data sheet, 9.4.3 and 10.1.3 to 10.1.5)."""
+        awake, on = not self._asleep, self._on
+        if command == _RDDID:
+            return f"{_DUMMY}{_IDENTITY:024b}"
+        if command == _RDDPM:
+            # BSTON, IDMON, PTLON, SLPOUT, NORON, DISON, and two that are 0.
+            return f"{awake:b}00{awake:b}1{on:b}00"
+        if command != _RDDST:
+            return ""
+        # BSTON, then MY, MX, MV, ML, RGB, MH and ST24 as MADCTL has the first six.
+        first = f"{awake:b}{self._madctl >> 2:06b}0"
+        # ST23, the pixel format, then IDMON, PTLON, SLPOUT and NORON.
+        second = f"0{_PIXEL_FORMATS[self._bits]:03b}00{awake:b}1"
+        # ST15, ST14, INVON, ST12, ST11, DISON, TEON and GCS2; gamma and others are 0.
+        return f"{_DUMMY}{first}{second}00{self._inverted:b}00{on:b}00{0:08b}"
 
     def data(self, value: bool, /) -> None:
         """D/C."""

@@ -45,6 +45,10 @@ class Both:
         self._emulator.write(buffer)
         self.sent += [(self._data, value) for value in bytes(buffer)]
 
+    def read(self, command: int, count: int) -> bytes:
+        """Ask the emulator: nobody answers on a bus in user space."""
+        return self._emulator.read(command, count)
+
     def data(self, value: bool, /) -> None:
         """Drive D/C."""
         self._lines.data(value)

@@ -1,0 +1,339 @@
+"""What the panel says of itself, and what the driver that asks it after every mask makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from veilcam_client.wire.simulation import PanelFaults
+from veilcam_optics.camera.geometry import Camera
+from veilcam_server.devices import DisplayError
+from veilcam_server.devices.reopening import ReopeningDisplay
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
+from veilcam_server.devices.st7735r import DRIVER, ST7735R
+from veilcam_server.devices.st7735r_glass import TABS
+from veilcam_server.devices.st7735r_status import identify, require_sound
+
+from .clock import Clock
+
+CAMERA = Camera()
+LEVELS = np.full(CAMERA.mask_shape, 21, np.uint8)
+
+
+@dataclass
+class Line:
+    """A bus on which the same bits come back to whatever is asked."""
+
+    bits: str = ""
+    asked: list[tuple[bool, int, int]] = field(default_factory=list)
+    is_data: bool = True
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        raise AssertionError("nothing is written to ask")
+
+    def read(self, command: int, count: int) -> bytes:
+        self.asked.append((self.is_data, command, count))
+        return int(self.bits[: 8 * count], 2).to_bytes(count, "big")
+
+    def data(self, value: bool, /) -> None:
+        self.is_data = value
+
+    def reset(self, value: bool, /) -> None:
+        raise AssertionError("nothing is reset to ask")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+SOUND = "1 110010 0  0 110 0 0 1 1  00 0 00 1 0 0  00000000"
+"""Status of a green tab's panel: BSTON, MADCTL (C8h) from MY to MH, ST24; ST23, 6-6-6, IDMON,
+PTLON, SLPOUT, NORON; ST15, ST14, INVON, ST12, ST11, DISON, TEON, GCS2; GCS1, GCS0, TEM, ST4 to ST0.
+"""
+
+
+def status(bits: str = SOUND, *, dummy: str = "0", after: str = "0") -> Line:
+    """One clock that says nothing, the status, and what the line does until CS rises."""
+    return Line(dummy + bits.replace(" ", "") + 7 * after)
+
+
+@pytest.mark.parametrize("dummy", "01")
+@pytest.mark.parametrize("after", "01")
+def test_a_sound_panel_is_asked_once_and_its_dummy_clock_is_passed_over(
+    dummy: str, after: str
+) -> None:
+    line = status(dummy=dummy, after=after)
+    require_sound(line, line, 0xC8)
+    assert line.asked == [(False, 0x09, 5)]
+
+
+def test_what_says_nothing_of_the_picture_is_passed_over() -> None:
+    """ST24, ST23, ST15, ST14, ST12, ST11 and TEON; gamma curves and the tearing line's mode."""
+    free = [7, 8, 16, 17, 19, 20, 22, *range(23, 32)]
+    bits = list(SOUND.replace(" ", ""))
+    for at in free:
+        bits[at] = "1"
+    require_sound(status("".join(bits)), status(), 0xC8)
+
+
+@pytest.mark.parametrize(
+    ("bit", "told"),
+    [
+        (0, "its voltages are off"),
+        *((bit, "its memory is turned") for bit in range(1, 7)),
+        *((bit, "it takes another pixel format") for bit in range(9, 12)),
+        (12, "it shows eight colours"),
+        (13, "it shows a part of its lines"),
+        (14, "it sleeps"),
+        (15, "it shows a part of its lines"),
+        (18, "it shows light for dark"),
+        (21, "its display is off"),
+    ],
+)
+def test_whatever_is_not_as_it_was_set_is_said(bit: int, told: str) -> None:
+    bits = list(SOUND.replace(" ", ""))
+    bits[bit] = "10"[int(bits[bit])]
+    line = status("".join(bits))
+    with pytest.raises(DisplayError) as caught:
+        require_sound(line, line, 0xC8)
+    assert str(caught.value) == f"the panel answers that {told}: check its power and wiring"
+
+
+def test_all_that_is_wrong_is_said_at_once() -> None:
+    """After a moment without power: registers as after power-up."""
+    line = status("0 000000 0  0 110 0 0 0 1  00 0 00 0 0 0  00000000")
+    with pytest.raises(
+        DisplayError,
+        match="its voltages are off, its memory is turned, it sleeps, its display is off:",
+    ):
+        require_sound(line, line, 0xC8)
+
+
+@pytest.mark.parametrize("level", "01")
+def test_a_line_that_nobody_drives_is_no_answer(level: str) -> None:
+    line = status(32 * level, dummy=level, after=level)
+    with pytest.raises(DisplayError, match=r"does not answer command 09h: .*--panel-read-back"):
+        require_sound(line, line, 0xC8)
+    with pytest.raises(DisplayError, match="does not answer command 04h"):
+        identify(line, line)
+
+
+def woken(faults: PanelFaults = PanelFaults()) -> tuple[PanelEmulator, Clock]:  # noqa: B008
+    clock = Clock()
+    emulator = PanelEmulator(TABS["green"], crystal=Crystal(scan=0.0), clock=clock)
+    emulator.faults = faults
+    return emulator, clock
+
+
+def test_a_panel_says_who_it_is_before_it_was_set_up() -> None:
+    emulator, _ = woken()
+    shown = emulator.framebuffer()
+    # As after power-up (10.1.5): 6-6-6, asleep, normal mode, off.
+    assert identify(emulator, emulator) == "identity 7c89f0, status 00610000"
+    assert np.array_equal(emulator.framebuffer(), shown)
+
+
+def test_answers_that_contradict_each_other_are_no_identity() -> None:
+    emulator, _ = woken()
+
+    class Late(PanelEmulator):
+        """Its answers of 32 bits come another clock late."""
+
+        def read(self, command: int, count: int) -> bytes:
+            answer = int.from_bytes(super().read(command, count), "big")
+            return (answer >> (command == 0x09)).to_bytes(count, "big")
+
+    late = Late(TABS["green"], clock=Clock())
+    with pytest.raises(
+        DisplayError, match="status 80308000 and power mode 08: check the wire of its SDA"
+    ):
+        identify(late, late)
+    assert identify(emulator, emulator)
+
+
+@pytest.mark.parametrize("code", [0x10, 0x12, 0x28, 0x29, 0x11])
+def test_the_power_mode_is_the_part_of_the_status_that_it_should_be(code: int) -> None:
+    """In every state that the emulator has."""
+    emulator, _ = woken()
+    emulator.data(False)
+    emulator.write(bytes([0x11, 0x29, code]))
+    assert identify(emulator, emulator)
+
+
+def reading(
+    emulator: PanelEmulator, clock: Clock, *, read_back: bool = True, tab: str = "green"
+) -> ST7735R:
+    return ST7735R(
+        *(emulator, emulator),
+        camera=CAMERA,
+        tab=TABS[tab],
+        read_back=read_back,
+        sleep=clock.sleep,
+        clock=clock,
+    )
+
+
+@pytest.mark.parametrize("tab", TABS)
+def test_a_sound_panel_shows_the_same_whether_it_is_asked_or_not(tab: str) -> None:
+    pictures, sent = [], []
+    for read_back in (False, True):
+        clock = Clock()
+        emulator = PanelEmulator(TABS[tab], crystal=Crystal(scan=0.0), clock=clock)
+        panel = reading(emulator, clock, read_back=read_back, tab=tab)
+        before = emulator.bytes_received
+        panel.show(LEVELS)
+        pictures.append(emulator.framebuffer())
+        sent.append(emulator.bytes_received - before)
+        panel.blank()
+        assert not emulator.framebuffer().any()
+    assert np.array_equal(pictures[0], pictures[1])
+    assert sent[1] == sent[0] + 1  # one command, and what follows it comes from the panel
+
+
+COMMANDS = {
+    "it sleeps": b"\x10",
+    "its display is off": b"\x28",
+    "it shows light for dark": b"\x21",
+    "its voltages are off, it sleeps, its display is off": b"\x01",
+}
+"""What a disturbance on the bus can tell a panel."""
+
+
+def act_show(panel: ST7735R) -> None:
+    panel.show(LEVELS)
+
+
+@pytest.mark.parametrize("act", [act_show, ST7735R.blank])
+@pytest.mark.parametrize(("told", "command"), COMMANDS.items())
+def test_a_panel_that_was_told_something_else_is_found_after_the_next_write(
+    told: str, command: bytes, act: Callable[[ST7735R], None]
+) -> None:
+    emulator, clock = woken()
+    asking, silent = (reading(emulator, clock, read_back=asked) for asked in (True, False))
+    emulator.data(False)
+    emulator.write(command)
+    clock.sleep(1.0)
+    act(silent)
+    with pytest.raises(DisplayError, match=told):
+        act(asking)
+
+
+@pytest.mark.parametrize(
+    "register", [b"\x36\x00", b"\x36\x48", b"\x3a\x05", b"\x3a\x03"], ids=bytes.hex
+)
+def test_a_register_that_was_changed_is_found(register: bytes) -> None:
+    emulator, clock = woken()
+    panel = reading(emulator, clock)
+    emulator.data(False)
+    emulator.write(register[:1])
+    emulator.data(True)
+    emulator.write(register[1:])
+    told = "its memory is turned" if register[0] == 0x36 else "it takes another pixel format"
+    with pytest.raises(DisplayError, match=told):
+        panel.show(LEVELS)
+
+
+@pytest.mark.parametrize("faults", [PanelFaults(dead=True), PanelFaults(stuck=True)])
+def test_a_panel_that_hears_nothing_does_not_answer(faults: PanelFaults) -> None:
+    emulator, clock = woken()
+    panel = reading(emulator, clock)
+    emulator.faults = faults
+    for act in (act_show, ST7735R.blank):
+        with pytest.raises(DisplayError, match="does not answer"):
+            act(panel)
+    if faults.dead:
+        # Nor can it be opened.
+        with pytest.raises(DisplayError, match="does not answer"):
+            reading(emulator, clock)
+    emulator.faults = PanelFaults()
+    reading(emulator, clock).show(LEVELS)
+
+
+def test_a_panel_that_is_gone_fails_on_its_bus_when_it_is_asked() -> None:
+    emulator, clock = woken()
+    reading(emulator, clock)
+    emulator.faults = PanelFaults(gone=True)
+    with pytest.raises(OSError, match="No such device"):
+        emulator.read(0x09, 5)
+
+
+def test_a_question_that_is_lost_has_no_answer() -> None:
+    """The seventh write of a mask is the question; one that loses pixels is answered as ever."""
+    emulator, clock = woken()
+    panel = reading(emulator, clock)
+    emulator.faults = PanelFaults(lost=7)
+    emulator._writes = 0
+    with pytest.raises(DisplayError, match="does not answer"):
+        panel.show(LEVELS)
+    before = emulator.framebuffer()
+    emulator.faults = PanelFaults(lost=6)
+    emulator._writes = 0
+    panel.show(LEVELS + 1)
+    assert np.array_equal(emulator.framebuffer(), before)
+
+
+def test_glass_that_shows_light_for_dark_is_not_in_the_status() -> None:
+    """Its controller knows nothing of it: that is for the light to tell."""
+    emulator, clock = woken()
+    panel = reading(emulator, clock)
+    emulator.faults = PanelFaults(inverted=True)
+    panel.show(LEVELS)
+
+
+def test_a_question_with_data_s_level_is_a_parameter_and_not_answered() -> None:
+    emulator, clock = woken()
+    reading(emulator, clock)
+    emulator.data(True)
+    assert emulator.read(0x09, 5) == bytes(5)
+    emulator.data(False)
+    assert emulator.read(0x09, 5) != bytes(5)
+    assert emulator.read(0x00, 5) == bytes(5)
+    emulator.reset(True)
+    assert emulator.read(0x09, 5) == bytes(5)
+
+
+def test_the_mask_is_in_no_buffer_after_a_wrong_answer() -> None:
+    emulator, clock = woken()
+    panel = reading(emulator, clock)
+    emulator.faults = PanelFaults(dead=True)
+    with pytest.raises(DisplayError) as caught:
+        panel.show(LEVELS)
+    assert not panel._pixels.any()
+    assert "21" not in str(caught.value)
+
+
+def test_the_time_of_completion_is_before_the_question() -> None:
+    class Slow(PanelEmulator):
+        def read(self, command: int, count: int) -> bytes:
+            clock.sleep(0.5)
+            return super().read(command, count)
+
+    clock = Clock()
+    panel = reading(Slow(TABS["green"], clock=clock), clock)
+    began = clock.now
+    assert panel.show(LEVELS).completed_at == began
+    assert clock.now == began + 0.5
+
+
+@pytest.mark.parametrize("read_back", [False, True])
+def test_the_emulated_panel_is_asked_if_it_should_be(*, read_back: bool) -> None:
+    """And set up anew, as it is after every failure."""
+    clock = Clock()
+    assert DRIVER.emulate is not None
+    open_display, emulated = DRIVER.emulate(
+        CAMERA, scan=0.0, settle=0.0, read_back=read_back, clock=clock
+    )
+    display = ReopeningDisplay("ST7735R", open_display, clock=clock)
+    display.show(LEVELS)
+    emulated.faults = PanelFaults(dead=True)
+    if not read_back:
+        display.show(LEVELS)
+        return
+    with pytest.raises(DisplayError, match="does not answer"):
+        display.show(LEVELS)
+    assert display.resets == 1
+    emulated.faults = PanelFaults()
+    clock.sleep(2.0)
+    display.show(LEVELS)
