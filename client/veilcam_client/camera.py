@@ -19,6 +19,7 @@ from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
@@ -213,6 +214,19 @@ class Camera:
     def revoke_token(self, token_id: str) -> Token:
         """Let a token do nothing any more."""
         return self._transport.send(calls.revoke_token(token_id))
+
+    def log(self, *, limit: int = RECORDS_AT_ONCE, after: int | None = None) -> LogRecords:
+        """Return signed records of what was answered, the oldest first; see docs/capture-log.md.
+
+        Args:
+            limit: so many at most.
+            after: those that follow this position, as ``next`` of an answer names it.
+        """
+        return self._transport.send(calls.log(limit, after))
+
+    def log_head(self) -> LogHead:
+        """Where the log ends now, signed: keep it, and what is dropped from that end shows."""
+        return self._transport.send(calls.LOG_HEAD)
 
     def receivers(self) -> Receivers:
         """To whom embeddings are sealed, and the key of the device that seals them."""

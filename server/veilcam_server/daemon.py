@@ -43,6 +43,7 @@ from veilcam_server.errors import (
     StartError,
 )
 from veilcam_server.gate.server import Gate, GateServer, open_gate
+from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import open_admission
@@ -142,6 +143,7 @@ def build_service(settings: Settings) -> Service:
         break_device=device.set_faults if settings.scene_api else None,
         faults=faults,
         policies=policies,
+        capture_log=CaptureLog.of(settings.state_dir, key),
         held=held,
     )
 

@@ -90,6 +90,27 @@ class AuditError(
     """What was done cannot be written down durably, so no change is made, or acknowledged."""
 
 
+class CaptureLogError(
+    ProblemError,
+    code="log_not_written",
+    status=503,
+    title="The capture log cannot be written",
+    retryable=True,
+    remedy="check_disk",
+):
+    """Nothing can be made durable in the capture log; answers leave, and it will say how many."""
+
+
+class LogDamagedError(
+    ProblemError,
+    code="log_damaged",
+    status=500,
+    title="Records of the capture log are damaged",
+    remedy="check_disk",
+):
+    """Records of the capture log do not hold any more; the message says which part."""
+
+
 class ReleaseNotRecordedError(
     ProblemError,
     code="release_not_recorded",

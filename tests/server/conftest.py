@@ -41,6 +41,7 @@ from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource, Terms
+from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.sealing.identity import DeviceKey
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.security.admission import Admission
@@ -289,6 +290,7 @@ class Bench:
             pairing=Pairing(self.receivers, self.key.public, camera.renew),
             queue_limit=queue_limit,
             heartbeat=0.05,
+            capture_log=CaptureLog.of(self.state_dir, self.key),
         )
         publish = camera._panel.publish
 

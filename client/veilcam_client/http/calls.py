@@ -23,6 +23,7 @@ from veilcam_client.wire.calibration import (
 from veilcam_client.wire.captures import Capture, Classification, ClassificationRequest
 from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
+from veilcam_client.wire.log import LogHead, LogRecords
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_media_type
@@ -69,6 +70,7 @@ LEASE_STATE = Call("GET", "/v1/lease", Lease)
 DIAGNOSTICS = Call("GET", "/v1/diagnostics", Diagnostics)
 TAKE_SCENE_AWAY = Call("DELETE", "/v1/simulation/scene", HeldScene)
 BUNDLES = Call("GET", "/v1/bundles", InstalledBundles)
+LOG_HEAD = Call("GET", "/v1/log/head", LogHead)
 RECEIVERS = Call("GET", "/v1/receivers", Receivers)
 
 
@@ -111,6 +113,12 @@ def tokens(limit: int, after: str | None) -> Call[Tokens]:
     """GET /v1/tokens."""
     start = "" if after is None else f"&after={quote(after, safe='')}"
     return Call("GET", f"/v1/tokens?limit={limit}{start}", Tokens)
+
+
+def log(limit: int, after: int | None) -> Call[LogRecords]:
+    """GET /v1/log."""
+    start = "" if after is None else f"&after={after}"
+    return Call("GET", f"/v1/log?limit={limit}{start}", LogRecords)
 
 
 def create_token(label: str, scopes: Sequence[Scope], seconds: int | None) -> Call[NewToken]:

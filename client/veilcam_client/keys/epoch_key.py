@@ -61,6 +61,10 @@ class EpochKey:
         """Key that embeddings are sealed under, 32 bytes."""
         return self._derived(b"veilcam embedding sealing 1")
 
+    def commitment(self) -> bytearray:
+        """Key that the capture log commits to the mask under, 32 bytes."""
+        return self._derived(b"veilcam mask commitment 1")
+
     def reveal(self) -> bytearray:
         """The key itself, to be sealed to receivers; not a copy, so that :meth:`erase` gets it."""
         self._require()

@@ -132,6 +132,8 @@ class Capture(Answer):
     """One embedding and the mask epoch that it was taken under."""
 
     id: str
+    """192 random bits, 48 hexadecimal digits: events name it by the first 16, and the rest keeps
+    the log of captures from telling what was answered."""
     epoch: str
     """Random name of one showing of one mask: it tells nothing but equal or not."""
     number: int = Field(ge=0)
@@ -164,6 +166,7 @@ class Classification(Answer):
     """The label of what the camera saw."""
 
     id: str
+    """As of :class:`Capture`."""
     epoch: str
     number: int = Field(ge=0)
     """Of the capture in its epoch, from 0 on."""
@@ -185,14 +188,14 @@ class Classification(Answer):
 EXAMPLES = (
     ClassificationRequest(include_embedding=True),
     Capture(
-        id="c0ffee00c0ffee00",
+        id="c0ffee00" * 6,
         epoch=EXAMPLE_EPOCH,
         number=0,
         taken_at=EXAMPLE_TIME,
         embedding=SealedEmbedding(shape=(2, 3), block="c2VhbGVk", envelope=EXAMPLE_ENVELOPE),
     ),
     Classification(
-        id="c0ffee00c0ffee00",
+        id="c0ffee00" * 6,
         epoch=EXAMPLE_EPOCH,
         number=0,
         taken_at=EXAMPLE_TIME,

@@ -41,6 +41,7 @@ class CaptureTaken(_Event):
 
     kind: Literal["capture"] = "capture"
     capture: str
+    """The first 16 digits of the answer's id."""
     epoch: str
     replay: bool = False
     """Whether it comes from a recording."""
@@ -51,6 +52,7 @@ class Classified(_Event):
 
     kind: Literal["classification"] = "classification"
     capture: str
+    """As of :class:`CaptureTaken`."""
     epoch: str
     label: str
     replay: bool = False

@@ -16,6 +16,7 @@ Scope = Literal[
     "read:scores",
     "read:embedding",
     "read:embedding:raw",
+    "read:log",
     "mask:rotate",
     "calibrate",
     "simulate",

@@ -21,6 +21,7 @@ from veilcam_server.api.routes import (
     diagnostics,
     events,
     lease,
+    log,
     public,
     receivers,
     rotation,
@@ -40,7 +41,7 @@ _PASSING = (
 """Of what is done there a restart leaves nothing: a full disk under the audit log stops none of
 it, and its line may be lost where the power is."""
 _ROUTES = (
-    *(captures, rotation, events, lease, tokens, receivers, diagnostics, calibration, bundles),
+    *(captures, rotation, events, lease, log, tokens, receivers, diagnostics, calibration, bundles),
     *(simulation, public),
 )
 

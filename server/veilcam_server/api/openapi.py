@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.constants import REF_PREFIX
 from pydantic import BaseModel
 
-from veilcam_client.wire import (
-    bundles,
-    calibration,
-    captures,
-    diagnostics,
-    events,
-    lease,
-    rotation,
-    sealing,
-    simulation,
-    status,
-    tokens,
-)
+from veilcam_client import wire
+from veilcam_client.wire import events
 from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_server.api import metrics
 from veilcam_server.api.problems import example_of
@@ -34,20 +25,10 @@ _TEXTS = {
         f"event: {_EVENT.kind}\nid: {_EVENT.id}\ndata: {_EVENT.model_dump_json()}\n\n"
     ),
 }
-_MODULES = (
-    bundles,
-    calibration,
-    captures,
-    diagnostics,
-    lease,
-    rotation,
-    sealing,
-    simulation,
-    status,
-    tokens,
-)
 _EXAMPLES: Mapping[str, BaseModel] = {
-    type(example).__name__: example for module in _MODULES for example in module.EXAMPLES
+    type(example).__name__: example
+    for module in iter_modules(wire.__path__)
+    for example in getattr(import_module(f"{wire.__name__}.{module.name}"), "EXAMPLES", ())
 }
 """By the name of the model."""
 

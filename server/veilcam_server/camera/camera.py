@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 
+from veilcam_client.keys.capture_log import calibration_digest
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Exposure as ExposureNote
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
@@ -24,6 +25,7 @@ from veilcam_server.camera.capture import (
     Fence,
     Lateness,
     MaskedCapture,
+    Provenance,
     check_exposure,
     due_in,
     reusable,
@@ -91,6 +93,7 @@ class MaskedCamera:
         self.preparation = preparation
         """What makes epochs ready."""
         self._device = calibrated(self._bare, calibration)
+        self._calibration = None if calibration is None else calibration_digest(calibration)
         self._shape, self._fence, self._budget = shape, fence, budget
         self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
         self._panel = MaskedPanel(self._device.display, preparation, self._self_test)
@@ -228,6 +231,7 @@ class MaskedCamera:
         """
         with self._lock:
             self._device = calibrated(self._bare, calibration)
+            self._calibration = calibration_digest(calibration)
             self._fence = Fence(settle, self._fence.timeout)
             self.preparation.serve(source)
 
@@ -346,6 +350,7 @@ class MaskedCamera:
             taken_at=taken_at,
             form=None if form == "none" else form,
             active=active.epoch,
+            provenance=Provenance(active.epoch.commitment, self._self_test.age, self._calibration),
             exposure=ExposureNote(
                 started_after_shown_s=exposure.started_at - active.completed_at,
                 settle_s=self._fence.settle,

@@ -132,6 +132,18 @@ class ActiveMask:
         return True
 
 
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What the capture log says of a capture, beside its answer."""
+
+    mask: str
+    """Commitment to the mask that it names, 64 hexadecimal digits."""
+    tested: float
+    """How long before the panel passed its self-test [s]."""
+    calibration: str | None
+    """Digest of the calibration in force; None: the camera was taken to be nominal."""
+
+
 class Captured(Protocol):
     """One measurement, which says no more than its label and leaves in its form."""
 
@@ -154,6 +166,10 @@ class Captured(Protocol):
     @property
     def replay(self) -> Replay | None:
         """From a recording: nothing was exposed."""
+
+    @property
+    def provenance(self) -> Provenance | None:
+        """What the capture log says; None: a recording is not logged as if it were a capture."""
 
     def classify(self) -> Prediction:
         """Return the label, as the reader of its own mask tells it."""
@@ -181,6 +197,7 @@ class MaskedCapture:
     taken_at: datetime
     form: Form | None
     active: Epoch
+    provenance: Provenance
     exposure: ExposureNote
     rotation_s: float
     settle_s: float

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from veilcam_client.keys.blocks import Sealer
+from veilcam_client.keys.capture_log import mask_commitment
 from veilcam_client.keys.envelopes import Signer, seal_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import Receiver
@@ -36,6 +37,8 @@ class Epoch:
     mask: Mask = field(repr=False)
     form: Release
     """In which embeddings leave, from its preparation to its end."""
+    commitment: str
+    """To its mask, under a key that is gone; what the capture log says of it."""
     sealer: Sealer | None = field(default=None, repr=False)
     """Seals embeddings to the receivers; None: to nobody."""
     receivers: tuple[Receiver, ...] = field(default=(), repr=False)
@@ -196,8 +199,9 @@ class Preparation:
         try:
             mask = source.make(key, terms.form, self._avoided(source, terms.form))
             try:
+                commitment = mask_commitment(key, mask.levels)
                 sealer = self._sealer(key, name, source.bundle, terms)
-                return Epoch(name, mask, terms.form, sealer, terms.receivers)
+                return Epoch(name, mask, terms.form, commitment, sealer, terms.receivers)
             except BaseException:
                 mask.erase()
                 raise

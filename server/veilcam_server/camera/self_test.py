@@ -220,13 +220,18 @@ class SelfTestStatus:
             raise ValueError(f"every = {every} s is not valid: use a number > 0")
         self._test, self._device, self._fence = test, device, fence
         self._every, self._clock = every, clock
-        self._ends, self._resets = -math.inf, 0
+        self._passed, self._ends, self._resets = -math.inf, -math.inf, 0
 
     def holds_for(self) -> float:
         """Seconds for which it holds still; 0 if it does not."""
         if self._device.display.resets != self._resets:
             return 0.0
         return max(0.0, self._ends - self._clock())
+
+    @property
+    def age(self) -> float:
+        """How long ago the panel passed last [s]; inf: it never did."""
+        return self._clock() - self._passed
 
     def void(self, device: Device, fence: Fence) -> None:
         """Test again before anything is believed.
@@ -243,4 +248,5 @@ class SelfTestStatus:
         resets = self._device.display.resets
         self._test.run(self._device, self._fence)
         # Set up anew in the middle of the test, the panel may have forgotten what was tested.
-        self._resets, self._ends = resets, self._clock() + self._every
+        self._resets, self._passed = resets, self._clock()
+        self._ends = self._passed + self._every

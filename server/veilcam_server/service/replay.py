@@ -209,6 +209,11 @@ class _Recollection:
         """Where it comes from."""
         return Replay(capture=self.recorded.capture.id, place=self.place)
 
+    @property
+    def provenance(self) -> None:
+        """Nothing was taken, so nothing is logged."""
+        return
+
     def classify(self) -> Prediction:
         """Nothing is inferred: what was told then."""
         verdict = self.recorded.verdict

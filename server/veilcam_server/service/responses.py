@@ -6,9 +6,11 @@ with the embedding, or stays here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
+from veilcam_client.keys.capture_log import answer_digest
 from veilcam_client.wire.captures import (
     Capture,
     Classification,
@@ -16,7 +18,8 @@ from veilcam_client.wire.captures import (
     Prediction,
     SealedEmbedding,
 )
-from veilcam_server.camera.capture import Captured
+from veilcam_client.wire.log import AGE_STEP, LoggedCapture
+from veilcam_server.camera.capture import Captured, Provenance
 
 Scores = Literal["none", "rounded", "all"]
 """What is told of a label's probability: nothing, tenths, or all of it."""
@@ -55,6 +58,19 @@ def classification_response(
         scores=told.scores,
         embedding=embedding,
         replay=captured.replay,
+    )
+
+
+def logged(answer: Capture | Classification, provenance: Provenance) -> LoggedCapture:
+    """What the capture log says of an answer that is about to leave."""
+    return LoggedCapture(
+        epoch=answer.epoch,
+        number=answer.number,
+        taken_at=answer.taken_at,
+        mask=provenance.mask,
+        tested_s=AGE_STEP * math.ceil(provenance.tested / AGE_STEP),
+        calibration=provenance.calibration,
+        answer=answer_digest(answer),
     )
 
 

@@ -18,15 +18,13 @@ import numpy.typing as npt
 import structlog
 
 from veilcam_client import __version__
+from veilcam_client.keys.capture_log import ID_DIGITS, NAME_DIGITS
 from veilcam_client.wire.base import API_VERSION
 from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.captures import (
     Capture,
     Classification,
-    Embedding,
-    Prediction,
     Release,
-    SealedEmbedding,
 )
 from veilcam_client.wire.events import (
     BundleChanged,
@@ -57,19 +55,26 @@ from veilcam_server.errors import (
     SceneInvalidError,
     WithheldError,
 )
+from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
 from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.queue import DeviceQueue
-from veilcam_server.service.responses import Scores, capture_response, classification_response
+from veilcam_server.service.responses import (
+    Scores,
+    capture_response,
+    classification_response,
+    logged,
+)
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 from veilcam_server.system.logs import log_unhandled
 from veilcam_server.system.state_file import HeldDirectory
 
 log = structlog.get_logger()
-ResultT = TypeVar("ResultT")
-_Leaving: TypeAlias = Embedding | SealedEmbedding
+AnswerT = TypeVar("AnswerT", Capture, Classification)
+MakeAnswer: TypeAlias = Callable[[str, Captured, float], AnswerT]
+"""Makes an answer of its id, the capture, and what the request waited for the device [s]."""
 
 
 class Service:
@@ -89,6 +94,7 @@ class Service:
         break_device: breaks and mends a simulated device; None: nobody may.
         faults: what was found before; told of once this is open.
         policies: where the rotation policy is kept; None: it lasts no longer than this.
+        capture_log: of what is answered; None: a recording is replayed, and nothing is logged.
         held: state directory, which other daemons may have once this has stopped; None: there is
             none.
     """
@@ -109,12 +115,13 @@ class Service:
         break_device: Callable[[Faults], None] | None = None,
         faults: Sequence[ProblemError] = (),
         policies: PolicyStore | None = None,
+        capture_log: CaptureLog | None = None,
         held: HeldDirectory | None = None,
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
         self._form, self._raw_budget, self._pairing = form, raw_budget, pairing
         self._bundles, self._scenes, self._policies = bundles, scenes, policies
-        self._break, self._held = break_device, held
+        self._break, self._held, self._log = break_device, held, capture_log
         self._setting_policy = asyncio.Lock()
         self._events, self.history = EventPublisher(), History()
         publish = self._events.publish
@@ -133,6 +140,8 @@ class Service:
             self._events.subscribe(self._alarms.guarded(task, take))
         self._since = time.monotonic()
         self._found: list[ProblemError] | None = list(faults)
+        if capture_log is not None:
+            capture_log.begin(self.report)
         self._inference_thread = ThreadPoolExecutor(1, "inference")
         camera.listen(self._alarms.pass_on)
 
@@ -186,6 +195,8 @@ class Service:
             self._let_go()
 
     def _let_go(self) -> None:
+        if self._log is not None:
+            self._log.close()
         if self._held is not None:
             self._held.close()
 
@@ -211,6 +222,13 @@ class Service:
         if self._pairing is None:
             raise ReplayingError
         return self._pairing
+
+    @property
+    def capture_log(self) -> CaptureLog:
+        """Of what was answered; raises :class:`ReplayingError` where nothing is logged."""
+        if self._log is None:
+            raise ReplayingError
+        return self._log
 
     @property
     def upload_limit(self) -> int:
@@ -271,11 +289,12 @@ class Service:
             WithheldError, NoReceiverError: this daemon releases no embeddings, or to nobody.
         """
         self._require_released()
+
+        def answer(name: str, captured: Captured, queued: float) -> Capture:
+            return capture_response(name, captured, captured.release(queued))
+
         with self._admitted():
-            captured, released = await self._take(_released, release=True)
-            name = self._taken(captured)
-            embedding = await asyncio.wrap_future(released)
-        return capture_response(name, captured, embedding)
+            return await self._answered(answer, release=True)
 
     async def classify(self, *, include_embedding: bool, scores: Scores = "none") -> Classification:
         """Take one embedding and classify it with the reader of its own mask.
@@ -290,24 +309,23 @@ class Service:
         if include_embedding:
             self._require_released()
 
-        def infer(captured: Captured, queued: float) -> tuple[Prediction, _Leaving | None]:
+        def answer(name: str, captured: Captured, queued: float) -> Classification:
             prediction = captured.classify()
-            return prediction, _released(captured, queued) if include_embedding else None
+            embedding = captured.release(queued) if include_embedding else None
+            return classification_response(name, captured, prediction, embedding, scores)
 
         with self._admitted():
-            captured, inferred = await self._take(infer, release=include_embedding)
-            name = self._taken(captured)
-            prediction, embedding = await asyncio.wrap_future(inferred)
+            told = await self._answered(answer, release=include_embedding)
         self._events.publish(
             partial(
                 Classified,
-                capture=name,
-                epoch=captured.epoch,
-                label=prediction.label,
-                replay=captured.replay is not None,
+                capture=told.id[:NAME_DIGITS],
+                epoch=told.epoch,
+                label=told.label,
+                replay=told.replay is not None,
             )
         )
-        return classification_response(name, captured, prediction, embedding, scores)
+        return told
 
     async def hold_scene(self, content: bytes | None) -> HeldScene:
         """Hold a picture up before a simulated camera, between two captures; None: take it away.
@@ -368,23 +386,21 @@ class Service:
         with self._queue.admitted():
             yield
 
-    async def _take(
-        self, aside: Callable[[Captured, float], ResultT], *, release: bool
-    ) -> tuple[Captured, Future[ResultT]]:
-        """Take one measurement, and begin ``aside`` on it while the device serves the next one.
+    async def _answered(self, make: MakeAnswer[AnswerT], *, release: bool) -> AnswerT:
+        """Take one measurement, and answer while the device serves the next one.
 
         Args:
-            aside: is given the capture, and what the request waited for the device [s].
+            make: the answer.
             release: whether the embedding leaves.
         """
-        begun = time.monotonic()
+        begun, name = time.monotonic(), secrets.token_hex(ID_DIGITS // 2)
 
-        def work() -> tuple[Captured, Future[ResultT]]:
+        def work() -> tuple[Captured, Future[AnswerT]]:
             queued = time.monotonic() - begun
             captured = self._camera.capture(release=release)
             try:
                 # From here and not from the event loop, which would only hand it on.
-                future = self._inference_thread.submit(aside, captured, queued)
+                future = self._inference_thread.submit(self._logged, make, name, captured, queued)
             except BaseException:
                 captured.done()
                 raise
@@ -392,7 +408,25 @@ class Service:
             future.add_done_callback(lambda _: captured.done())
             return captured, future
 
-        return await self._queue.run(work)
+        captured, answer = await self._queue.run(work)
+        self._events.publish(
+            partial(
+                CaptureTaken,
+                capture=name[:NAME_DIGITS],
+                epoch=captured.epoch,
+                replay=captured.replay is not None,
+            )
+        )
+        return await asyncio.wrap_future(answer)
+
+    def _logged(
+        self, make: MakeAnswer[AnswerT], name: str, captured: Captured, queued: float
+    ) -> AnswerT:
+        """Make an answer, which is in the log before anybody has it."""
+        answer, provenance = make(name, captured, queued), captured.provenance
+        if self._log is not None and provenance is not None:
+            self._log.append(logged(answer, provenance))
+        return answer
 
     def _require_released(self) -> None:
         form = self.release
@@ -401,25 +435,9 @@ class Service:
         if form == "sealed" and self._pairing is not None and not self._pairing.paired:
             raise NoReceiverError
 
-    def _taken(self, captured: Captured) -> str:
-        name = secrets.token_hex(8)
-        self._events.publish(
-            partial(
-                CaptureTaken,
-                capture=name,
-                epoch=captured.epoch,
-                replay=captured.replay is not None,
-            )
-        )
-        return name
-
 
 def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
     try:
         return as_scene(content, scenes.shape)
     except PictureError as error:
         raise SceneInvalidError(f"this {error}") from None
-
-
-def _released(captured: Captured, queued: float) -> _Leaving:
-    return captured.release(queued)

@@ -18,6 +18,7 @@ USES = {
     "levels": b"veilcam mask levels 1",
     "rotation": b"veilcam white rotation 1",
     "sealing": b"veilcam embedding sealing 1",
+    "commitment": b"veilcam mask commitment 1",
 }
 keys = st.binary(min_size=32, max_size=32)
 
@@ -39,7 +40,7 @@ def test_no_two_uses_devices_or_bundles_share_a_key() -> None:
         for bundle in (BUNDLE, "1e" * 32)
         for use in USES
     }
-    assert len(derived) == 12
+    assert len(derived) == 16
 
 
 def test_keys_are_drawn_anew() -> None:

@@ -222,7 +222,7 @@ def test_what_cannot_be_prepared_leaves_no_key_and_no_mask(
 
 def is_gone_mask(mask: Mask) -> bool:
     """Whether nothing is left of a mask."""
-    epoch = Epoch("", mask, "none")
+    epoch = Epoch("", mask, "none", "")
     return not any(array.any() for array in pieces(epoch))
 
 

@@ -1,0 +1,160 @@
+"""The wire contract of the capture log: signed records, each of which names the one before."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer
+from veilcam_client.wire.sealing import EXAMPLE_DEVICE
+
+LOG_VERSION: Literal[1] = 1
+RECORDS_AT_ONCE = 1000
+"""In one answer, unless another number is asked for."""
+MOST_RECORDS = 10_000
+"""That one answer may have."""
+AGE_STEP = 60
+"""The age of a self-test is told in steps of so much [s]: when light ended one early is not."""
+_NAME, _DIGEST, _SIGNATURE = (rf"^[0-9a-f]{{{digits}}}$" for digits in (32, 64, 128))
+_Position = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+def _whole_second(at: datetime) -> datetime:
+    if at.utcoffset() != timedelta(0) or at.microsecond:
+        raise ValueError("is not valid: use a whole second of UTC")
+    return at
+
+
+Second = Annotated[datetime, AfterValidator(_whole_second)]
+
+
+class _Signed(BaseModel):
+    """What is signed is closed: all of it is known, and nothing stands beside it."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class LoggedCapture(_Signed):
+    """An answer that left: a capture, or its label."""
+
+    kind: Literal["capture"] = "capture"
+    epoch: str = Field(pattern=_NAME)
+    number: int = Field(ge=0)
+    """Of the capture in its epoch."""
+    taken_at: Second
+    mask: str = Field(pattern=_DIGEST)
+    """Hiding commitment to the mask: HMAC-SHA256 of its levels under a key of the epoch."""
+    tested_s: int = Field(ge=0, multiple_of=AGE_STEP)
+    """At most so long before, the panel passed its self-test [s]."""
+    calibration: str | None = Field(pattern=_DIGEST)
+    """SHA-256 of the calibration in force; None: the camera was taken to be nominal."""
+    answer: str = Field(pattern=_DIGEST)
+    """SHA-256 of the answer, hidden by the answer's id."""
+
+
+class LogStarted(_Signed):
+    """The daemon began to write."""
+
+    kind: Literal["start"] = "start"
+    at: Second
+    after: Literal["nothing", "stop", "cut", "damage", "loss"]
+    """What came before: no log; a stop; an end without one, so that what left last may be missing;
+    records that cannot be read any more; a log of which nothing is left."""
+
+
+class LogStopped(_Signed):
+    """The daemon ended by itself: all that left until then stands before."""
+
+    kind: Literal["stop"] = "stop"
+    at: Second
+
+
+class LogGap(_Signed):
+    """Answers left without records, as the disk took none."""
+
+    kind: Literal["gap"] = "gap"
+    answers: int = Field(ge=1)
+
+
+class LogDropped(_Signed):
+    """The oldest records were removed from the camera, to make room."""
+
+    kind: Literal["dropped"] = "dropped"
+    before: _Position
+    """Position of the oldest that was kept."""
+
+
+Entry = Annotated[
+    LoggedCapture | LogStarted | LogStopped | LogGap | LogDropped, Field(discriminator="kind")
+]
+
+
+class LogRecord(_Signed):
+    """One line of the log."""
+
+    version: Literal[1] = LOG_VERSION
+    device: str = Field(pattern=_DIGEST)
+    """Public Ed25519 key of the device, 64 hexadecimal digits."""
+    position: _Position
+    """In the log, from 0 on."""
+    previous: str = Field(pattern=_DIGEST)
+    """SHA-256 of the line before; zeros at position 0."""
+    entry: Entry
+    signature: str = Field(repr=False, pattern=_SIGNATURE)
+    """Ed25519 signature of all the rest, 128 hexadecimal digits."""
+
+
+class LogHead(_Signed):
+    """Where the log ends, signed: what was dropped from its end since is found with it."""
+
+    version: Literal[1] = LOG_VERSION
+    device: str = Field(pattern=_DIGEST)
+    position: _Position
+    """Of the newest record."""
+    record: str = Field(pattern=_DIGEST)
+    """SHA-256 of its line."""
+    oldest: _Position
+    """Position of the oldest record that the camera keeps."""
+    missed: int = Field(ge=0)
+    """Answers that left since without records, as the disk takes none now."""
+    at: Second
+    signature: str = Field(repr=False, pattern=_SIGNATURE)
+
+
+class LogRecords(Answer):
+    """Records in their order."""
+
+    records: tuple[LogRecord, ...]
+    next: int | None = None
+    """``after`` of the request for those that follow; None: there were no more."""
+
+
+_RECORD = LogRecord(
+    device=EXAMPLE_DEVICE,
+    position=1200,
+    previous=EXAMPLE_DIGEST,
+    entry=LoggedCapture(
+        epoch=EXAMPLE_EPOCH,
+        number=0,
+        taken_at=EXAMPLE_TIME,
+        mask=EXAMPLE_DIGEST,
+        tested_s=120,
+        calibration=None,
+        answer=EXAMPLE_DIGEST,
+    ),
+    signature="0f" * 64,
+)
+EXAMPLES = (
+    LogRecords(records=(_RECORD,), next=1200),
+    LogHead(
+        device=EXAMPLE_DEVICE,
+        position=1200,
+        record=EXAMPLE_DIGEST,
+        oldest=0,
+        missed=0,
+        at=EXAMPLE_TIME,
+        signature="0f" * 64,
+    ),
+)

@@ -1,0 +1,32 @@
+"""REST API of the capture log: signed records of what was answered, and where they end."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from veilcam_client.wire.log import MOST_RECORDS, RECORDS_AT_ONCE, LogHead, LogRecords
+from veilcam_server.api.dependencies import ServiceDep, problems
+from veilcam_server.api.scopes import requires
+
+_REFUSALS = ("invalid_request", "replaying", "log_not_written")
+
+router = APIRouter(prefix="/v1/log", redirect_slashes=False)
+
+
+@router.get("", dependencies=[requires("read:log")], responses=problems(*_REFUSALS))
+async def records(
+    service: ServiceDep,
+    after: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
+    limit: Annotated[int, Query(ge=1, le=MOST_RECORDS)] = RECORDS_AT_ONCE,
+) -> LogRecords:
+    """Records of what was answered, the oldest first; what is shown is on the disk."""
+    return await asyncio.to_thread(service.capture_log.records, after, limit)
+
+
+@router.get("/head", dependencies=[requires("read:log")], responses=problems(*_REFUSALS))
+async def head(service: ServiceDep) -> LogHead:
+    """Where the log ends now, signed; what it names is on the disk."""
+    return await asyncio.to_thread(service.capture_log.head)

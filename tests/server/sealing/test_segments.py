@@ -1,0 +1,262 @@
+"""Segments: lines whole or not at all, their bound, and what is found of them afterwards."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from veilcam_client.keys.capture_log import line_digest
+from veilcam_server.sealing import segments as module
+from veilcam_server.sealing.segments import Ending, Segments, lines_of, position_of
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+def chain(count: int) -> list[bytes]:
+    """Lines that follow from each other."""
+    lines: list[bytes] = []
+    for position in range(count):
+        previous = line_digest(lines[-1]) if lines else "0" * 64
+        start = f'{{"version":1,"device":"{"d7" * 32}","position":{position},'
+        lines.append(f'{start}"previous":"{previous}","entry":"{position:030d}"}}'.encode())
+    return lines
+
+
+LINES = chain(12)
+ROOM = 3 * (len(LINES[0]) + 1)
+
+
+def genuine(line: bytes) -> bool:
+    return line in LINES
+
+
+def written(folder: Path, count: int = 8, **limits: int) -> Segments:
+    segments = Segments(folder, **{"limit": ROOM, **limits})
+    for position, line in enumerate(LINES[:count]):
+        segments.append(position, line)
+    return segments
+
+
+def content(segments: Segments, position: int = 0) -> list[bytes]:
+    """All lines from the file that has a position."""
+    return [
+        line
+        for path, size in segments.files(position)
+        for line in lines_of(path.read_bytes()[:size])
+    ]
+
+
+def recovered(folder: Path) -> tuple[Ending, Segments]:
+    segments = Segments(folder, limit=ROOM)
+    return segments.recover(genuine), segments
+
+
+def test_lines_are_in_files_that_are_named_by_their_first(tmp_path: Path) -> None:
+    with closing(written(tmp_path / "log")) as segments:
+        assert content(segments) == LINES[:8]
+        assert content(segments, 3) == content(segments, 5) == LINES[3:8]
+        assert content(segments, 99) == LINES[6:8]
+    names = sorted(path.name for path in (tmp_path / "log").iterdir())
+    assert names == [f"{first:020d}.jsonl" for first in (0, 3, 6)]
+    assert {path.stat().st_mode & 0o777 for path in (tmp_path / "log").iterdir()} == {0o600}
+    assert (tmp_path / "log").stat().st_mode & 0o777 == 0o700
+
+
+def test_nothing_is_there_before_the_first_line(tmp_path: Path) -> None:
+    ending, segments = recovered(tmp_path / "log")
+    assert ending == Ending(None, torn=False, breaks=0)
+    assert segments.files(0) == []
+    assert segments.flushable() is None
+    assert (segments.oldest, segments.surplus) == (0, 0)
+    assert not (tmp_path / "log").exists()
+    segments.close()
+
+
+def test_it_goes_on_where_it_ended(tmp_path: Path) -> None:
+    written(tmp_path / "log").close()
+    ending, segments = recovered(tmp_path / "log")
+    assert ending == Ending(LINES[7], torn=False, breaks=0)
+    with closing(segments):
+        for position in (8, 9):
+            segments.append(position, LINES[position])
+        assert content(segments) == LINES[:10]
+    assert not segments.aside.exists()
+
+
+def test_the_oldest_make_room_once_that_is_said(tmp_path: Path) -> None:
+    with closing(written(tmp_path / "log", 7, kept=2)) as segments:
+        assert (segments.oldest, segments.surplus) == (0, 3)
+        segments.drop()
+        assert (segments.oldest, segments.surplus) == (3, 0)
+        assert content(segments) == LINES[3:7]
+        segments.drop()
+    assert len(list((tmp_path / "log").iterdir())) == 2
+
+
+def test_what_cannot_be_removed_stops_nothing(tmp_path: Path) -> None:
+    with closing(written(tmp_path / "log", 7, kept=2)) as segments:
+        (tmp_path / "log" / f"{0:020d}.jsonl").unlink()
+        segments.drop()
+        assert segments.oldest == 3
+
+
+@pytest.mark.parametrize(
+    ("damage", "last"),
+    [
+        (lambda held: held[:-1], 6),
+        (lambda held: held[:-40], 6),
+        (lambda held: held + b"{", 7),
+        (lambda held: held + bytes(200), 7),
+        (lambda held: held + LINES[11][:50], 7),
+        (lambda held: held.replace(b'"position":7', b'"position":8'), 6),
+        (lambda held: b"\n" + held[1:], 7),
+        (lambda _: b"", 5),
+        (lambda _: b"\n\n\xff", 5),
+    ],
+)
+def test_a_damaged_end_is_set_aside(
+    tmp_path: Path, damage: Callable[[bytes], bytes], last: int
+) -> None:
+    written(tmp_path / "log").close()
+    newest = tmp_path / "log" / f"{6:020d}.jsonl"
+    held = newest.read_bytes()
+    newest.write_bytes(damage(held))
+    ending, segments = recovered(tmp_path / "log")
+    with closing(segments):
+        assert ending.last == LINES[last]
+        assert ending.torn == (last < 7 or damage(held).startswith(held))
+        if ending.torn:
+            [aside] = segments.aside.iterdir()
+            assert aside.name == newest.name
+            assert damage(held).endswith(aside.read_bytes())
+        segments.append(last + 1, LINES[last + 1])
+        assert content(segments)[-1] == LINES[last + 1]
+        assert newest.exists()
+
+
+def test_what_was_set_aside_before_makes_room(tmp_path: Path) -> None:
+    for _ in range(2):
+        written(tmp_path / "log").close()
+        for path in (tmp_path / "log").iterdir():
+            path.write_bytes(b"x")
+        ending, segments = recovered(tmp_path / "log")
+        assert ending == Ending(None, torn=True, breaks=0)
+        assert len(list(segments.aside.iterdir())) == 3
+        assert not list((tmp_path / "log").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("damage", "breaks"),
+    [
+        (lambda held: held.replace(b"0004", b"0005"), 1),
+        (lambda held: held.replace(LINES[4], b""), 1),
+        (lambda held: held.replace(LINES[4] + b"\n", b""), 1),
+        (lambda _: b"", 1),
+        (lambda held: held.replace(LINES[3] + b"\n" + LINES[4], LINES[4] + b"\n" + LINES[3]), 3),
+    ],
+)
+def test_damage_before_the_end_is_counted_and_left_as_it_is(
+    tmp_path: Path, damage: Callable[[bytes], bytes], breaks: int
+) -> None:
+    written(tmp_path / "log").close()
+    middle = tmp_path / "log" / f"{3:020d}.jsonl"
+    damaged = damage(middle.read_bytes())
+    middle.write_bytes(damaged)
+    ending, segments = recovered(tmp_path / "log")
+    segments.close()
+    assert ending == Ending(LINES[7], torn=False, breaks=breaks)
+    assert middle.read_bytes() == damaged
+
+
+def test_a_file_that_is_gone_or_cannot_be_read_is_a_break(tmp_path: Path) -> None:
+    written(tmp_path / "log").close()
+    middle = tmp_path / "log" / f"{3:020d}.jsonl"
+    middle.unlink()
+    ending, segments = recovered(tmp_path / "log")
+    assert ending == Ending(LINES[7], torn=False, breaks=1)
+    segments.close()
+    middle.mkdir()  # no file that anybody can read
+    ending, segments = recovered(tmp_path / "log")
+    assert ending == Ending(LINES[7], torn=False, breaks=1)
+    segments.close()
+
+
+def test_other_files_are_none_of_its_business(tmp_path: Path) -> None:
+    written(tmp_path / "log").close()
+    (tmp_path / "log" / "notes.txt").write_text("mine")
+    ending, segments = recovered(tmp_path / "log")
+    segments.close()
+    assert ending == Ending(LINES[7], torn=False, breaks=0)
+
+
+@pytest.mark.parametrize("count", [0, 2, 3])
+@pytest.mark.parametrize("half", [True, False])
+def test_a_full_disk_leaves_neither_half_a_line_nor_an_empty_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, half: bool
+) -> None:
+    def pwrite(file: int, data: bytes, place: int) -> int:
+        if not half:
+            raise FULL
+        return real(file, data[:9], place)
+
+    segments, real = written(tmp_path / "log", count), os.pwrite
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    for _ in range(2):
+        with pytest.raises(OSError, match="No space"):
+            segments.append(count, LINES[count])
+        held = sorted((tmp_path / "log").iterdir())
+        assert b"".join(path.read_bytes() for path in held) == b"".join(
+            line + b"\n" for line in LINES[:count]
+        )
+        assert all(path.stat().st_size for path in held)
+        assert len(segments.files(0)) == len(held)
+    monkeypatch.undo()
+    segments.append(count, LINES[count])
+    assert content(segments) == LINES[: count + 1]
+    segments.close()
+
+
+def test_half_a_line_that_cannot_be_undone_is_written_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    segments, real = written(tmp_path / "log", 1), os.pwrite
+    monkeypatch.setattr(os, "pwrite", lambda file, data, at: real(file, data[:9], at))
+    monkeypatch.setattr(os, "ftruncate", lambda *_: (_ for _ in ()).throw(FULL))
+    with pytest.raises(OSError, match="No space"):
+        segments.append(1, LINES[1])
+    monkeypatch.undo()
+    assert content(segments) == LINES[:1]  # half a line counts for nobody who looks
+    segments.append(1, LINES[1])
+    assert content(segments) == LINES[:2]
+    segments.close()
+
+
+def test_a_file_that_somebody_removes_is_begun_anew(tmp_path: Path) -> None:
+    segments = written(tmp_path / "log", 2)
+    for path in (tmp_path / "log").iterdir():
+        path.unlink()
+    (tmp_path / "log").rmdir()
+    segments.append(2, LINES[2])
+    segments.close()
+    assert (tmp_path / "log" / f"{2:020d}.jsonl").read_bytes() == LINES[2] + b"\n"
+
+
+def test_a_file_is_on_the_disk_before_the_next_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda file: flushed.append(os.fstat(file).st_size))
+    monkeypatch.setattr(module, "sync_folder", lambda _: flushed.append(-1))
+    (tmp_path / "log").mkdir()
+    written(tmp_path / "log", 4).close()
+    assert flushed == [-1, ROOM, -1]
+
+
+def test_a_position_is_read_off_a_line() -> None:
+    assert position_of(LINES[7]) == 7
+    assert position_of(LINES[7][1:]) is None
