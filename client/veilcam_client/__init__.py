@@ -20,6 +20,7 @@ from veilcam_client.errors import (
     InvalidRequestError,
     KeyFileError,
     LeasedError,
+    LogFileError,
     ProtocolError,
     RecordingError,
     RequestTimeoutError,
@@ -28,6 +29,7 @@ from veilcam_client.errors import (
     UnauthorizedError,
     VeilcamError,
 )
+from veilcam_client.log_file import fetch_log, verify_log
 from veilcam_client.recording import Recording, read_recording, record
 from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import (
@@ -57,6 +59,7 @@ from veilcam_client.wire.events import (
     StateChanged,
 )
 from veilcam_client.wire.lease import Lease, NewLease
+from veilcam_client.wire.log import LogHead, LogRecord, LogRecords
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -103,6 +106,10 @@ __all__ = [
     "KeyFileError",
     "Lease",
     "LeasedError",
+    "LogFileError",
+    "LogHead",
+    "LogRecord",
+    "LogRecords",
     "MaskChanged",
     "NewLease",
     "NewToken",
@@ -131,6 +138,8 @@ __all__ = [
     "UnauthorizedError",
     "VeilcamError",
     "__version__",
+    "fetch_log",
     "read_recording",
     "record",
+    "verify_log",
 ]

@@ -7,6 +7,7 @@
     ``RecordingError``: a recording that cannot be written or read.
     ``KeyFileError``: a key of a receiver that cannot be written or read.
     ``SealedError``: a sealed embedding that cannot be opened.
+    ``LogFileError``: a log of captures that cannot be written or read, or gone on with.
     ``ApiError``: the daemon answered with a problem.
         ``UnauthorizedError``: HTTP 401, the token is missing or not valid any more.
         ``ForbiddenError``: the token lacks a scope.
@@ -99,6 +100,13 @@ class SealedError(VeilcamError):
 
     def __init__(self, why: str) -> None:
         super().__init__(why, code="sealed")
+
+
+class LogFileError(VeilcamError):
+    """A log of captures that cannot be written or read, or gone on with."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, code="log_file_failed")
 
 
 class ApiError(VeilcamError):

@@ -48,6 +48,10 @@ def test_the_public_names_are_these() -> None:
         "KeyFileError",
         "Lease",
         "LeasedError",
+        "LogFileError",
+        "LogHead",
+        "LogRecord",
+        "LogRecords",
         "MaskChanged",
         "NewLease",
         "NewToken",
@@ -76,8 +80,10 @@ def test_the_public_names_are_these() -> None:
         "UnauthorizedError",
         "VeilcamError",
         "__version__",
+        "fetch_log",
         "read_recording",
         "record",
+        "verify_log",
     ]
     for name in veilcam_client.__all__:
         assert hasattr(veilcam_client, name)
@@ -114,6 +120,8 @@ def test_sync_and_async_have_the_same_surface() -> None:
         "bundles",
         "lease",
         "lease_state",
+        "log",
+        "log_head",
         "receivers",
         "release_lease",
         "remove_bundle",

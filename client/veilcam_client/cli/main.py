@@ -10,7 +10,7 @@ import typer
 from pydantic import ValidationError
 
 from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.cli import bundles, calibrate, receivers, tokens
+from veilcam_client.cli import bundles, calibrate, logs, receivers, tokens
 from veilcam_client.cli.format import (
     capture_in_words,
     classification_in_words,
@@ -88,7 +88,7 @@ app = typer.Typer(
     epilog="VEILCAM_TOKEN holds the token for a daemon that wants one, VEILCAM_CA_FILE the "
     "authority of an https one. Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request "
     "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
-    "12 leased, 13 recording, 14 key, 15 sealed.",
+    "12 leased, 13 recording, 14 key, 15 sealed, 16 log file, 17 log that does not hold.",
 )
 app.command()(calibrate.calibrate)
 app.command()(lease)
@@ -96,6 +96,8 @@ app.add_typer(tokens.app, name="token")
 app.add_typer(bundles.app, name="bundle")
 app.add_typer(receivers.app, name="receiver")
 app.command()(record)
+app.command()(logs.log)
+app.command()(logs.verify)
 
 
 @app.callback()

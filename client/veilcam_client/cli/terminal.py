@@ -19,6 +19,7 @@ from veilcam_client.errors import (
     InvalidRequestError,
     KeyFileError,
     LeasedError,
+    LogFileError,
     ProtocolError,
     RecordingError,
     RequestTimeoutError,
@@ -29,6 +30,8 @@ from veilcam_client.errors import (
 )
 
 USAGE, DEVICE = 2, 7
+FORGED = 17
+"""A log of captures does not hold."""
 EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (ConnectError, 3),
     (RequestTimeoutError, 4),
@@ -43,6 +46,7 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (RecordingError, 13),
     (KeyFileError, 14),
     (SealedError, 15),
+    (LogFileError, 16),
 )
 
 FoundT = TypeVar("FoundT")

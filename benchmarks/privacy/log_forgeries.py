@@ -1,0 +1,139 @@
+"""Logs of captures with one record forged: how many of them pass for whole.
+
+    python -m benchmarks.privacy.log_forgeries --figures benchmarks/results/proof.json
+
+Every log is written by the daemon's own. In each, one record has one bit flipped, or is dropped, or
+changes places with another one. The newest record is not dropped without a head that was signed
+after it: nothing else could show that.
+"""
+
+from __future__ import annotations
+
+import random
+import secrets
+import tempfile
+from datetime import UTC, datetime, timedelta
+from itertools import cycle
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+from benchmarks.figures import FiguresOption, record
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from veilcam_client.keys.capture_log import line_of
+from veilcam_client.keys.log_check import examine
+from veilcam_client.wire.log import LoggedCapture, LogHead
+from veilcam_server.sealing.capture_log import CaptureLog
+from veilcam_server.sealing.identity import DeviceKey
+from veilcam_server.sealing.segments import Segments
+from veilcam_server.system.state_file import log_fault
+
+SEGMENT, KEPT = 4000, 2
+"""Small files, so that some logs begin where the oldest records were dropped [bytes, files]."""
+START = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+Forged: TypeAlias = tuple[list[bytes], LogHead | None]
+"""Lines, and the head that they are checked with."""
+
+
+class Campaign:
+    """Logs of one device, and somebody who has their files.
+
+    Args:
+        seed: of what is forged; keys are the kernel's.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._chance = random.Random(seed)
+        self._key = DeviceKey(Ed25519PrivateKey.generate())
+        self.kinds = {"flipped": self.flipped, "dropped": self.dropped, "swapped": self.swapped}
+
+    def log(self, captures: int) -> tuple[list[bytes], LogHead]:
+        """Lines of a log over two lives of a daemon, and its head."""
+        with tempfile.TemporaryDirectory() as folder:
+            for _ in range(2):
+                log = CaptureLog(
+                    Segments(Path(folder) / "log", limit=SEGMENT, kept=KEPT), self._key
+                )
+                log.begin(log_fault)
+                for number in range(captures):
+                    log.append(self._capture(number))
+                found, head = log.records(None, 1000), log.head()
+                log.close()
+        return [line_of(each) for each in found.records], head
+
+    def missed(self, kind: str, lines: list[bytes], head: LogHead) -> bool:
+        """Whether one more forgery of this kind passes for whole."""
+        forged, shown = self.kinds[kind](lines, head)
+        return not examine(_content(forged), device=self._key.public, head=shown).findings
+
+    def flipped(self, lines: list[bytes], _: LogHead) -> Forged:
+        """One bit of one record is another."""
+        place = self._chance.randrange(len(lines))
+        line = bytearray(lines[place])
+        line[self._chance.randrange(len(line))] ^= 1 << self._chance.randrange(8)
+        return [*lines[:place], bytes(line), *lines[place + 1 :]], None
+
+    def dropped(self, lines: list[bytes], head: LogHead) -> Forged:
+        """One record is gone; with the newest, the head is asked."""
+        place = self._chance.randrange(len(lines))
+        return lines[:place] + lines[place + 1 :], head if place == len(lines) - 1 else None
+
+    def swapped(self, lines: list[bytes], _: LogHead) -> Forged:
+        """Two records have changed places."""
+        one, other = sorted(self._chance.sample(range(len(lines)), 2))
+        forged = lines.copy()
+        forged[one], forged[other] = lines[other], lines[one]
+        return forged, None
+
+    def _capture(self, number: int) -> LoggedCapture:
+        return LoggedCapture(
+            epoch=secrets.token_hex(16),
+            number=number,
+            taken_at=START + timedelta(seconds=number),
+            mask=secrets.token_hex(32),
+            tested_s=60,
+            calibration=None,
+            answer=secrets.token_hex(32),
+        )
+
+
+def forgeries(count: int, seed: int) -> tuple[int, int]:
+    """Forge so many records, in every way alike.
+
+    Returns:
+        How many passed for whole, and how many logs did not pass as they were.
+    """
+    campaign, missed, refused, left = Campaign(seed), 0, 0, count
+    while left:
+        # Of 8 to 22 records; what the longer ones began with was dropped by the camera.
+        lines, head = campaign.log(captures=2 + left % 8)
+        refused += bool(examine(_content(lines), head=head).findings)
+        # As many forgeries as it has records.
+        for _, kind in zip(lines, cycle(campaign.kinds), strict=False):
+            if left:
+                missed += campaign.missed(kind, lines, head)
+                left -= 1
+    return missed, refused
+
+
+def _content(lines: list[bytes]) -> bytes:
+    return b"".join(line + b"\n" for line in lines)
+
+
+def main(
+    count: Annotated[int, typer.Argument(min=1, help="Forged records, of all kinds.")] = 10_000,
+    seed: Annotated[int, typer.Option(help="Of what is forged; keys are the kernel's.")] = 1,
+    figures: FiguresOption = None,
+) -> None:
+    """Forge records of logs, and count the logs that pass for whole afterwards."""
+    missed, refused = forgeries(count, seed)
+    print(f"{missed} of {count} forged records were missed; {refused} whole logs were refused")
+    if refused:
+        raise typer.Exit(1)
+    record(figures, {"log_forgeries_missed": missed})
+
+
+if __name__ == "__main__":
+    typer.run(main)

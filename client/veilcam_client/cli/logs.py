@@ -1,0 +1,74 @@
+"""``veilcam log`` and ``veilcam verify``: fetch a capture log, and check it without the camera."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from veilcam_client.camera import DEFAULT_URL, Camera
+from veilcam_client.cli.terminal import (
+    FORGED,
+    USAGE,
+    DeviceOption,
+    TimeoutOption,
+    UrlOption,
+    errors,
+    fail,
+)
+from veilcam_client.log_file import fetch_log, verify_log
+
+LogFile = Annotated[Path, typer.Argument(metavar="FILE", help="Of records, one a line.")]
+
+
+def log(
+    file: LogFile,
+    *,
+    head: Annotated[
+        Path | None, typer.Option(help="Write the signed head of the log to this file.")
+    ] = None,
+    url: UrlOption = DEFAULT_URL,
+    timeout: TimeoutOption = 30.0,
+) -> None:
+    """Fetch the signed log of what a camera answered, or go on where FILE ends.
+
+    A token needs read:log.
+    """
+    with errors(), Camera(url, read_timeout=timeout) as camera:
+        added, ends = fetch_log(camera, file)
+    if head is not None:
+        try:
+            head.write_text(f"{ends.model_dump_json()}\n")
+        except OSError as error:
+            fail(f"cannot write {head}: {error.strerror}", USAGE)
+    typer.echo(f"{added} records more in {file}, up to record {ends.position}")
+
+
+def verify(
+    file: LogFile,
+    *,
+    device: DeviceOption = None,
+    head: Annotated[
+        Path | None, typer.Option(help="Signed head that the log must have had, as JSON.")
+    ] = None,
+    answer: Annotated[
+        Path | None, typer.Option(help="Answer that must be in it, as JSON and as it left.")
+    ] = None,
+) -> None:
+    """Check a log, and exit with 17 if something does not hold. No camera is asked."""
+    with errors():
+        found = verify_log(file, device=device, head=head, answer=answer)
+    for said in found.said:
+        typer.echo(f"the camera says: {said}")
+    for finding in found.findings:
+        typer.echo(f"wrong: {finding}")
+    if found.answer is not None:
+        typer.echo(f"the answer is that of record {found.answer}")
+    if found.device is not None:
+        typer.echo(f"device {found.device}")
+    holds = f"{len(found.findings)} findings" if found.findings else "all of it holds"
+    typer.echo(f"{found.records} records, {found.captures} captures: {holds}")
+    if found.findings:
+        sys.exit(FORGED)
