@@ -153,13 +153,37 @@ def test_answers_that_contradict_each_other_are_no_identity() -> None:
     assert identify(emulator, emulator)
 
 
-@pytest.mark.parametrize("code", [0x10, 0x12, 0x28, 0x29, 0x11])
-def test_the_power_mode_is_the_part_of_the_status_that_it_should_be(code: int) -> None:
-    """In every state that the emulator has."""
-    emulator, _ = woken()
-    emulator.data(False)
-    emulator.write(bytes([0x11, 0x29, code]))
-    assert identify(emulator, emulator)
+@dataclass
+class Register(Line):
+    """A bus on which every question has the answer of its own."""
+
+    power: int = 0
+    status: int = 0
+
+    def read(self, command: int, count: int) -> bytes:
+        answers = {
+            0x04: f"0{0x7C89F0:024b}",
+            0x09: f"0{self.status:032b}",
+            0x0A: f"{self.power:08b}",
+        }
+        return int(answers[command].ljust(8 * count, "0"), 2).to_bytes(count, "big")
+
+
+REPEATED = {31: 7, 19: 6, 18: 5, 17: 4, 16: 3, 10: 2}
+"""BSTON, IDMON, PTLON, SLPOUT, NORON and DISON: where the status has them, and the power mode."""
+
+
+@pytest.mark.parametrize(("bit", "repeated"), REPEATED.items())
+def test_the_power_mode_is_the_part_of_the_status_that_it_should_be(
+    bit: int, repeated: int
+) -> None:
+    for status in (1 << bit, 0xFFFF_FFFE ^ 1 << bit):
+        power = sum(1 << REPEATED[each] for each in REPEATED if status >> each & 1)
+        line = Register(power=power, status=status)
+        assert identify(line, line) == f"identity 7c89f0, status {status:08x}"
+        line.power ^= 1 << repeated
+        with pytest.raises(DisplayError, match="do not fit together"):
+            identify(line, line)
 
 
 def reading(
