@@ -270,6 +270,25 @@ def test_a_panel_is_asked_as_it_is_wired(
     device.display.close()
 
 
+@pytest.mark.slow
+def test_a_panel_that_stops_answering_shows_no_mask_until_it_does(
+    board: Board, settings: Settings
+) -> None:
+    service = build_service(settings.model_copy(update={"panel_read_back": "miso"}))
+    assert service.status().state == "ready"
+    board.panel.faults = PanelFaults(dead=True)
+    with pytest.raises(DisplayError, match="does not answer command 09h"):
+        service._camera.rotate()
+    status = service.status()
+    assert (status.state, status.rotation.epoch) == ("safe", None)
+    assert "cannot be made opaque: the panel does not answer" in str(status.detail)
+    board.panel.faults = PanelFaults()
+    time.sleep(1.0)  # the pause before another attempt
+    service._camera.test_if_due()
+    assert service.status().state == "ready"
+    service.stop()
+
+
 def test_a_panel_is_not_asked_unless_it_is_said(
     board: Board, settings: Settings, bundle: Bundle
 ) -> None:
