@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from veilcam_client.keys.capture_log import calibration_digest
+from veilcam_client.wire import calibration
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
 from veilcam_server.camera.capture import due_in
 from veilcam_server.devices import DisplayError, SensorError
@@ -33,6 +35,21 @@ def test_capture_carries_its_epoch_and_proof(bench: Bench) -> None:
     assert captured.epoch == bench.epochs[-1]
     assert captured.exposure.started_after_shown_s >= captured.exposure.settle_s == 0.01
     assert camera.present == (captured.epoch, 1)
+
+
+def test_a_capture_names_what_vouches_for_it(bench: Bench) -> None:
+    camera = bench.camera()
+    first, again = (camera.capture(release=False).provenance for _ in range(2))
+    assert first.mask == again.mask
+    assert 0 < first.tested < again.tested
+    assert first.calibration is None
+    [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
+    assert signed is not None
+    with camera.exclusive():
+        camera.adopt(signed, 0.0, bench.source, bench.mask_tests)
+    later = camera.capture(release=False).provenance
+    assert later.calibration == calibration_digest(signed)
+    assert later.mask != first.mask
 
 
 def test_mask_and_classifier_change_together(bench: Bench) -> None:

@@ -14,6 +14,7 @@ import pytest
 from torch import Tensor
 
 from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.capture_log import mask_commitment
 from veilcam_client.keys.envelopes import open_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
@@ -155,6 +156,7 @@ def test_a_receiver_opens_the_key_and_finds_the_mask(
         key.levels(), camera=fresh_bundle.camera, distribution=fresh_bundle.fresh.distribution
     )
     assert np.array_equal(levels, sealed_bench.display.shown[-1])
+    assert captured.provenance.mask == mask_commitment(key, levels)
     answer = Capture(
         id="c0ffee00c0ffee00",
         epoch=captured.epoch,

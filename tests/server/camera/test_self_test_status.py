@@ -201,9 +201,11 @@ def test_how_long_a_proof_holds(bench: Bench) -> None:
     device = Device(bench.display, bench.sensor, simulated=True)
     status = SelfTestStatus(bench.test, device, Fence(0.0), every=10.0, clock=clock)
     assert status.holds_for() == 0
+    assert status.age == float("inf")
     status.renew()
     clock.sleep(4)
     assert status.holds_for() == 6
+    assert status.age == 4
     clock.sleep(7)
     assert status.holds_for() == 0
     status.renew()
@@ -212,6 +214,8 @@ def test_how_long_a_proof_holds(bench: Bench) -> None:
         status.renew()
     # What failed last counts, not what passed before.
     assert status.holds_for() == 0
+    clock.sleep(2)
+    assert status.age == 2
 
 
 def test_a_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) -> None:
