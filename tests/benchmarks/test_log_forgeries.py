@@ -37,6 +37,10 @@ def test_a_door_left_open_is_found(monkeypatch: pytest.MonkeyPatch, door: str, k
     assert any(campaign.missed(kind, lines, head) for _ in range(50))
 
 
+def test_a_record_is_timed() -> None:
+    assert log_forgeries.record_ms(captures=5) > 0
+
+
 def test_the_newest_is_missed_without_a_head() -> None:
     lines, head = Campaign(seed=3).log(4)
     content = log_forgeries._content(lines[:-1])

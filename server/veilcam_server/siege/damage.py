@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.log import MOST_RECORDS
 from veilcam_client.wire.rotation import EverySeconds
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
@@ -152,7 +153,8 @@ async def _first_life(daemon: Daemon, settings: Settings) -> Facts:
     await ask(address, "PUT", "/v1/rotation", body=SET.model_dump())
     await ask(address, "POST", "/v1/tokens", body={"label": "lamp", "scopes": ["classify"]})
     await ask(address, "POST", "/v1/classifications", body={})
-    return Facts(await _kept(address), await epochs(address, 3))
+    shown = await epochs(address, 3)
+    return Facts(await _kept(address), shown)
 
 
 async def _spend(address: Address) -> None:
@@ -169,6 +171,7 @@ async def _kept(address: Address) -> dict[str, object]:
         for name in ("rotation", "bundles", "calibration", "receivers")
     }
     bundles = replies["bundles"]["bundles"]
+    records = (await ask(address, "GET", f"/v1/log?limit={MOST_RECORDS}")).json()["records"]
     return {
         "rotation": replies["rotation"]["policy"],
         "active bundle": [each["digest"] for each in bundles if each["active"]],
@@ -176,6 +179,8 @@ async def _kept(address: Address) -> dict[str, object]:
         "tokens": sorted(await tokens_of(address)),
         "calibration": replies["calibration"]["signed"],
         "receivers": replies["receivers"],
+        # Each start and stop adds a record of its own; those of captures stay what they are.
+        "log": [each["signature"] for each in records if each["entry"]["kind"] == "capture"],
     }
 
 

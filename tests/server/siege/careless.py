@@ -47,7 +47,7 @@ class Handler(BaseHTTPRequestHandler):
     server: Careless
 
     def do_GET(self) -> None:
-        name = self.path.removeprefix("/v1/")
+        name = self.path.removeprefix("/v1/").partition("?")[0]
         if name == "events":
             self._stream()
             return
@@ -58,6 +58,7 @@ class Handler(BaseHTTPRequestHandler):
             "diagnostics": {"faults": []},
             "lease": {"held": False},
             "receivers": {"device": "", "receivers": [{"id": each} for each in self.server.paired]},
+            "log": {"records": []},
             "calibration": {"signed": None, "run": {"stage": "done"}},
             "bundles": {
                 "bundles": [
