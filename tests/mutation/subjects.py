@@ -23,6 +23,7 @@ SUBJECTS = (
             "tests/server/camera/test_fence.py",
             "tests/server/camera/test_rotation.py",
             "tests/server/camera/test_camera.py",
+            "tests/server/camera/test_masked_capture.py",
         ),
     ),
     Subject(
@@ -32,6 +33,7 @@ SUBJECTS = (
             "tests/server/camera/test_rotation.py",
             "tests/server/camera/test_fence.py",
             "tests/server/camera/test_camera.py",
+            "tests/server/camera/test_masked_capture.py",
         ),
     ),
     Subject(
@@ -42,7 +44,11 @@ SUBJECTS = (
     Subject(
         "epochs",
         ("server/veilcam_server/camera/epochs.py",),
-        ("tests/server/camera/test_epochs.py", "tests/server/camera/test_preparation.py"),
+        (
+            "tests/server/camera/test_epochs.py",
+            "tests/server/camera/test_preparation.py",
+            "tests/server/camera/test_masked_capture.py",
+        ),
     ),
     Subject(
         "tokens",
@@ -67,7 +73,11 @@ SUBJECTS = (
     Subject(
         "bundle archive",
         ("training/veilcam_training/bundle/archive.py",),
-        ("tests/training/bundle/test_archive.py", "tests/training/bundle/test_fresh.py"),
+        (
+            "tests/training/bundle/test_archive.py",
+            "tests/training/bundle/test_fresh.py",
+            "tests/training/bundle/test_signature.py",
+        ),
     ),
 )
 

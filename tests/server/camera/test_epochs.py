@@ -140,6 +140,18 @@ def test_names_keys_and_masks_never_repeat(sealed_bench: Bench) -> None:
         assert preparation.take().name not in {epoch.name for epoch in epochs}
 
 
+def test_an_epoch_that_nobody_took_is_erased_at_the_end(sealed_bench: Bench) -> None:
+    preparation = alone(sealed_bench)
+    preparation.begin()
+    preparation.wait()
+    waiting = preparation._next
+    assert waiting is not None
+    epoch = waiting.result()
+    assert is_whole(epoch)
+    preparation.close()
+    assert is_gone(epoch)
+
+
 def test_a_receiver_opens_the_key_and_finds_the_mask(
     sealed_bench: Bench, fresh_bundle: Bundle
 ) -> None:
