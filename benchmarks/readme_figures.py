@@ -219,6 +219,15 @@ MORE_KEYS: Figures = {
     "prepare_sealed_ratio": ("keys", "preparing an epoch, over preparing its mask", "{:.2f} x"),
 }
 
+CAPTURE_LOG: Figures = {
+    "log_forgeries_missed": (
+        "proof",
+        "records of a log of 10,000 that were changed, dropped or swapped unnoticed",
+        "{:.0f}",
+    ),
+    "log_record_ms": ("proof", "digest, signature and write of one record", "{:.2f} ms"),
+}
+
 RELEASED: Figures = {
     f"{figure}_{form}{suffix}": ("fresh-masks", f"{words}, form `{form}`{said}", pattern)
     for figure, words, pattern in (
@@ -341,7 +350,7 @@ PAGES: dict[str, list[Figures]] = {
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/siege.md": [SIEGE],
-    "docs/threat-model.md": [KEYS | MORE_KEYS],
+    "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
 }
 """The tables of each page, from top to bottom."""

@@ -69,6 +69,8 @@ def verify(
     if found.device is not None:
         typer.echo(f"device {found.device}")
     holds = f"{len(found.findings)} findings" if found.findings else "all of it holds"
+    if device is None and not found.findings:
+        holds += ", for whoever has that device's key: give --device to know that it is yours"
     typer.echo(f"{found.records} records, {found.captures} captures: {holds}")
     if found.findings:
         sys.exit(FORGED)

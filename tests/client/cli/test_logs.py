@@ -52,6 +52,9 @@ def test_a_log_is_fetched_and_holds(daemon: Daemon, path: Path, tmp_path: Path) 
         f"device {DEVICE.public}",
         "10 records, 5 captures: all of it holds",
     ]
+    unnamed = runner.invoke(app, ["verify", str(path)])
+    assert unnamed.exit_code == 0
+    assert unnamed.stdout.splitlines()[-1].endswith("give --device to know that it is yours")
 
 
 @pytest.mark.usefixtures("url")
