@@ -12,9 +12,7 @@ from veilcam_client.wire.sealing import EXAMPLE_DEVICE
 
 LOG_VERSION: Literal[1] = 1
 RECORDS_AT_ONCE = 1000
-"""In one answer, unless another number is asked for."""
-MOST_RECORDS = 10_000
-"""That one answer may have."""
+"""In one answer at most: some 700 kB."""
 AGE_STEP = 60
 """The age of a self-test is told in steps of so much [s]: when light ended one early is not."""
 _NAME, _DIGEST, _SIGNATURE = (rf"^[0-9a-f]{{{digits}}}$" for digits in (32, 64, 128))

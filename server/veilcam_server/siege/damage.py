@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_client.wire.log import MOST_RECORDS
+from veilcam_client.wire.log import RECORDS_AT_ONCE
 from veilcam_client.wire.rotation import EverySeconds
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
@@ -171,7 +171,7 @@ async def _kept(address: Address) -> dict[str, object]:
         for name in ("rotation", "bundles", "calibration", "receivers")
     }
     bundles = replies["bundles"]["bundles"]
-    records = (await ask(address, "GET", f"/v1/log?limit={MOST_RECORDS}")).json()["records"]
+    records = (await ask(address, "GET", f"/v1/log?limit={RECORDS_AT_ONCE}")).json()["records"]
     return {
         "rotation": replies["rotation"]["policy"],
         "active bundle": [each["digest"] for each in bundles if each["active"]],

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from veilcam_client.wire.log import MOST_RECORDS, RECORDS_AT_ONCE, LogHead, LogRecords
+from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
 from veilcam_server.api.dependencies import ServiceDep, problems
 from veilcam_server.api.scopes import requires
 
@@ -20,7 +20,7 @@ router = APIRouter(prefix="/v1/log", redirect_slashes=False)
 async def records(
     service: ServiceDep,
     after: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
-    limit: Annotated[int, Query(ge=1, le=MOST_RECORDS)] = RECORDS_AT_ONCE,
+    limit: Annotated[int, Query(ge=1, le=RECORDS_AT_ONCE)] = RECORDS_AT_ONCE,
 ) -> LogRecords:
     """Records of what was answered, the oldest first; what is shown is on the disk."""
     return await asyncio.to_thread(service.capture_log.records, after, limit)
