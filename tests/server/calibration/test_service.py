@@ -284,7 +284,8 @@ async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
         await until(client, waits_for("dark"))
         bench.test.faults = [DisplayError("the bus gave no answer")]
         assert (await client.delete("/v1/calibration")).json()["stage"] == "cancelled"
-        assert await state(client) == "safe"
+        # It may be tried again, and be well, before anybody asks.
+        assert ("safe", "the bus gave no answer") in bench.states
         async with asyncio.timeout(10):
             while await state(client) != "ready":
                 await asyncio.sleep(0.05)
