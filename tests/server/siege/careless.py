@@ -18,10 +18,12 @@ from veilcam_server.settings import Settings
 NAME = f"{__name__}:serve"
 STREAMS = 3
 """Event streams that are open at most, whoever opened them."""
+NAMES = 3
+"""Names of epochs that there are, so that whoever looks three times has seen each."""
 
 
 class Careless(ThreadingHTTPServer):
-    """Keeps everything in memory, counts epochs from 0, and stops rotating when a disk is full."""
+    """Keeps everything in memory, names epochs by turns, and stops rotating when a disk is full."""
 
     daemon_threads = True
 
@@ -51,7 +53,7 @@ class Handler(BaseHTTPRequestHandler):
         if name == "events":
             self._stream()
             return
-        rotation = {"policy": self.server.policy, "epoch": str(self.server.epoch)}
+        rotation = {"policy": self.server.policy, "epoch": _name(self.server.epoch)}
         answers: dict[str, Any] = {
             "status": {"state": "ready", "captures": self.server.captures, "rotation": rotation},
             "rotation": rotation,
@@ -90,7 +92,7 @@ class Handler(BaseHTTPRequestHandler):
         else:
             self.server.captures += 1
         created = self.path in ("/v1/bundles", "/v1/receivers", "/v1/tokens")
-        taken = {"epoch": str(self.server.epoch), "number": 0, "taken_at": "2026-01-01T00:00:00Z"}
+        taken = {"epoch": _name(self.server.epoch), "number": 0, "taken_at": "2026-01-01T00:00:00Z"}
         embedding = {"form": "raw", "shape": [1], "values": [1.0]}
         answer = {"id": digest, "digest": digest, **taken, "embedding": embedding}
         self._answer(201 if created else 200, answer)
@@ -117,7 +119,7 @@ class Handler(BaseHTTPRequestHandler):
             while True:
                 self.wfile.write(b"event: capture\n\n")
                 for epoch in range(told + 1, self.server.epoch + 1):
-                    data = f'{{"kind":"mask","epoch":"{epoch}"}}'
+                    data = f'{{"kind":"mask","epoch":"{_name(epoch)}"}}'
                     self.wfile.write(f"event: mask\ndata: {data}\n\n".encode())
                 told = self.server.epoch
                 time.sleep(0.1)
@@ -128,6 +130,10 @@ class Handler(BaseHTTPRequestHandler):
         self.send_response(status)
         self.end_headers()
         self.wfile.write(json.dumps(body).encode())
+
+
+def _name(epoch: int) -> str:
+    return str(epoch % NAMES)
 
 
 def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
