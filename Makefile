@@ -24,10 +24,11 @@ export OMP_NUM_THREADS := 1
 # that they start, would compile anew all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Tests in four processes: a third of their time they wait for daemons, and two cores would idle with
-# two. A worker that is done takes over the last tests of another, so that tests of one file,
+# Tests in as many processes as cores, or in twice as many where they wait for daemons a third of
+# their time. A worker that is done takes over the last tests of another, so that tests of one file,
 # which share what is slow to make, mostly stay together.
-PYTEST := $(BIN)/pytest -n 4 --dist worksteal
+COMPUTING := $(BIN)/pytest -n 2 --dist worksteal
+WAITING := $(BIN)/pytest -n 4 --dist worksteal
 
 .PHONY: help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm mutants clean
 
@@ -77,7 +78,7 @@ stress: $(INSTALLED)
 	$(BIN)/python -m tests.stress.bundle_fuzz
 	$(BIN)/python -m tests.stress.api_fuzz
 	$(BIN)/python -m tests.stress.soak
-	$(PYTEST) --timeout 0 --long -m long
+	$(WAITING) --timeout 0 --long -m long
 
 # The long form of what a test does for seconds, on a machine that does nothing else meanwhile.
 siege: $(INSTALLED)
@@ -98,10 +99,10 @@ layers: $(INSTALLED)
 	$(BIN)/lint-imports
 
 fast: $(INSTALLED)
-	$(PYTEST) -m "not slow and not system"
+	$(COMPUTING) -m "not slow and not system"
 
 pytest: $(INSTALLED)
-	$(PYTEST) -m "not system"
+	$(WAITING) -m "not system"
 
 # The instructions of older processors; those of newer ones cannot be asked for. Threads that wait
 # sleep, so that two of them get on on a busy machine.
@@ -114,18 +115,18 @@ AVX2 := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=avx2 MKL_CBWR=AVX2 ONEDNN_MA
 test-processors: numerical-SSE-1 numerical-SSE-2 numerical-AVX2-1 numerical-AVX2-2
 
 numerical-SSE-%: $(INSTALLED)
-	$(SSE) VEILCAM_TEST_THREADS=$* $(PYTEST) -m numerical
+	$(SSE) VEILCAM_TEST_THREADS=$* $(COMPUTING) -m numerical
 
 numerical-AVX2-%: $(INSTALLED)
-	$(AVX2) VEILCAM_TEST_THREADS=$* $(PYTEST) -m numerical
+	$(AVX2) VEILCAM_TEST_THREADS=$* $(COMPUTING) -m numerical
 
 # All tests; `python -m benchmarks.capabilities` runs those below the machine's best, and `test`.
 .PHONY: suite-SSE suite-AVX2
 suite-SSE: $(INSTALLED)
-	$(SSE) $(PYTEST) -m "not system"
+	$(SSE) $(WAITING) -m "not system"
 
 suite-AVX2: $(INSTALLED)
-	$(AVX2) $(PYTEST) -m "not system"
+	$(AVX2) $(WAITING) -m "not system"
 
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)

@@ -108,6 +108,7 @@ def test_masks_are_white_of_one_use_and_pairs_see_the_same_scene() -> None:
     assert not np.array_equal(short["digit"], made["digit"][:2])  # other keys
 
 
+@pytest.mark.slow
 def test_lengths_are_those_that_whitening_takes_away() -> None:
     camera = Camera(make_fresh_bundle())
     mask = camera.mask()

@@ -131,6 +131,7 @@ def test_gradient_through_a_plan() -> None:
     assert relative(gradient.double(), wanted) < 1e-5
 
 
+@pytest.mark.slow
 def test_noise_of_a_plan_is_noise_after_the_optics() -> None:
     camera = CAMERAS["small"]
     chosen = made(camera, 1e-4, Conditions(snr_db=30.0))

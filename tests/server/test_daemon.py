@@ -348,6 +348,7 @@ def test_a_bundle_with_nan_weights_is_refused(
         build_service(settings(tmp_path, bundle_file, scene_file))
 
 
+@pytest.mark.slow
 def test_a_missing_scene_is_refused(tmp_path: Path, bundle_file: Path) -> None:
     with pytest.raises(StartError, match=r"there is no scene file .* 'veilcamd show'"):
         build_service(settings(tmp_path, bundle_file, tmp_path / "nothing.npy"))
@@ -383,6 +384,7 @@ def test_the_wrong_classifier_needs_another_pair_and_says_so_in_the_status(
         build_service(settings(tmp_path, lone, scene_file, wrong_classifier=True))
 
 
+@pytest.mark.slow
 def test_rotation_of_a_lone_pair_is_refused_at_the_start(
     tmp_path: Path, bundle: Bundle, scene_file: Path
 ) -> None:

@@ -224,6 +224,7 @@ def make_key(number: int, device: str = "0f" * 32) -> EpochKey:
     return EpochKey(hashlib.sha256(bytes([number])).digest(), device=device, bundle="0f" * 32)
 
 
+@pytest.mark.slow
 def test_masks_decoders_and_keys_of_epochs_are_found(fresh_bundle: Bundle) -> None:
     keys = [make_key(number) for number in range(6)]
     planted = leaks.Planted()

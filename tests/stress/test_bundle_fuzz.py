@@ -56,6 +56,7 @@ def test_every_seed_gives_the_same_file_again(data: list[bytes]) -> None:
         assert mutated(seed, data) == mutated(seed, data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("harm", "word"),
     [

@@ -124,6 +124,7 @@ def test_planning_twice_gives_the_same(of_some: Plan) -> None:
     assert again.error == of_some.error
 
 
+@pytest.mark.slow
 def test_operator_learns_through_a_plan() -> None:
     """A mask is fitted to a transfer; the plan's operator passes the gradient."""
     chosen = plan(

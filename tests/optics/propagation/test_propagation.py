@@ -304,6 +304,7 @@ def test_padding_changes_the_field_only_where_light_wraps_around() -> None:
     assert relative(none, full) > 5e-2
 
 
+@pytest.mark.slow
 def test_band_limit_keeps_a_far_field_clean() -> None:
     """A hard edge holds frequencies whose rays miss the window; they come back as noise."""
     source, distance = Grid.square(64, 64, 4e-6), 40e-3

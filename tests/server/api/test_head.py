@@ -22,6 +22,7 @@ OWN = ("x-request-id", "etag", "content-length")
 """Headers of which every answer has its own; what counts requests is longer for each."""
 
 
+@pytest.mark.slow
 async def test_every_get_has_its_head(running: Running, tmp_path: Path) -> None:
     store, refused = TokenStore(tmp_path / "tokens"), AuditLog(tmp_path / REFUSED)
     token = {"Authorization": f"Bearer {store.create('all', SCOPES, None).secret}"}

@@ -301,6 +301,7 @@ async def test_panel_and_camera_that_are_gone_for_a_while_are_ready_again_by_the
                 await asyncio.sleep(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_only_who_may_hold_scenes_breaks_the_camera(given: dict[str, Any]) -> None:
     async with camera({**given, "scene_api": False}) as sdk:

@@ -358,6 +358,7 @@ def test_what_is_remembered() -> None:
     assert OWNERS.remember(info, Used(9, 9, "b")) == Used(4, 9, "b")
 
 
+@pytest.mark.slow
 def test_a_daemon_wants_its_owner_s_bundle(
     tmp_path: Path, bundle_file: Path, scene_file: Path
 ) -> None:

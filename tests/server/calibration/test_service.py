@@ -276,6 +276,7 @@ async def test_what_cannot_be_kept_is_not_used(running: Running, service: Measur
         assert np.asarray(await measurement(client)) == pytest.approx(1.96)
 
 
+@pytest.mark.slow
 async def test_a_panel_that_fails_afterwards_is_told_by_the_state(
     running: Running, bench: Bench, service: Measuring
 ) -> None:

@@ -198,6 +198,7 @@ def test_every_measurement_is_of_its_own_mask_alone(rigged: Rigged) -> None:
     assert len(set(rig.shown)) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "crystal",
     [Crystal(scan=0.4, settle=0.0), Crystal(scan=0.0, settle=0.4)],

@@ -140,6 +140,7 @@ def test_a_daemon_that_is_ended(
     watched.check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [SystemExit(0), KeyboardInterrupt()])
 def test_a_start_that_is_broken_off_in_the_test(
     watched: Watched,

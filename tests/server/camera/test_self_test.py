@@ -387,6 +387,7 @@ class Unasked:
         pass
 
 
+@pytest.mark.slow
 def test_an_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> None:
     """The whole way on a real clock: driver, re-initialisation, test, mask, capture."""
     rig = Rig(settle=0.002, clock=time.monotonic, sleep=time.sleep)

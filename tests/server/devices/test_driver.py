@@ -208,6 +208,7 @@ def test_a_panel_that_cannot_be_asked_is_not(
     assert found["panel answers"].remedy == "leave out --panel-read-back"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("others")
 def test_an_added_panel_that_can_be_asked_is(
     bundle: Bundle, scene_file: Path, monkeypatch: pytest.MonkeyPatch

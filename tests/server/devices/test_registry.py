@@ -177,6 +177,7 @@ def settings(bundle_file: Path, tmp_path: Path) -> Settings:
     return Settings(bundle=bundle_file, state_dir=tmp_path / "state", panel_tab="green")
 
 
+@pytest.mark.slow
 def test_a_raspberry_pi_serves(board: Board, settings: Settings) -> None:
     service = build_service(settings)
     try:
@@ -206,6 +207,7 @@ def test_a_raspberry_pi_serves(board: Board, settings: Settings) -> None:
     assert not board.panel.framebuffer().any()
 
 
+@pytest.mark.slow
 def test_wiring_is_what_the_settings_say(board: Board, settings: Settings, bundle: Bundle) -> None:
     board.asked["label"] = "my expander"
     device = open_device(
@@ -240,6 +242,7 @@ def test_wiring_is_what_the_settings_say(board: Board, settings: Settings, bundl
     device.close()
 
 
+@pytest.mark.slow
 def test_a_dead_panel_takes_no_capture(board: Board, settings: Settings) -> None:
     board.panel.faults = PanelFaults(dead=True)
     # The stand-in for picamera2 is opened although nothing can be opaque here.
@@ -332,6 +335,7 @@ def test_wiring_that_cannot_be_says_what_to_do(
     assert not board.cameras
 
 
+@pytest.mark.slow
 def test_a_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
     board.asked["label"] = "another"
     service = build_service(settings)
@@ -349,6 +353,7 @@ def test_a_panel_that_is_not_there_yet_is_waited_for(board: Board, settings: Set
     service.stop()
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_not_there_yet_is_waited_for(board: Board, settings: Settings) -> None:
     camera = sys.modules["picamera2"].Picamera2
 

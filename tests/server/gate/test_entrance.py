@@ -165,6 +165,7 @@ async def test_a_crowd_without_tls_shuts_nobody_out(
         assert await asks_over_tls(behind.address)
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_who_was_sent_away_takes_no_memory(
     serving: Serving, knock: Knock, tls: ssl.SSLContext

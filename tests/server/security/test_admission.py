@@ -55,6 +55,7 @@ def body_of(operation: dict[str, Any]) -> dict[str, str]:
     return {"Content-Type": next(iter(taken))}
 
 
+@pytest.mark.slow
 async def test_every_route_wants_a_scope_and_lets_nobody_in_without(
     running: Running, store: TokenStore, bench: Bench
 ) -> None:

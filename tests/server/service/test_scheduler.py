@@ -162,6 +162,7 @@ def test_whatever_is_asked_of_the_device_is_stamped(bench: Bench) -> None:
     assert device.sensor.full_scale == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_failed_test_is_no_fault_of_its_own_in_the_events(
     bench: Bench, running: Running

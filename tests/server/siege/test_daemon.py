@@ -64,6 +64,7 @@ def settings(tmp_path: Path, panel: str = "ST7735R") -> Settings:
     )
 
 
+@pytest.mark.slow
 async def test_it_serves_logs_and_is_killed(launcher: Launcher, tmp_path: Path) -> None:
     with launcher.running(settings(tmp_path), Circumstances()) as daemon:
         assert (await ask(daemon.address, "GET", "/")).status == 200
@@ -87,6 +88,7 @@ def test_what_does_not_start_says_why(
         pass
 
 
+@pytest.mark.slow
 async def test_its_clock_jumps(launcher: Launcher, tmp_path: Path) -> None:
     clock = launcher.clock()
     with launcher.running(settings(tmp_path), Circumstances(clock=clock)) as daemon:
@@ -98,6 +100,7 @@ async def test_its_clock_jumps(launcher: Launcher, tmp_path: Path) -> None:
             )
 
 
+@pytest.mark.slow
 def test_nothing_that_looks_at_a_clock_is_imported_before_it_is_set() -> None:
     code = (
         "import sys, veilcam_server.siege.daemon; "

@@ -88,6 +88,7 @@ def taken_by_a_process(*passed: socket.socket, process: str = "") -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_sockets_of_systemd(tmp_path: Path) -> None:
     path = tmp_path / "api.sock"
     with (

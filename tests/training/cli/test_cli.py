@@ -74,6 +74,7 @@ def test_keyring_end_to_end(
     assert all((a.levels == b.levels).all() for a, b in zip(bundle.pairs, again.pairs, strict=True))
 
 
+@pytest.mark.slow
 def test_fit_prints_and_writes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -422,6 +422,7 @@ def test_a_killed_table_ends_with_the_same_numbers(
     assert [epoch.loss for epoch in epochs][: len(done)] == [epoch["loss"] for epoch in done]
 
 
+@pytest.mark.slow
 def test_budget(
     call: Call,
     capsys: pytest.CaptureFixture[str],

@@ -72,6 +72,7 @@ def test_a_wrong_key_is_another_masks(source: Source) -> None:
         assert torch.equal(mask.decoder.estimator, masks[2 * index + 1].decoder.estimator)
 
 
+@pytest.mark.slow
 def test_a_mask_is_prepared_for_the_nominal_panel_and_shown_by_a_displaced_one(
     source: Source,
 ) -> None:
