@@ -10,6 +10,12 @@ from veilcam_optics.errors import require, require_count, require_positive, requ
 
 CHANNELS = ("R", "G", "B")
 
+WAVELENGTHS = (1e-8, 1e-3)
+"""What is called light, from extreme ultraviolet to far infrared (ISO 20473), in metres."""
+
+LENGTHS = (1e-8, 0.1)
+"""Sides of sub-pixels and pixels that can be made [m]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Panel:
@@ -38,7 +44,7 @@ class Panel:
         require_count("panel.columns", self.columns)
         require_count("panel.levels", self.levels, least=2)
         for name in ("pitch_y", "pitch_x", "aperture_y", "aperture_x"):
-            require_positive(f"panel.{name}", getattr(self, name), "m")
+            require_within(f"panel.{name}", getattr(self, name), "m", *LENGTHS)
         for axis in ("y", "x"):
             aperture, pitch = getattr(self, f"aperture_{axis}"), getattr(self, f"pitch_{axis}")
             require(
@@ -101,7 +107,7 @@ class Sensor:
         require_count("sensor.rows", self.rows)
         require_count("sensor.columns", self.columns)
         require_count("sensor.bit_depth", self.bit_depth)
-        require_positive("sensor.pixel", self.pixel, "m")
+        require_within("sensor.pixel", self.pixel, "m", *LENGTHS)
         require(
             min(self.channel_weights) >= 0 and abs(sum(self.channel_weights) - 1) <= 1e-9,
             "sensor.channel_weights",
@@ -134,7 +140,7 @@ class Camera:
     def __post_init__(self) -> None:
         require_positive("camera.distance", self.distance, "m")
         for name, wavelength in zip(CHANNELS, self.wavelengths, strict=True):
-            require_positive(f"camera.wavelengths[{name}]", wavelength, "m")
+            require_within(f"camera.wavelengths[{name}]", wavelength, "m", *WAVELENGTHS)
         require(
             self.window.first_row + self.window.rows <= self.panel.rows,
             "window.rows",

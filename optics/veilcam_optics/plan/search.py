@@ -16,6 +16,7 @@ from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
 from veilcam_optics.plan.errors import ROUNDING, ErrorModel, Interferences
+from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 from veilcam_optics.transfer.operator import Reach
 
 MAX_NUMBERS = 1.5e8
@@ -148,7 +149,10 @@ def _grids(
         model.sampling, method="grid", diffraction=True, spherical=True, binning=True
     )
     field = _field(error_model, model, errors)
-    for oversampling in _OVERSAMPLINGS:
+    # Narrow apertures need finer samples from the start.
+    least = max(1.0, FEWEST_CELLS / cells_in_aperture(model.camera))
+    for factor in _OVERSAMPLINGS:
+        oversampling = factor * least
         base = replace(model, sampling=replace(sampling, oversampling=oversampling))
         for chosen in product(*field):
             yield _apply(base, error_model.grid(oversampling), chosen)

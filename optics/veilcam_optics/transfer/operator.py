@@ -20,8 +20,8 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.errors import require, require_count, require_positive, require_shape
+from veilcam_optics.camera.inputs import check_scenes, check_weights
+from veilcam_optics.errors import require, require_count, require_positive
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
 from veilcam_optics.transfer.regions import Region, embed_lit
 
@@ -312,7 +312,7 @@ class TransferOperator(nn.Module):
 
     def _check_scenes(self, scenes: Tensor) -> None:
         expected = (3, *self.scene.shape) if self.colour else self.scene.shape
-        require_shape("scenes", scenes, "batch", *expected)
+        check_scenes(scenes, "batch", *expected)
 
 
 def make_axes(

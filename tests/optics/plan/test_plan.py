@@ -143,6 +143,7 @@ def test_operator_learns_through_a_plan() -> None:
         loss = (chosen.operator(weights) - wanted).square().sum() / wanted.square().sum()
         torch.autograd.backward(loss)
         optimiser.step()
+        weights.data.clamp_(0, 1)
         losses.append(float(loss.detach()))
     assert losses[-1] < losses[0] / 20
 

@@ -1,0 +1,58 @@
+"""The door for tensors that come in: masks and scenes, refused alike by whatever computes light."""
+
+from types import EllipsisType
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.errors import OpticsError, require, require_shape
+
+_ROUNDING = 1e-5
+"""What rounding may add to a value in [0, 1], in float32 and after a resampling."""
+
+
+def check_weights(weights: Tensor, camera: Camera) -> None:
+    """Raise :class:`OpticsError` unless ``weights`` is a mask for ``camera``.
+
+    Amplitude transmittances: real floating-point numbers from 0 (dark) to 1 (open). The message
+    never holds a weight: a mask is a secret.
+    """
+    shape = tuple(weights.shape)
+    require(
+        shape == camera.mask_shape, "weights.shape", shape, "", f"the window, {camera.mask_shape}"
+    )
+    _check_values("weights", weights, "amplitude transmittances")
+
+
+def check_scenes(scenes: Tensor, *axes: int | str | EllipsisType) -> None:
+    """Raise :class:`OpticsError` unless ``scenes`` hold reflectances from 0 to 1.
+
+    Args:
+        scenes: real floating-point numbers.
+        axes: of the shape, as :func:`~veilcam_optics.errors.require_shape` takes them.
+    """
+    require_shape("scenes", scenes, *axes)
+    _check_values("scenes", scenes, "reflectances")
+
+
+def _check_values(argument: str, values: Tensor, what: str) -> None:
+    require(
+        values.dtype.is_floating_point,
+        f"{argument}.dtype",
+        values.dtype,
+        "",
+        "torch.float32 or torch.float64",
+    )
+    if not values.numel():
+        return
+    low, high = torch.aminmax(values.detach())
+    # Both ends are NaN where one value is: then neither comparison holds.
+    if bool((low >= -_ROUNDING) & (high <= 1 + _ROUNDING)):
+        return
+    if not bool(torch.isfinite(values).all()):
+        raise OpticsError(f"{argument} hold NaN or infinity: use finite numbers in [0, 1]")
+    outside = int(((values < -_ROUNDING) | (values > 1 + _ROUNDING)).sum())
+    raise OpticsError(
+        f"{argument} hold {outside} values outside [0, 1]: use {what} without a unit, 0 to 1"
+    )
