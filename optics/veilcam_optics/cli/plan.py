@@ -27,7 +27,9 @@ def print_plan(
     leakage: Annotated[float, typer.Option(help="Amplitude that filters leak.")] = 0.0,
     bandwidth: Annotated[float, typer.Option(help="Of each channel, FWHM [m].")] = 0.0,
     depth_range: Length = 0.0,
-    off_axis: Annotated[float, typer.Option(help="Half the field of view [rad].")] = 0.0,
+    off_axis: Annotated[
+        float | None, typer.Option(help="Half the field of view [rad]; the scene's own by default.")
+    ] = None,
     gamma: float = 1.0,
     contrast_floor: Annotated[float, typer.Option(help="Amplitude of a dark sub-pixel.")] = 0.0,
     levels: Annotated[int, typer.Option(help="Amplitudes the panel can show; 0 for any.")] = 0,

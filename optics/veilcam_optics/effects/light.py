@@ -20,7 +20,7 @@ _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-    scale = math.tan(model.conditions.off_axis) * 2 / model.scene.rows
+    scale = math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
     return tuple(  # type: ignore[return-value]
         (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * scale
         for count in model.scene.shape
@@ -235,13 +235,17 @@ class OffAxis(Effect):
     absent = "paraxial scene"
     neutral = MappingProxyType({"off_axis": 0.0})
 
+    def present(self, model: Model) -> bool:
+        """Where an angle is given."""
+        return bool(model.conditions.off_axis)
+
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
         return comparison.off_axis(None)
 
     def reason(self, model: Model) -> str:
         """Angle and fading."""
-        angle = model.conditions.off_axis
+        angle = model.conditions.off_axis or 0.0
         fade = 100 * (1 - math.cos(angle) ** 4)
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.effects.composition import beams, collected
 from veilcam_optics.effects.light import OffAxis, stretch, tangents, zones
-from veilcam_optics.effects.mask import actual_camera
+from veilcam_optics.effects.mask import DeadLines, actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.plan.cost import nodes
 from veilcam_optics.plan.probe import MAX_VALUES, Probe, relative
@@ -85,6 +85,8 @@ class ErrorModel:
         """
         rows, columns = model.camera.mask_shape
         unit = _row_unit(model.camera)
+        # A dark line parts two that are lit: the nearest pairs would say that none interfere.
+        given, model = model, DeadLines().without(model)
         reach = Reach(min(2 * unit, rows - 1), min(1, columns - 1))
         if not model.sampling.diffraction:
             reach = Reach(0, 0)
@@ -97,6 +99,8 @@ class ErrorModel:
             size = float(shells.sum((0, 1)).norm()) or 1.0
             down = float(shells[-unit:].sum((0, 1)).norm()) / size if reach.rows else 0.0
             across = float(shells[:, -1].sum(0).norm()) / size if reach.columns else 0.0
+            down *= _farther(model, reach.rows // unit, (rows - 1) // unit, 0)
+            across *= _farther(model, reach.columns, columns - 1, 1)
             farther = Reach(
                 min(rows - 1, reach.rows + 2 * unit) if down > enough else reach.rows,
                 min(columns - 1, reach.columns + 1) if across > enough else reach.columns,
@@ -116,7 +120,8 @@ class ErrorModel:
             [[math.hypot(relative(part, total), down, across) for part in row] for row in sums],
             dtype=torch.float64,
         )
-        return Interferences(errors, collected(used, total, (1, 2)), used)
+        whole = replace(used, conditions=given.conditions)
+        return Interferences(errors, collected(whole, total, (1, 2)), whole)
 
     @cached_property
     def ideal_filters(self) -> Interferences:
@@ -128,7 +133,7 @@ class ErrorModel:
 
     def error(self, changed: Model) -> float:
         """Relative L2 of the transfer when ``changed`` takes the model's place."""
-        if not changed.sampling.diffraction and not self.resolved:
+        if changed == self.model:  # shadows for shadows: what is left out is diffraction
             return self._shadow_error
         filters = _filters(changed.camera) == _filters(self.model.camera)
         channels = self._main if filters else None
@@ -139,9 +144,19 @@ class ErrorModel:
 
     @cached_property
     def _near(self) -> Model:
-        """The model with the nearest interference alone: enough for all other effects."""
-        rows = min(_row_unit(self.model.camera), self.model.sampling.reach.rows)
-        reach = Reach(rows, 0)
+        """The model with as much interference as the tolerance needs, to judge other effects by."""
+        errors = self.full.errors
+        near = (min(_row_unit(self.model.camera), errors.shape[0] - 1), 0)
+        needed = [
+            (rows, columns)
+            for rows in range(near[0], errors.shape[0])
+            for columns in range(errors.shape[1])
+            if float(errors[rows, columns]) <= self.tolerance
+        ]
+        rows, columns = min(
+            needed or [near], key=lambda pair: ((pair[0] + 1) * (2 * pair[1] + 1), pair)
+        )
+        reach = Reach(rows, columns)
         return self.model.with_sampling(reach=reach, step=fringe_step(self.model, reach))
 
     @cached_property
@@ -186,6 +201,10 @@ class ErrorModel:
         fade = OffAxis().fade(model)
         if count is None:
             errors = errors + (1 / fade - 1).square()
+        # The angle to a scene point is not quite the same from everywhere on mask and sensor.
+        side = max(model.camera.sensor.height, model.camera.sensor.width)
+        tangent = y.square()[:, None] + x.square()
+        errors = errors + tangent * (4 * side / math.sqrt(12) / model.scene.distance) ** 2
         return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
 
     @cached_property
@@ -222,6 +241,30 @@ class ErrorModel:
     def kept(self) -> tuple[Tensor, Tensor]:
         """Which embedding rows and columns :meth:`values` holds."""
         return self._white[0].kept_y, self._white[0].kept_x
+
+    def paraxial(self) -> float:
+        """Relative L2 of Fresnel's approximation, which every factored field makes.
+
+        Light that leaves an aperture at an angle theta is wrong by about theta^2 / 2, and by half
+        the phase pi d theta^4 / 4 lambda where it interferes (Goodman, section 4.2.2). No angle is
+        larger than diffraction makes it, or than the sensor sees. Against exact light this is 1 to
+        5 times the error.
+        """
+        camera = actual_camera(self.model)
+        if not self.model.sampling.diffraction:
+            return 0.0
+        panel, distance = camera.panel, camera.distance
+        wavelength = max(camera.wavelengths)
+        height, width = camera.lit_sides(self.model.scene)
+        seen = max(
+            height + camera.window.rows * panel.pitch_y,
+            width + camera.window.columns * panel.pitch_x,
+        )
+        angle = min(
+            wavelength / min(panel.aperture_y, panel.aperture_x), seen / 2 / distance, math.pi / 2
+        )
+        phase = math.pi / 4 * distance / min(camera.wavelengths) * angle**4
+        return min(1.0, math.hypot(angle**2, min(1.0, phase) * self.interference()) / 2)
 
     def quadrature(self, model: Model) -> tuple[float, float]:
         """Largest step [m] whose integration error is far below the tolerance, and that error.
@@ -288,6 +331,23 @@ def shadow_error(model: Model, aperture: float) -> float:
         model.scene.pixel_at_sensor(camera),
     )
     return min(1.0, max(camera.wavelengths) * camera.distance / (aperture * box))
+
+
+def _farther(model: Model, looked_at: int, there: int, axis: int) -> float:
+    """How much all that is farther apart adds, times the farthest that was looked at.
+
+    Random masks: shells add up in quadrature. Averaged over a box, fringes fall with the inverse of
+    what is apart, so that all beyond the n-th are at most sqrt(n) times the n-th; where they are
+    wider than the box they do not fall, and every shell that is there may be as large.
+    """
+    camera = actual_camera(model)
+    panel, sensor, embedding = camera.panel, camera.sensor, model.embedding
+    pitch = (panel.pitch_y, panel.pitch_x)[axis]
+    pixel = (sensor.height / embedding.rows, sensor.width / embedding.columns)[axis]
+    box = max(pixel, model.scene.pixel_at_sensor(camera))
+    left = max(0, there - looked_at)
+    fringe = max(camera.wavelengths) * camera.distance / (max(1, looked_at) * pitch)
+    return math.sqrt(left if fringe > box else min(left, looked_at))
 
 
 def fringe_step(model: Model, reach: Reach) -> float:

@@ -1,7 +1,7 @@
 """From a tolerance to a plan: what to compute, how finely, and why."""
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -12,7 +12,12 @@ from torch import Tensor
 
 from veilcam_optics import effects
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.imperfections import IDEAL, Conditions
+from veilcam_optics.camera.imperfections import (
+    IDEAL,
+    MOST_OFF_AXIS,
+    Conditions,
+    half_field,
+)
 from veilcam_optics.effects import Assessment, Model
 from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
@@ -40,7 +45,7 @@ class Plan:
         reached: whether the prediction is within the tolerance. If not, this is the best there is.
         cost: predicted time and memory of a step.
         batch: scenes in a step.
-        assessments: every effect, on or off, and why.
+        assessments: what paraxial light leaves out, then every effect, on or off, and why.
     """
 
     model: Model
@@ -115,6 +120,9 @@ def plan(
     """
     require(0 < tolerance < 1, "tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
     require_count("batch", batch)
+    if conditions.off_axis is None:
+        angle = min(half_field(scene), MOST_OFF_AXIS)
+        conditions = replace(conditions, off_axis=angle)
     error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
     complete = error_model.model
     errors = {effect.name: effect.error(error_model) for effect in present(complete)}
@@ -130,7 +138,10 @@ def plan(
         reached=reached and error <= tolerance,
         cost=cost(chosen, batch),
         batch=batch,
-        assessments=_assess(complete, chosen, errors, batch),
+        assessments=(
+            _paraxial(error_model.paraxial(), chosen),
+            *_assess(complete, chosen, errors, batch),
+        ),
     )
 
 
@@ -155,6 +166,15 @@ def _assess(
             )
         )
     return tuple(found)
+
+
+def _paraxial(error: float, chosen: Model) -> Assessment:
+    """What the kernels leave out of exact light, which no setting but the grid counts."""
+    exact = chosen.sampling.method == "grid"
+    panel = chosen.camera.panel
+    angle = max(chosen.camera.wavelengths) / min(panel.aperture_y, panel.aperture_x)
+    reason = f"an aperture spreads light by {angle:.2g} rad; the grid alone counts it"
+    return Assessment("non-paraxial diffraction", exact, error, 0.0, reason)
 
 
 def table(plan: Plan) -> Table:

@@ -131,6 +131,7 @@ def _matrices(
     if FilterLeakage.name in errors:
         ideal = FilterLeakage().without(model)
         filters.append((ideal, errors[FilterLeakage.name], error_model.ideal_filters))
+    paraxial = error_model.paraxial()
     field = _field(error_model, model, errors)
     if MaskRotation.name in errors:
         ignored = Option(MaskRotation().without, errors[MaskRotation.name])
@@ -138,7 +139,7 @@ def _matrices(
     for base, leaked, interferences in filters:
         reaches = _reaches(base, interferences, errors, error_model.tolerance)
         for chosen in product(reaches, *field, _formats(error_model)):
-            yield _apply(base, leaked, chosen)
+            yield _apply(base, together([leaked, paraxial]), chosen)
 
 
 def _grids(
