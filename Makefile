@@ -104,6 +104,11 @@ fast: $(INSTALLED)
 pytest: $(INSTALLED)
 	$(WAITING) -m "not system"
 
+# Plans against exact light. Not part of test, which takes forty; it goes on where it stopped.
+.PHONY: oracle
+oracle: $(INSTALLED)
+	$(BIN)/python -m tests.oracle.run --jobs 1000
+
 # The instructions of older processors; those of newer ones cannot be asked for. Threads that wait
 # sleep, so that two of them get on on a busy machine.
 SSE := OMP_WAIT_POLICY=PASSIVE ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE ONEDNN_MAX_CPU_ISA=SSE41 \
