@@ -247,7 +247,7 @@ def _openings(axis: Axis, cells: int) -> Array:
     assert closed % 2 == 0, "apertures lie in the middle of their pitch"
     one = np.zeros(axis.parts * cells)
     one[closed // 2 : len(one) - closed // 2] = 1
-    openings: Array = np.kron(np.eye(axis.apertures), one[:, None])
+    openings: Array = np.kron(np.eye(axis.apertures), one[:, None]).astype(np.float64)
     return openings
 
 
