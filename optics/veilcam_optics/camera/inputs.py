@@ -12,16 +12,15 @@ _ROUNDING = 1e-5
 """What rounding may add to a value in [0, 1], in float32 and after a resampling."""
 
 
-def check_weights(weights: Tensor, camera: Camera) -> None:
-    """Raise :class:`OpticsError` unless ``weights`` is a mask for ``camera``.
+def check_weights(weights: Tensor, camera: Camera, *, batched: bool = False) -> None:
+    """Raise :class:`OpticsError` unless ``weights`` is a mask for ``camera``; if ``batched``, many.
 
     Amplitude transmittances: real floating-point numbers from 0 (dark) to 1 (open). The message
     never holds a weight: a mask is a secret.
     """
-    shape = tuple(weights.shape)
-    require(
-        shape == camera.mask_shape, "weights.shape", shape, "", f"the window, {camera.mask_shape}"
-    )
+    shape, window = tuple(weights.shape), camera.mask_shape
+    fits = shape[1:] == window if batched else shape == window
+    require(fits, "weights.shape", shape, "", f"the window, {window}")
     _check_values("weights", weights, "amplitude transmittances")
 
 

@@ -23,6 +23,7 @@ from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.inputs import check_scenes, check_weights
 from veilcam_optics.errors import require, require_count, require_positive
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
+from veilcam_optics.transfer.pairs import Group, Measurement, dark
 from veilcam_optics.transfer.regions import Region, embed_lit
 
 
@@ -69,72 +70,6 @@ class Beam:
     share: float = 1.0
     scene_distance: float | None = None
     stretch: tuple[float, float] = (1.0, 1.0)
-
-
-class _Group(nn.Module):
-    """Sub-pixel pairs of one channel that share a column offset, hence a column kernel."""
-
-    first: Tensor
-    second: Tensor
-    columns: Tensor
-
-    def __init__(self, first: Tensor, second: Tensor, offset: int, columns: Tensor) -> None:
-        super().__init__()
-        self.offset = offset
-        self.register_buffer("first", first)
-        self.register_buffer("second", second)
-        self.register_buffer("columns", columns)
-
-    def products(self, weights: Tensor) -> Tensor:
-        """Products of paired weights: (row pairs, column pairs)."""
-        width = weights.shape[1] - abs(self.offset)
-        start = max(0, -self.offset)
-        one = weights[self.first, start : start + width]
-        other = weights[self.second, start + self.offset : start + self.offset + width]
-        return one * other
-
-    def forward(self, weights: Tensor, x: slice) -> Tensor:
-        """Products of paired weights, spread along x: (row pairs, offsets ``x``)."""
-        return self.products(weights) @ self.columns[:, x]
-
-
-class _Measurement(nn.Module):
-    """What one output (gray, or one colour) adds up: groups of pairs and their row kernels."""
-
-    rows: Tensor
-
-    def __init__(self, groups: list[_Group], rows: list[Tensor], dtype: torch.dtype) -> None:
-        super().__init__()
-        # Held twice: a ModuleList does not tell the type of what it holds.
-        self.groups, self._groups = nn.ModuleList(groups), tuple(groups)
-        self.register_buffer("rows", torch.cat(rows, dim=1))
-        self.to(dtype)
-
-    def embed(self, scenes: Tensor, weights: Tensor, pixels: tuple[int, int]) -> Tensor:
-        """Embeddings (batch, *pixels) of scenes (batch, rows, columns), without the transfer."""
-        height, width = scenes.shape[1:]
-        rows = self.rows.reshape(height, pixels[0], self.rows.shape[1])
-        total = scenes.new_zeros(len(scenes), *pixels)
-        if not len(scenes):
-            return total
-        start = 0
-        for group in self._groups:
-            end = start + len(group.first)
-            columns = group.columns.reshape(-1, width, pixels[1])
-            spread = torch.einsum("pc,cwe->pwe", group.products(weights), columns)
-            # One scene at a time holds only (pairs, rows, pixel columns) at once.
-            total = total + torch.stack(
-                [
-                    torch.einsum("hyp,phx->yx", rows[..., start:end], scene @ spread)
-                    for scene in scenes
-                ]
-            )
-            start = end
-        return total
-
-    def forward(self, weights: Tensor, y: slice, x: slice) -> Tensor:
-        """Transfer as (offsets ``y``, offsets ``x``)."""
-        return self.rows[y] @ torch.cat([group(weights, x) for group in self._groups])
 
 
 class TransferOperator(nn.Module):
@@ -211,46 +146,45 @@ class TransferOperator(nn.Module):
             for distance in {beam.scene_distance for beam in beams}
         }
         rotation = imperfections.rotation if variables.rotation is None else variables.rotation
-        measurements: list[_Measurement] = []
-        groups: list[_Group] = []
-        rows: list[Tensor] = []
+        measurements: list[Measurement] = []
+        groups: list[Group] = []
         for channel, share in enumerate(camera.sensor.channel_weights):
             for beam in beams:
                 if beam.channel != channel or not (colour or share):
                     continue
-                for group, row_kernel in _pairs(
-                    camera, axes[beam.scene_distance], beam, reach, rotation
-                ):
-                    groups.append(group)
-                    rows.append(row_kernel * (beam.share if colour else beam.share * share))
+                light = beam.share if colour else beam.share * share
+                groups.extend(
+                    replace(group, rows=group.rows * light)
+                    for group in _groups(camera, axes[beam.scene_distance], beam, reach, rotation)
+                )
             if colour or channel == len(CHANNELS) - 1:
                 if not groups:  # no row passes this light: a measurement without pairs
-                    none = torch.zeros(0, dtype=torch.long)
-                    y, x = axes[beams[0].scene_distance]
-                    dark = torch.zeros(camera.window.columns, len(x.offsets), dtype=torch.float64)
-                    groups.append(_Group(none, none, 0, dark))
-                    rows.append(torch.zeros(len(y.offsets), 0, dtype=torch.float64))
-                measurements.append(_Measurement(groups, rows, dtype))
-                groups, rows = [], []
+                    groups.append(dark(*axes[beams[0].scene_distance]))
+                measurements.append(Measurement(groups, dtype))
+                groups = []
         self.measurements, self._measurements = nn.ModuleList(measurements), tuple(measurements)
 
     def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
-        """The transfer matrix of a mask.
+        """The transfer matrix of a mask, or of each of several.
 
         Args:
-            weights: amplitude transmittances, ``camera.mask_shape``. Differentiable.
+            weights: amplitude transmittances, ``camera.mask_shape``, or (masks, rows, columns).
+                Differentiable. Several masks at once save what a call costs beside its products,
+                which is most of it where scene and embedding are small.
             region: part of the scene that is asked for; None for all of it. Its cost is its own: an
                 object that moves about in a large and black scene costs what the object does.
 
         Returns:
-            (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour:
-            irradiance of an embedding pixel relative to an all-white scene seen without a mask.
+            (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour, for
+            each mask: irradiance of an embedding pixel relative to an all-white scene seen without
+            a mask.
 
         Raises:
-            OpticsError: the mask has another shape, or holds NaN or infinity; a region that is not
+            OpticsError: the masks have another shape, or hold NaN or infinity; a region that is not
                 wholly in the scene.
         """
-        check_weights(weights, self.camera)
+        batched = weights.dim() == 3
+        check_weights(weights, self.camera, batched=batched)
         scene, embedding = self.scene, self.embedding
         region = Region(0, 0, *scene.shape) if region is None else region
         region.check(scene)
@@ -262,16 +196,16 @@ class TransferOperator(nn.Module):
                 (region.left, region.columns, embedding.columns),
             )
         )
-        values = [measurement(weights, y, x) for measurement in self._measurements]
-        pixels = (region.rows * region.columns, embedding.size)
+        masks = (weights if batched else weights[None]).transpose(0, 1)
         transfers = [
-            value.reshape(region.rows, embedding.rows, region.columns, embedding.columns)
-            .transpose(1, 2)
-            .reshape(pixels)
-            for value in values
+            measurement(masks, y, x)
+            .reshape(region.rows, embedding.rows, masks.shape[1], region.columns, embedding.columns)
+            .permute(2, 0, 3, 1, 4)
+            .reshape(*weights.shape[:-2], region.rows * region.columns, embedding.size)
+            for measurement in self._measurements
         ]
         # One gray measurement is taken as it is: stacking would copy the largest tensor of a step.
-        return torch.stack(transfers) if self.colour else transfers[0]
+        return torch.stack(transfers, dim=-3) if self.colour else transfers[0]
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
         """Noiseless embeddings of scenes behind a mask.
@@ -365,17 +299,17 @@ def make_axes(
     return y, x
 
 
-def _pairs(
+def _groups(
     camera: Camera,
     axes: tuple[Axis, Axis],
     beam: Beam,
     reach: Reach,
     rotation: float | Tensor,
-) -> Iterator[tuple[_Group, Tensor]]:
-    """All groups of interfering pairs of one beam, each with its row kernels.
+) -> Iterator[Group]:
+    """All groups of interfering pairs of one beam.
 
     Each pair of different sub-pixels is taken once, with a factor 2: its mirror image is its
-    complex conjugate. So dr >= 0, and dc < 0 occurs with dr > 0 only.
+    complex conjugate. So dc >= 0, and dr < 0 occurs with dc > 0 only.
 
     In a mask turned by a small angle, row ``r`` moves along x by ``-angle y_r`` and column ``c``
     along y by ``angle x_c``. To first order that adds two products of kernels and slopes.
@@ -392,35 +326,38 @@ def _pairs(
     for dr in range(min(reach.rows, rows - 1) + 1):
         product = amplitudes[: rows - dr] * amplitudes[dr:]
         first = product.nonzero().flatten()
+        if not len(first):
+            continue
         down = y.kernel(fields_y, first, first + dr) * product[first]
         # Without a rotation nothing asks for the slopes.
         slope = y.slope(fields_y, first, first + dr) * product[first] if rotated else down
         below.append((first, first + dr, down, slope))
-    beside = []
+    if not below:
+        return
+    # The same pairs, the other way round.
+    above = [
+        (second, first, down.conj(), slope.conj())
+        for first, second, down, slope in below
+        if not torch.equal(first, second)
+    ]
     for dc in range(min(reach.columns, columns - 1) + 1):
-        column = torch.arange(columns - dc)
-        across = x.kernel(fields_x, column, column + dc)
-        slope = x.slope(fields_x, column, column + dc) if rotated else across
-        beside.append((column, column + dc, across, slope))
-    for dc in range(1 - len(beside), len(beside)):
-        used = [pair for pair in below[1 if dc < 0 else 0 :] if len(pair[0])]
-        if not used:
-            continue
+        used = [*below, *above] if dc else below
         first, second = (torch.cat([pair[k] for pair in used]) for k in (0, 1))
         # A pair and its mirror image count, a sub-pixel with itself once.
         twice = 2 - ((first == second) & (dc == 0)).double()
         down = torch.cat([pair[2] for pair in used], dim=1) * twice
-        column, other, across, slope_x = beside[abs(dc)]
-        if dc < 0:  # the same pairs, the other way round
-            across, slope_x = across.conj(), slope_x.conj()
+        column = torch.arange(columns - dc)
+        other = column + dc
+        across = x.kernel(fields_x, column, other)
         terms = [(down, across)]
         if rotated:
+            slope_x = x.slope(fields_x, column, other)
             slope_y = torch.cat([pair[3] for pair in used], dim=1) * twice
             terms += [
                 (slope_y * (-rotation * y.magnification), across * x.middles(column, other)),
                 (down * y.middles(first, second), slope_x * (rotation * x.magnification)),
             ]
         for down, across in terms:
-            yield _Group(first, second, dc, across.real.T.contiguous()), down.real
+            yield Group(first, second, dc, across.real.T, down.real)
             if dc:  # Re(A B) = Re A Re B - Im A Im B; without an offset B is real
-                yield _Group(first, second, dc, across.imag.T.contiguous()), -down.imag
+                yield Group(first, second, dc, across.imag.T, -down.imag)
