@@ -45,9 +45,9 @@ def _check_values(argument: str, values: Tensor, what: str) -> None:
     )
     if not values.numel():
         return
-    low, high = torch.aminmax(values.detach())
+    low, high = (end.item() for end in torch.aminmax(values.detach()))
     # Both ends are NaN where one value is: then neither comparison holds.
-    if bool((low >= -_ROUNDING) & (high <= 1 + _ROUNDING)):
+    if low >= -_ROUNDING and high <= 1 + _ROUNDING:
         return
     if not bool(torch.isfinite(values).all()):
         raise OpticsError(f"{argument} hold NaN or infinity: use finite numbers in [0, 1]")

@@ -65,18 +65,15 @@ class Zone:
 
 def zones(model: Model) -> list[list[Zone]]:
     """The parts of the scene that have a point spread function each, by rows and columns."""
-    y, x = tangents(model)
+    scale = math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
     parts = []
-    for positions in (y, x):
-        count = min(model.sampling.zones if model.conditions.off_axis else 1, len(positions))
-        edges = [round(k * len(positions) / count) for k in range(count + 1)]
-        parts.append([slice(a, b) for a, b in pairwise(edges)])
+    for length in model.scene.shape:
+        count = min(model.sampling.zones if model.conditions.off_axis else 1, length)
+        edges = [round(k * length / count) for k in range(count + 1)]
+        # The mean tangent of neighbours is that of the middle between them.
+        parts.append([(slice(a, b), (a + b - length) / 2 * scale) for a, b in pairwise(edges)])
     return [
-        [
-            Zone(rows, columns, float(y[rows].mean()), float(x[columns].mean()))
-            for columns in parts[1]
-        ]
-        for rows in parts[0]
+        [Zone(rows, columns, at_y, at_x) for columns, at_x in parts[1]] for rows, at_y in parts[0]
     ]
 
 
@@ -101,6 +98,34 @@ class Diffraction(Effect):
         number = side**2 / (max(model.camera.wavelengths) * distance)
         spread = "edges blur a little" if number > 10 else "light spreads beyond the shadow"
         return f"Fresnel number {number:.3g}: {spread}"
+
+
+class NonParaxial(Effect):
+    """Light that spreads at large angles travels farther than Fresnel's parabola says."""
+
+    name = "non-paraxial diffraction"
+    free = False
+    absent = "no diffraction"
+
+    def present(self, model: Model) -> bool:
+        """With diffraction."""
+        return model.sampling.diffraction
+
+    def without(self, model: Model) -> Model:
+        """Fresnel's approximation: a factored field in the place of the grid's exact one."""
+        if model.sampling.method != "grid":
+            return model
+        return replace(model, sampling=replace(model.sampling, method="transfer"))
+
+    def error(self, comparison: Comparison) -> float:
+        """What the factored field leaves out."""
+        return comparison.paraxial()
+
+    def reason(self, model: Model) -> str:
+        """How far an aperture spreads light."""
+        panel = model.camera.panel
+        angle = max(model.camera.wavelengths) / min(panel.aperture_y, panel.aperture_x)
+        return f"an aperture spreads light by {angle:.2g} rad; the grid alone counts it"
 
 
 class SphericalWavefront(Effect):
@@ -230,7 +255,7 @@ class Depth(Effect):
 class OffAxis(Effect):
     """Oblique light is fainter, and spreads differently: the field has no single PSF."""
 
-    name = "off-axis field"
+    name = "field angle"
     free = False
     absent = "paraxial scene"
     neutral = MappingProxyType({"off_axis": 0.0})

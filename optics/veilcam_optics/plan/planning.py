@@ -45,7 +45,7 @@ class Plan:
         reached: whether the prediction is within the tolerance. If not, this is the best there is.
         cost: predicted time and memory of a step.
         batch: scenes in a step.
-        assessments: what paraxial light leaves out, then every effect, on or off, and why.
+        assessments: every effect, on or off, and why.
     """
 
     model: Model
@@ -138,10 +138,7 @@ def plan(
         reached=reached and error <= tolerance,
         cost=cost(chosen, batch),
         batch=batch,
-        assessments=(
-            _paraxial(error_model.paraxial(), chosen),
-            *_assess(complete, chosen, errors, batch),
-        ),
+        assessments=_assess(complete, chosen, errors, batch),
     )
 
 
@@ -166,15 +163,6 @@ def _assess(
             )
         )
     return tuple(found)
-
-
-def _paraxial(error: float, chosen: Model) -> Assessment:
-    """What the kernels leave out of exact light, which no setting but the grid counts."""
-    exact = chosen.sampling.method == "grid"
-    panel = chosen.camera.panel
-    angle = max(chosen.camera.wavelengths) / min(panel.aperture_y, panel.aperture_x)
-    reason = f"an aperture spreads light by {angle:.2g} rad; the grid alone counts it"
-    return Assessment("non-paraxial diffraction", exact, error, 0.0, reason)
 
 
 def table(plan: Plan) -> Table:

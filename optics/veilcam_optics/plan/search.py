@@ -10,7 +10,7 @@ import torch
 
 from veilcam_optics import effects
 from veilcam_optics.effects import Effect, Model
-from veilcam_optics.effects.light import Depth, Diffraction, OffAxis, Spectrum
+from veilcam_optics.effects.light import Depth, Diffraction, NonParaxial, OffAxis, Spectrum
 from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
@@ -131,7 +131,7 @@ def _matrices(
     if FilterLeakage.name in errors:
         ideal = FilterLeakage().without(model)
         filters.append((ideal, errors[FilterLeakage.name], error_model.ideal_filters))
-    paraxial = error_model.paraxial()
+    paraxial = errors.get(NonParaxial.name, 0.0)
     field = _field(error_model, model, errors)
     if MaskRotation.name in errors:
         ignored = Option(MaskRotation().without, errors[MaskRotation.name])
@@ -155,8 +155,9 @@ def _grids(
     for factor in _OVERSAMPLINGS:
         oversampling = factor * least
         base = replace(model, sampling=replace(sampling, oversampling=oversampling))
+        error = error_model.grid(oversampling)
         for chosen in product(*field):
-            yield _apply(base, error_model.grid(oversampling), chosen)
+            yield _apply(base, error, chosen)
 
 
 def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, float]:

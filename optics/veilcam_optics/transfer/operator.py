@@ -26,6 +26,9 @@ from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
 from veilcam_optics.transfer.pairs import Group, Measurement, dark
 from veilcam_optics.transfer.regions import Region, embed_lit
 
+_NUMBERS_AT_ONCE = 2**20
+"""Of all masks that one product takes: more of them do not fit in a processor's cache."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reach:
@@ -185,27 +188,33 @@ class TransferOperator(nn.Module):
         """
         batched = weights.dim() == 3
         check_weights(weights, self.camera, batched=batched)
-        scene, embedding = self.scene, self.embedding
-        region = Region(0, 0, *scene.shape) if region is None else region
-        region.check(scene)
-        # Offsets are in the order of the scene's pixels, so those of a region lie side by side.
-        y, x = (
-            slice(first * pixels, (first + count) * pixels)
-            for first, count, pixels in (
-                (region.top, region.rows, embedding.rows),
-                (region.left, region.columns, embedding.columns),
-            )
-        )
-        masks = (weights if batched else weights[None]).transpose(0, 1)
-        transfers = [
-            measurement(masks, y, x)
-            .reshape(region.rows, embedding.rows, masks.shape[1], region.columns, embedding.columns)
-            .permute(2, 0, 3, 1, 4)
-            .reshape(*weights.shape[:-2], region.rows * region.columns, embedding.size)
-            for measurement in self._measurements
-        ]
+        if region is None:
+            region = Region(0, 0, *self.scene.shape)
+        else:
+            region.check(self.scene)
+        pixels, size = region.rows * region.columns, self.embedding.size
+        at_once = max(1, _NUMBERS_AT_ONCE // (pixels * size))
+        some = torch.split(weights, at_once) if batched else (weights,)
+        transfers = []
+        for measurement in self._measurements:
+            parts = [self._laid_out(measurement, masks, region) for masks in some]
+            transfer = parts[0] if len(parts) == 1 else torch.cat(parts)
+            transfers.append(transfer.reshape(*weights.shape[:-2], pixels, size))
         # One gray measurement is taken as it is: stacking would copy the largest tensor of a step.
         return torch.stack(transfers, dim=-3) if self.colour else transfers[0]
+
+    def _laid_out(self, measurement: Measurement, weights: Tensor, region: Region) -> Tensor:
+        """Transfers (masks, scene rows, columns, embedding rows, columns), or that of one mask."""
+        rows, columns = self.embedding.shape
+        # Offsets are in the order of the scene's pixels, so those of a region lie side by side.
+        y = slice(region.top * rows, (region.top + region.rows) * rows)
+        x = slice(region.left * columns, (region.left + region.columns) * columns)
+        if weights.dim() == 2:
+            transfer = measurement.transfer(weights, y, x)
+            return transfer.view(region.rows, rows, region.columns, columns).transpose(1, 2)
+        transfer = measurement.transfer(weights.transpose(0, 1), y, x)
+        shape = (region.rows, rows, len(weights), region.columns, columns)
+        return transfer.view(shape).permute(2, 0, 3, 1, 4)
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
         """Noiseless embeddings of scenes behind a mask.

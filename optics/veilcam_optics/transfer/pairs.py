@@ -51,26 +51,33 @@ class _Stack(nn.Module):
     def __init__(self, groups: Sequence[Group]) -> None:
         super().__init__()
         self.offset, self.pairs = groups[0].shape
+        alone = (torch.equal(group.first, group.second) for group in groups)
+        self._alone = self.offset == 0 and all(alone)
         self.register_buffer("first", torch.cat([group.first for group in groups]))
         self.register_buffer("second", torch.cat([group.second for group in groups]))
         self.register_buffer("columns", torch.stack([group.columns for group in groups]))
 
-    def forward(self, masks: Tensor, x: slice) -> Tensor:
+    def spread(self, weights: Tensor, x: slice) -> Tensor:
         """Products of paired weights, spread along x.
 
         Args:
-            masks: weights, (rows, masks, columns).
+            weights: of one mask, (rows, columns), or of several, (rows, masks, columns).
             x: offsets that are wanted.
 
         Returns:
-            (row pairs, masks * offsets ``x``).
+            (row pairs, offsets ``x``), or (row pairs, masks * offsets ``x``).
         """
         columns = self.columns[..., x]
-        one = masks.index_select(0, self.first)[..., : columns.shape[1]]
-        products = one * masks.index_select(0, self.second)[..., self.offset :]
+        one = weights.index_select(0, self.first)
+        if self._alone:
+            products = one.square()
+        else:
+            other = weights.index_select(0, self.second)[..., self.offset :]
+            products = one[..., : columns.shape[1]] * other
         # A mask more is so many rows more of the same products: nothing is laid out anew.
-        stacked = products.reshape(len(columns), self.pairs * masks.shape[1], columns.shape[1])
-        return (stacked @ columns).reshape(len(self.first), masks.shape[1] * columns.shape[2])
+        masks = weights.shape[1:-1].numel()
+        stacked = products.reshape(len(columns), self.pairs * masks, columns.shape[1])
+        return (stacked @ columns).reshape(len(self.first), masks * columns.shape[2])
 
 
 class Measurement(nn.Module):
@@ -97,15 +104,18 @@ class Measurement(nn.Module):
         height, width = scenes.shape[1:]
         pairs = self.rows.shape[1]
         down = self.rows.reshape(height, pixels[0], pairs).permute(1, 2, 0).flatten(1)
-        spread = self._spread(weights[:, None], slice(None)).reshape(pairs, width, pixels[1])
+        spread = self._spread(weights, slice(None)).reshape(pairs, width, pixels[1])
         # One scene at a time holds only (pairs, rows, pixel columns) at once.
         return torch.stack([down @ (scene @ spread).flatten(0, 1) for scene in scenes])
 
-    def forward(self, masks: Tensor, y: slice, x: slice) -> Tensor:
-        """Transfers of masks (rows, masks, columns), as (offsets ``y``, masks * offsets ``x``)."""
-        return self.rows[y] @ self._spread(masks, x)
+    def transfer(self, weights: Tensor, y: slice, x: slice) -> Tensor:
+        """Transfer of a mask (rows, columns), as (offsets ``y``, offsets ``x``).
 
-    def _spread(self, masks: Tensor, x: slice) -> Tensor:
-        """All row pairs, spread along x: (pairs, masks * offsets ``x``)."""
-        values = [stack(masks, x) for stack in self._stacks]
+        Of masks (rows, masks, columns) it is (offsets ``y``, masks * offsets ``x``).
+        """
+        return self.rows[y] @ self._spread(weights, x)
+
+    def _spread(self, weights: Tensor, x: slice) -> Tensor:
+        """All row pairs, spread along x: (pairs, offsets ``x``), or (pairs, masks * offsets)."""
+        values = [stack.spread(weights, x) for stack in self._stacks]
         return values[0] if len(values) == 1 else torch.cat(values)

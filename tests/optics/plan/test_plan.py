@@ -259,7 +259,7 @@ def test_total_over_conditions(
     )
     chosen = plan(camera, Scene(2, 3, height=0.05), Embedding(*shape), 10**tolerance, conditions)
     assert 0 <= chosen.error < math.inf
-    assert len(chosen.assessments) == 1 + len(EFFECTS)
+    assert len(chosen.assessments) == len(EFFECTS)
     if long_form or chosen.cost.step_ms < 2000:
         values = chosen.embed(torch.rand(2, 2, 3), mask(camera))
         assert bool(torch.isfinite(values).all())
@@ -417,8 +417,8 @@ def test_the_field_angle_of_the_scene_is_in_the_plan() -> None:
     """At the upper edge of the default scene light is 4 % fainter than on the axis."""
     chosen = plan(Camera(), Scene(), Embedding(3, 4), 1e-2)
     found = {each.name: each for each in chosen.assessments}
-    assert found["off-axis field"].matters
-    assert 1e-2 < found["off-axis field"].error < 5e-2
+    assert found["field angle"].matters
+    assert 1e-2 < found["field angle"].error < 5e-2
     transfer = chosen.transfer(mask(Camera()).float()).reshape(28, 28, -1)
     flat = plan(Camera(), Scene(), Embedding(3, 4), 1e-2, PARAXIAL)
     paraxial = flat.transfer(mask(Camera()).float()).reshape(28, 28, -1)
@@ -433,9 +433,9 @@ def test_light_at_large_angles_is_in_the_budget() -> None:
     )
     camera = Camera(panel=fine, window=Window(4, 4), sensor=Sensor(8, 8, 1e-6), distance=2e-5)
     chosen = plan(camera, Scene(2, 2, height=0.02), Embedding(2, 2), 1e-3, method="transfer")
-    row = chosen.assessments[0]
-    assert row.name == "non-paraxial diffraction"
-    assert row.error > 1e-2
+    found = {each.name: each for each in chosen.assessments}
+    assert found["non-paraxial diffraction"].error > 1e-2
+    assert not found["non-paraxial diffraction"].matters
     assert not chosen.reached
     assert "non-paraxial diffraction" in chosen.explain()
 

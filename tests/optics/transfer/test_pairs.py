@@ -11,7 +11,9 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.errors import OpticsError
+from veilcam_optics.transfer import operator as transfer_operator
 from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.pairs import Measurement
 from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.regions import Region
 
@@ -67,6 +69,23 @@ def test_masks_of_single_precision_together() -> None:
     # Fewer than 100 terms of up to 1e-1, the largest entry.
     assert float(singles.max()) < 0.1
     torch.testing.assert_close(operator(masks), singles, rtol=0, atol=0.1 * 100 * 6e-8)
+
+
+def test_more_masks_than_one_product_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, masks = make(colour=True), masks_of(CAMERA, 5)
+    together = whole(masks)
+    # Two masks at once, so that the last one is alone.
+    monkeypatch.setattr(transfer_operator, "_NUMBERS_AT_ONCE", 2 * together[0, 0].numel() + 1)
+    taken: list[int] = []
+    transfer = Measurement.transfer
+
+    def counted(measurement: Measurement, weights: Tensor, y: slice, x: slice) -> Tensor:
+        taken.append(weights.shape[1])
+        return transfer(measurement, weights, y, x)
+
+    monkeypatch.setattr(Measurement, "transfer", counted)
+    assert_same(whole(masks), together)
+    assert sorted(set(taken)) == [1, 2]
 
 
 @pytest.mark.parametrize("colour", [False, True])
