@@ -22,6 +22,7 @@ from veilcam_optics.effects import Assessment, Model
 from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import require, require_count
+from veilcam_optics.plan.check import Check, check
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.plan.search import search, settle_free, together
@@ -40,6 +41,7 @@ class Plan:
 
     Attributes:
         model: what is computed, and how finely.
+        asked: what it stands for, with every effect.
         tolerance: relative L2 error asked for, at the embedding.
         error: relative L2 error predicted.
         reached: whether the prediction is within the tolerance. If not, this is the best there is.
@@ -49,6 +51,7 @@ class Plan:
     """
 
     model: Model
+    asked: Model
     tolerance: float
     error: float
     reached: bool
@@ -84,6 +87,19 @@ class Plan:
             OpticsError: scenes or mask have another shape, or the mask holds NaN.
         """
         return self.operator.embed(scenes, weights, generator)
+
+    def check(self, weights: Tensor, *, entries: int = 48, seed: int = 0) -> Check:
+        """The relative L2 error of this mask's transfer, from entries drawn at random.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            entries: how many to draw, each at the cost of milliseconds; 8 or more.
+            seed: of the draw.
+
+        Raises:
+            OpticsError: as :func:`~veilcam_optics.plan.check.check` says.
+        """
+        return check(self.operator, self.asked, weights, entries=entries, seed=seed)
 
     def explain(self) -> str:
         """A table of every effect, and what was chosen."""
@@ -123,7 +139,8 @@ def plan(
     if conditions.off_axis is None:
         angle = min(half_field(scene), MOST_OFF_AXIS)
         conditions = replace(conditions, off_axis=angle)
-    error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
+    asked = Model(camera, scene, embedding, conditions)
+    error_model = ErrorModel(asked, tolerance)
     complete = error_model.model
     errors = {effect.name: effect.error(error_model) for effect in present(complete)}
     model, made = settle_free(complete, errors, tolerance)
@@ -133,6 +150,7 @@ def plan(
     error = together([choice.error, quadrature])
     return Plan(
         model=chosen,
+        asked=asked,
         tolerance=tolerance,
         error=error,
         reached=reached and error <= tolerance,
