@@ -25,6 +25,7 @@ from veilcam_optics.errors import require, require_count
 from veilcam_optics.plan.check import Check, check
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
+from veilcam_optics.plan.psf import psf
 from veilcam_optics.plan.search import search, settle_free, together
 from veilcam_optics.simulation.operator import LightOperator
 
@@ -101,9 +102,27 @@ class Plan:
         """
         return check(self.operator, self.asked, weights, entries=entries, seed=seed)
 
+    def psf(self, weights: Tensor, rows: int = 120) -> Tensor:
+        """The point spread function of a mask, (3, rows, columns): see :mod:`.psf`.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            rows: cells along the sensor's short side; cells are about square.
+
+        Raises:
+            OpticsError: the mask has another shape or holds NaN; no rows.
+        """
+        return psf(self.model, weights, rows)
+
     def explain(self) -> str:
         """A table of every effect, and what was chosen."""
         return explanation(self)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        console = Console(file=io.StringIO(), width=118, record=True)
+        print_explanation(self, console)
+        return console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")
 
 
 def plan(
@@ -250,7 +269,12 @@ def explanation(plan: Plan, width: int = 118) -> str:
     """The table and the setting, as plain text."""
     text = io.StringIO()
     console = Console(file=text, width=width, force_terminal=False, color_system=None)
+    print_explanation(plan, console)
+    return text.getvalue()
+
+
+def print_explanation(plan: Plan, console: Console) -> None:
+    """Print the table and the setting."""
     console.print(table(plan))
     for name, value in setting(plan):
         console.print(f"{name:24} {value}", highlight=False)
-    return text.getvalue()
