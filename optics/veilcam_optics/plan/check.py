@@ -125,7 +125,7 @@ def estimate(
     values: npt.NDArray[np.float64],
     chances: npt.NDArray[np.float64],
 ) -> Check:
-    """Relative L2 from entries drawn with known chances, and its interval.
+    """Relative L2 from entries drawn with known chances, and its interval: equation (10).
 
     Each sum of squares is estimated without bias by the mean of squares over chances (Hansen and
     Hurwitz 1943). The variance of their ratio is that of its residuals, to first order (Cochran,
@@ -155,7 +155,7 @@ def estimate(
 
 
 class FullField:
-    """Entries of a mask's transfer, one at a time, with all that interferes; float64.
+    """Entries of a mask's transfer with all that interferes, equation (6), one at a time; float64.
 
     Args:
         model: every effect that is asked for.
@@ -243,7 +243,7 @@ class FullField:
         return (fields * shares[:, None]).T @ fields.conj() / scene.shape[axis]
 
     def _quadrature(self, side: float, image: float, fringe: float) -> tuple[Tensor, Tensor]:
-        """Nodes around a box's middle [m], and their shares: one box blurred by the other."""
+        """Nodes around a box's middle [m], and their shares: the trapezoid of equation (4)."""
         outer, inner = (side + image) / 2, abs(side - image) / 2
         edges = [-outer]
         for low, high in ((-outer, -inner), (-inner, inner), (inner, outer)):
