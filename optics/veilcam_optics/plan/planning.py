@@ -110,9 +110,9 @@ class Plan:
             rows: cells along the sensor's short side; cells are about square.
 
         Raises:
-            OpticsError: the mask has another shape or holds NaN; no rows.
+            OpticsError: the mask has another shape or holds NaN; no rows; a turned mask.
         """
-        return psf(self.model, weights, rows)
+        return psf(self.asked, weights, rows)
 
     def explain(self) -> str:
         """A table of every effect, and what was chosen."""
