@@ -28,7 +28,7 @@ def tangents(model: Model) -> tuple[Tensor, Tensor]:
 
 
 def stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x`` to the axis.
+    """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x``: equation (8).
 
     Around a ray at angle theta, the second derivative of the distance ``R`` to a point is
     ``(1 - u^2) / R``, ``u`` the direction cosine along that axis, and ``R = d / cos theta``: the

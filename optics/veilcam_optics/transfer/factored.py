@@ -131,9 +131,9 @@ def aperture_fields(
 
     ``F[n, r]`` is the Fresnel integral over aperture ``r`` of
     ``exp(i pi e^2 / (lambda d1)) exp(i pi (y_n - e)^2 / (lambda d2)) / sqrt(i lambda d2)``, by
-    completing the square (Goodman, Introduction to Fourier Optics, 3rd ed., section 4.5). The
-    factor ``exp(i pi y^2 / (lambda (d1 + d2)))``, common to all apertures, is left out: it cancels
-    in every intensity, and without it the phase stays small.
+    completing the square (Goodman, Introduction to Fourier Optics, 3rd ed., section 4.5): equation
+    (3) of docs/mathematics.md. The factor ``exp(i pi y^2 / (lambda (d1 + d2)))``, common to all
+    apertures, is left out: it cancels in every intensity, and without it the phase stays small.
 
     Args:
         points: where the field is wanted, shape (N,) [m], float64.

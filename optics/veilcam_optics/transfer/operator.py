@@ -7,9 +7,10 @@ pixel convolved with that of a scene pixel's image,
     T = sum over (dr, dc) of  Re  Ky[dr] (w * shift(w; dr, dc)) Kx[dc]^T
     Ky[dr][o, r] = integral of kappa_y(o - y) F_r(y) conj(F_{r+dr}(y)) dy,   Kx likewise,
 
-``o`` running over every offset between an embedding pixel and a scene pixel's image. Sub-pixels far
-apart interfere in fringes much finer than an embedding pixel, which average out: a few offsets
-(dr, dc) are enough, and how many is the dial between accuracy and time.
+equation (6) of docs/mathematics.md, ``o`` running over every offset between an embedding pixel and
+a scene pixel's image. Sub-pixels far apart interfere in fringes much finer than an embedding pixel,
+which average out: a few offsets (dr, dc) are enough, and how many is the dial between accuracy and
+time.
 """
 
 from collections.abc import Iterator, Sequence

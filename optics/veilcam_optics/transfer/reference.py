@@ -1,9 +1,9 @@
 """The converged float64 reference: the whole field, sampled finely, averaged over boxes.
 
-``U = F w G^T`` with every interference term is sampled on cells much finer than any fringe that
-survives the averaging; ``|U|^2`` is then integrated against pixel boxes cell by cell (midpoint
-rule). Nothing is shared with the transfer operator's kernels but the field of one aperture. Slow,
-and meant to be: it says how wrong the fast ways are.
+``U = F w G^T``, equation (2) of docs/mathematics.md, with every interference term is sampled on
+cells much finer than any fringe that survives the averaging; ``|U|^2`` is then integrated against
+pixel boxes cell by cell (midpoint rule). Nothing is shared with the transfer operator's kernels but
+the field of one aperture. Slow, and meant to be: it says how wrong the fast ways are.
 """
 
 import math
