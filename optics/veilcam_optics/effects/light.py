@@ -58,9 +58,11 @@ class Zone:
     @property
     def stretch(self) -> tuple[float, float]:
         """Factors on the wavelength along y and x; see :func:`stretch`."""
-        y, x = torch.tensor([self.tangent_y, self.tangent_x], dtype=torch.float64)
-        along_y, along_x = stretch(y, x)
-        return float(along_y), float(along_x)
+        # As plain numbers: a plan asks for a thousand.
+        y, x = self.tangent_y**2, self.tangent_x**2
+        squares = 1 + y + x
+        root = math.sqrt(squares)
+        return root / (1 - y / squares), root / (1 - x / squares)
 
 
 def zones(model: Model) -> list[list[Zone]]:

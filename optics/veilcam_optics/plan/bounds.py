@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.geometry import CHANNELS, Camera
 from veilcam_optics.effects.composition import beams
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
@@ -69,7 +69,8 @@ def large_angles(model: Model, interference: float) -> float:
         spanned = 1.5 * (sensor**2 + mask**2) / 12 / distance**2
         # The integrals of (u^2 sinc^2 u)^2 up to ``seen`` over that of sinc^4.
         angles += min(spanned, math.sqrt(9 / 8 / math.pi**4 * spread**3 * seen))
-        fourths += min(seen, spread) ** 4
+        # Of such points a fifth of the largest is the root mean square of what pairs do not share.
+        fourths += min(0.4 * seen**4, spread**4)
     phase = math.pi / 4 * distance / min(wavelengths) * fourths
     return min(1.0, math.hypot(2.5 * angles, min(1.0, phase) * interference / 2))
 
@@ -165,17 +166,20 @@ def far_pairs(model: Model, axis: int) -> Tensor:
     for side in (pixel, image):
         passed *= (1 / (math.pi * side * gap / spread)).clamp_max(1)
     shaded = (math.sqrt(2 * spread) / math.pi / gap).clamp_max(1)
-    apart = torch.tensor([_together(camera, n) for n in range(count)]) if axis == 0 else 1
-    return 2 * passed * shaded * apart
+    bounds = 2 * passed * shaded
+    if axis == 0:
+        meeting = _meeting(camera)
+        bounds *= torch.tensor([rows in meeting for rows in range(count)])
+    return bounds
 
 
-def _together(camera: Camera, rows: int) -> bool:
-    """Whether any two rows so far apart pass light of one channel."""
-    for channel in range(3):
-        amplitudes = camera.row_amplitudes(channel)
-        if any(a * b for a, b in zip(amplitudes, amplitudes[rows:], strict=False)):
-            return True
-    return False
+def _meeting(camera: Camera) -> set[int]:
+    """How far apart rows are that pass light of one channel."""
+    found: set[int] = set()
+    for channel in range(len(CHANNELS)):
+        lit = torch.tensor(camera.row_amplitudes(channel)).nonzero().flatten()
+        found.update((lit[:, None] - lit).flatten().tolist())
+    return {rows for rows in found if rows > 0}
 
 
 def affordable_reach(model: Model, axis: int, offsets: int) -> int:
@@ -229,5 +233,4 @@ def smallest_step(model: Model) -> float:
 
 def nearest_rows(camera: Camera) -> int:
     """Rows between the nearest two that interfere at all."""
-    apart = (rows for rows in range(1, camera.window.rows) if _together(camera, rows))
-    return next(apart, 1)
+    return min(_meeting(camera), default=1)

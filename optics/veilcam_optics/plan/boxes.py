@@ -44,7 +44,7 @@ class BoxFields:
         for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1)):
             below += sign * (edges - corner).clamp_min(0).square() / 2
         self._shares = (axis.scale * below.diff())[:, None]
-        self._near = _near(of, reach)
+        self._near = within_reach(of, reach)
         points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
         self.fields = _fields(axis, points, of, wavelength)
 
@@ -68,7 +68,7 @@ def bends(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
     signs = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
     fields = _fields(axis, axis.offsets[:, None] + corners, of, wavelength)
     weighted = fields * (axis.scale * signs)[:, None]
-    return (weighted.mT @ fields.conj()) * _near(of, reach)
+    return (weighted.mT @ fields.conj()) * within_reach(of, reach)
 
 
 def _fields(axis: Axis, points: Tensor, of: Tensor, wavelength: float) -> Tensor:
@@ -84,5 +84,6 @@ def _fields(axis: Axis, points: Tensor, of: Tensor, wavelength: float) -> Tensor
     return fields.reshape(*points.shape, len(of))
 
 
-def _near(of: Tensor, reach: int) -> Tensor:
+def within_reach(of: Tensor, reach: int) -> Tensor:
+    """Which pairs of the apertures ``of`` are at most ``reach`` apart, (apertures, apertures)."""
     return (of[:, None] - of).abs() <= reach

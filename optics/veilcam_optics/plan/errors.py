@@ -1,6 +1,7 @@
 """Errors at the embedding: of every effect if it were ignored, and of every sampling."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -39,11 +40,11 @@ class Interferences:
     """Errors of every reach, for one choice of filters.
 
     Attributes:
-        errors: (rows apart + 1, columns apart + 1), relative L2 of counting no farther.
+        errors: relative L2 of counting no farther.
         model: the one it belongs to.
     """
 
-    errors: Tensor
+    errors: Mapping[Reach, float]
     model: Model
 
 
@@ -83,13 +84,13 @@ class ErrorModel:
         # Light of several colours or distances blurs the fringes of one another: two samples of
         # each show how much.
         blurred = used.with_sampling(wavelengths=2, layers=2)
-        shells = self._probe.shells(blurred)
-        total = shells.sum((0, 1))
-        sums = shells.cumsum(0).cumsum(1)
-        errors = torch.tensor(
-            [[math.hypot(relative(part, total), down, across) for part in row] for row in sums],
-            dtype=torch.float64,
-        )
+        rows, columns = _dials(reach.rows), _dials(reach.columns)
+        found = self._probe.within(blurred, rows, columns)
+        errors = {
+            Reach(row, column): math.hypot(relative(found[n, k], found[-1, -1]), down, across)
+            for n, row in enumerate(rows)
+            for k, column in enumerate(columns)
+        }
         return Interferences(errors, replace(used, conditions=given.conditions))
 
     def _reach(self, model: Model) -> tuple[Reach, tuple[float, float]]:
@@ -133,20 +134,19 @@ class ErrorModel:
         Where no reach is enough it is the farthest.
         """
         errors = self.full.errors
-        rows, columns = errors.shape
-        near = min(nearest_rows(self.model.camera), rows - 1)
-        needed = [
-            (row, column)
-            for row in range(near, rows)
-            for column in range(columns)
-            if float(errors[row, column]) <= self.tolerance
-        ] or [(rows - 1, columns - 1)]
-        reach = Reach(*min(needed, key=lambda pair: ((pair[0] + 1) * (2 * pair[1] + 1), pair)))
+        last = list(errors)[-1]
+        near = min(nearest_rows(self.model.camera), last.rows)
+        enough = [
+            reach
+            for reach, error in errors.items()
+            if reach.rows >= near and error <= self.tolerance
+        ] or [last]
+        reach = min(enough, key=lambda r: ((r.rows + 1) * (2 * r.columns + 1), r.rows))
         return self.model.with_sampling(reach=reach, step=fringe_step(self.model, reach))
 
     def interference(self) -> float:
         """Relative L2 when no two sub-pixels interfere."""
-        return float(self.full.errors[0, 0])
+        return self.full.errors[Reach(0, 0)]
 
     def rotated(self, *, first_order: bool = False) -> float:
         """Relative L2 of ignoring the mask's rotation, or of counting it to first order."""
@@ -249,3 +249,11 @@ class ErrorModel:
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
         return math.hypot(grid_error(self.model, oversampling), oblique_angles(self.model))
+
+
+def _dials(reach: int) -> list[int]:
+    """Reaches that are looked at, up to the farthest: all of the near ones, some of the far."""
+    found = [0]
+    while found[-1] < reach:
+        found.append(min(reach, max(found[-1] + 1, found[-1] * 4 // 3)))
+    return found

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.effects.composition import beams, collected, shown
-from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
-from veilcam_optics.plan.boxes import bends, integrals
+from veilcam_optics.plan.boxes import bends, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.operator import Beam, make_axes
 
@@ -42,7 +41,7 @@ class Probe:
         generator = torch.Generator().manual_seed(0)
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
         scene, embedding = model.scene, model.embedding
-        self._kept: dict[object, tuple[Tensor, Tensor, Tensor]] = {}
+        self._kept: dict[object, Tensor] = {}
         self.kept_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
         self.kept_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
 
@@ -83,7 +82,7 @@ class Probe:
 
         Fading over the field, rotation and the sensor are left out.
         """
-        total = torch.zeros(len(self.masks), len(self.kept_y), len(self.kept_x)).double()
+        total = self._dark()
         for beam, scaled in self._lights(model, channels):
             rows, down, across = self._integrals(model, beam, stretch)
             weights = scaled[:, rows]
@@ -96,7 +95,7 @@ class Probe:
 
         The second derivative of the kernel's box is four points at its corners.
         """
-        total = torch.zeros(len(self.masks), len(self.kept_y), len(self.kept_x)).double()
+        total = self._dark()
         for beam, scaled in self._lights(model):
             rows, down, across = self._integrals(model, beam, (1.0, 1.0))
             y, x = self.axes(model, beam)
@@ -108,35 +107,31 @@ class Probe:
                 total += pair_sums(along_y, along_x, weights, weights)
         return total
 
-    def shells(self, model: Model) -> Tensor:
-        """The transfer, parted by how far apart the sub-pixels are that interfere.
+    def within(self, model: Model, rows: Sequence[int], columns: Sequence[int]) -> Tensor:
+        """The transfer with pairs at most so many rows and so many columns apart.
+
+        Args:
+            model: its own reach is the farthest.
+            rows: reaches along y.
+            columns: reaches along x.
 
         Returns:
-            (rows apart, columns apart, masks, offsets y, offsets x).
+            (len(rows), len(columns), masks, offsets y, offsets x).
         """
-        rows, columns = model.camera.mask_shape
-        reach = model.sampling.reach
-        if not model.sampling.diffraction:
-            reach = type(reach)(0, 0)
-        far_rows, far_columns = min(reach.rows, rows - 1), min(reach.columns, columns - 1)
-        shape = (len(self.masks), len(self.kept_y), len(self.kept_x))
-        shells = torch.zeros(far_rows + 1, far_columns + 1, *shape, dtype=torch.float64)
+        found = self._dark().repeat(len(rows), len(columns), 1, 1, 1)
         for beam, scaled in self._lights(model):
             used, down, across = self._integrals(model, beam, (1.0, 1.0))
-            weights = scaled[:, used]
-            apart = used[None, :] - used[:, None]
-            for dc in range(far_columns + 1):
-                band = across.diagonal(dc, 1, 2)[:, None, :] * weights[:, None, :, : columns - dc]
-                spread = band @ weights[:, None, :, dc:].mT.to(band.dtype)
-                if dc:  # columns apart the other way
-                    spread = spread + spread.mH
-                for dr in range(far_rows + 1):
-                    first, second = (apart == dr).nonzero(as_tuple=True)
-                    value = torch.einsum(
-                        "on,mpn->mop", down[:, first, second], spread[:, :, first, second]
-                    )
-                    shells[dr, dc] += (2 if dr else 1) * value.real
-        return shells
+            every = torch.arange(across.shape[-1])
+            for k, far_columns in enumerate(columns):
+                near = across * within_reach(every, far_columns)
+                spread = pair_products(near, scaled[:, used], scaled[:, used])
+                for n, far_rows in enumerate(rows):
+                    found[n, k] += _traced(down * within_reach(used, far_rows), spread)
+        return found
+
+    def _dark(self) -> Tensor:
+        shape = (len(self.masks), len(self.kept_y), len(self.kept_x))
+        return torch.zeros(shape, dtype=torch.float64)
 
     def _lights(
         self, model: Model, channels: Sequence[int] | None = None
@@ -158,26 +153,24 @@ class Probe:
         self, model: Model, beam: Beam, stretch: tuple[float, float]
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
-        key = (
-            actual_camera(model),
-            model.conditions.imperfections.shift_y,
-            model.conditions.imperfections.shift_x,
-            model.approximation,
-            model.sampling.reach,
-            replace(beam, share=1.0),
-            stretch,
-        )
-        if key not in self._kept:
-            y, x = self.axes(model, beam)
-            amplitudes = torch.tensor(model.camera.row_amplitudes(beam.channel))
-            rows, columns = amplitudes.nonzero().flatten(), torch.arange(len(x.centres))
-            reach = model.sampling.reach
-            self._kept[key] = (
-                rows,
-                integrals(y, rows, float(beam.wavelength) * stretch[0], reach.rows),
-                integrals(x, columns, float(beam.wavelength) * stretch[1], reach.columns),
+        axes = self.axes(model, beam)
+        rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
+        used = (rows, torch.arange(len(axes[1].centres)))
+        reach = model.sampling.reach
+        found = []
+        for index, (axis, of, far) in enumerate(
+            zip(axes, used, (reach.rows, reach.columns), strict=True)
+        ):
+            wavelength = float(beam.wavelength) * stretch[index]
+            key = (
+                *(index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
+                *(float(axis.distance), float(axis.source_distance), float(axis.image), axis.pixel),
+                *(tuple(of.tolist()), wavelength, far, model.approximation),
             )
-        return self._kept[key]
+            if key not in self._kept:
+                self._kept[key] = integrals(axis, of, wavelength, far)
+            found.append(self._kept[key])
+        return rows, found[0], found[1]
 
 
 def relative(value: Tensor, reference: Tensor) -> float:
@@ -200,8 +193,16 @@ def pair_sums(down: Tensor, across: Tensor, one: Tensor, other: Tensor) -> Tenso
     Returns:
         (masks, offsets y, offsets x).
     """
-    first, second = one[:, None].to(across.dtype), other[:, None].to(across.dtype)
-    return torch.einsum("ors,mprs->mop", down, first @ across @ second.mT).real
+    return _traced(down, pair_products(across, one, other))
+
+
+def pair_products(across: Tensor, one: Tensor, other: Tensor) -> Tensor:
+    """``one K_x other^T``, (masks, offsets x, rows, rows)."""
+    return one[:, None].to(across.dtype) @ across @ other[:, None].mT.to(across.dtype)
+
+
+def _traced(down: Tensor, spread: Tensor) -> Tensor:
+    return torch.einsum("ors,mprs->mop", down, spread).real
 
 
 def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> Tensor:

@@ -17,7 +17,6 @@ from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
 from veilcam_optics.plan.errors import ROUNDING, ErrorModel, Interferences
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
-from veilcam_optics.transfer.operator import Reach
 
 MAX_NUMBERS = 1.5e8
 """Numbers that a plan may hold at once: 600 MB in float32."""
@@ -188,10 +187,8 @@ def _reaches(
     if not interferences.model.sampling.diffraction:
         return options
     by_work = []
-    for rows, row in enumerate(interferences.errors.tolist()):
-        for columns, error in enumerate(row):
-            counted = pairs(base.with_sampling(reach=Reach(rows, columns)))
-            by_work.append((counted, error, Reach(rows, columns)))
+    for reach, error in interferences.errors.items():
+        by_work.append((pairs(base.with_sampling(reach=reach)), error, reach))
     least = math.inf
     for _, error, reach in sorted(by_work, key=lambda item: (item[0], item[1])):
         if error < least:
