@@ -9,8 +9,8 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.effects.composition import beams
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
+from veilcam_optics.plan.boxes import box_cells
 from veilcam_optics.plan.cost import nodes
-from veilcam_optics.plan.probe import box_cells
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.transfer.grid import cells_in_aperture, sample_pitch

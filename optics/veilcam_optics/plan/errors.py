@@ -23,10 +23,11 @@ from veilcam_optics.plan.bounds import (
     smallest_step,
 )
 from veilcam_optics.plan.probe import Probe, relative
+from veilcam_optics.plan.rotation import rotation_errors
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
-ROUNDING = {torch.float32: 5e-7, torch.float64: 0.0}
+ROUNDING = {torch.float32: 7e-7, torch.float64: 0.0}
 """Relative L2 of a transfer matrix's number format, measured: kernels are cast from float64."""
 
 _LEAST_TOLERANCE = 1e-5
@@ -153,7 +154,7 @@ class ErrorModel:
 
     @cached_property
     def _rotated(self) -> tuple[float, float]:
-        return self._probe.rotated(self._near)
+        return rotation_errors(self._probe, self._near)
 
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""

@@ -17,7 +17,7 @@ from torch import Tensor
 from veilcam_optics.effects.composition import beams, collected, shown
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer.factored import aperture_fields
+from veilcam_optics.plan.boxes import bends, integrals
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.operator import Beam, make_axes
 
@@ -26,12 +26,6 @@ _OFFSETS = 12
 
 _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
-
-_CELLS = 24
-"""Fewest cells in the box of an offset."""
-
-_NODES_IN_FRINGE = 2.2
-"""Above 2: each product of two fields is limited to a band, and these are enough to know it."""
 
 
 class Probe:
@@ -93,7 +87,7 @@ class Probe:
         for beam, scaled in self._lights(model, channels):
             rows, down, across = self._integrals(model, beam, stretch)
             weights = scaled[:, rows]
-            total += _summed(down, across, weights)
+            total += pair_sums(down, across, weights, weights)
         # The mean over what is kept stands for that over all.
         return collected(model, total, (1, 2))
 
@@ -106,12 +100,12 @@ class Probe:
         for beam, scaled in self._lights(model):
             rows, down, across = self._integrals(model, beam, (1.0, 1.0))
             y, x = self.axes(model, beam)
-            bent_down = _corners(y, rows, beam.wavelength, model.sampling.reach.rows)
+            bent_down = bends(y, rows, float(beam.wavelength), model.sampling.reach.rows)
             every = torch.arange(len(x.centres))
-            bent_across = _corners(x, every, beam.wavelength, model.sampling.reach.columns)
+            bent_across = bends(x, every, float(beam.wavelength), model.sampling.reach.columns)
             weights = scaled[:, rows]
             for along_y, along_x in ((bent_down, across), (down, bent_across)):
-                total += _summed(along_y, along_x, weights)
+                total += pair_sums(along_y, along_x, weights, weights)
         return total
 
     def shells(self, model: Model) -> Tensor:
@@ -180,53 +174,10 @@ class Probe:
             reach = model.sampling.reach
             self._kept[key] = (
                 rows,
-                _integrals(y, rows, float(beam.wavelength) * stretch[0], reach.rows),
-                _integrals(x, columns, float(beam.wavelength) * stretch[1], reach.columns),
+                integrals(y, rows, float(beam.wavelength) * stretch[0], reach.rows),
+                integrals(x, columns, float(beam.wavelength) * stretch[1], reach.columns),
             )
         return self._kept[key]
-
-    def rotated(self, model: Model) -> tuple[float, float]:
-        """Relative L2 of ignoring the mask's rotation, and of counting it to first order.
-
-        Turned by a small angle, row ``r`` moves along x by ``-angle y_r`` and column ``c`` along y
-        by ``angle x_c``; the light of each sub-pixel moves with it. The second order of that stands
-        for what the first leaves out. Interference is left out.
-        """
-        angle, camera = model.conditions.imperfections.rotation, actual_camera(model)
-        channel = self.channels(model)[0]
-        beam = next(b for b in beams(model) if b.channel == channel)
-        middles: list[Tensor] = []
-        orders: list[list[Tensor]] = []
-        axes = self.axes(model, beam)
-        for axis, other in zip(axes, reversed(axes), strict=True):
-            all_of = torch.arange(len(axis.centres))
-            fields = axis.fields(beam.wavelength)
-            far = abs(angle) * float(other.middles(*2 * [torch.arange(len(other.centres))]).max())
-            far = max(far * float(axis.magnification), 1e-3 * axis.step)
-            kernel = axis.kernel(fields, all_of, all_of).real
-            offsets, ends = axis.offsets, axis.offsets.abs().max()
-            moved = []
-            for sign in (1, -1):
-                axis.offsets = (offsets + sign * far).clamp(-ends, ends)
-                moved.append(axis.kernel(fields, all_of, all_of).real)
-            axis.offsets = offsets
-            slope = (moved[0] - moved[1]) / (2 * far) * float(axis.magnification)
-            curve = (moved[0] + moved[1] - 2 * kernel) / far**2 * float(axis.magnification) ** 2
-            orders.append([kernel, slope, curve])
-            middles.append(axis.middles(all_of, all_of))
-        (kernel_y, slope_y, curve_y), (kernel_x, slope_x, curve_x) = orders
-        y, x = middles[0][:, None], middles[1]
-        amplitudes = torch.tensor(camera.row_amplitudes(beam.channel), dtype=torch.float64)
-        squares = (shown(model, self.masks) * amplitudes[:, None]).square()
-        straight = kernel_y @ squares @ kernel_x.T
-        first = kernel_y @ (squares * y) @ slope_x.T - slope_y @ (squares * x) @ kernel_x.T
-        second = (
-            kernel_y @ (squares * y * y) @ curve_x.T / 2
-            + curve_y @ (squares * x * x) @ kernel_x.T / 2
-            - slope_y @ (squares * y * x) @ slope_x.T
-        )
-        ignored = relative(straight + angle * first + angle**2 * second, straight)
-        return min(1.0, ignored), min(1.0, relative(straight + angle**2 * second, straight))
 
 
 def relative(value: Tensor, reference: Tensor) -> float:
@@ -237,66 +188,20 @@ def relative(value: Tensor, reference: Tensor) -> float:
     return difference / size if size else 1.0
 
 
-def _summed(down: Tensor, across: Tensor, weights: Tensor) -> Tensor:
-    """Sum over all pairs of ``K_y[r, s] K_x[c, d] w[r, c] w[s, d]``, (masks, offsets y, x)."""
-    amplitudes = weights[:, None].to(across.dtype)
-    return torch.einsum("ors,mprs->mop", down, amplitudes @ across @ amplitudes.mT).real
+def pair_sums(down: Tensor, across: Tensor, one: Tensor, other: Tensor) -> Tensor:
+    """Sums over all pairs of ``Re K_y[r, s] K_x[c, d] one[r, c] other[s, d]``.
 
+    Args:
+        down: ``K_y``, (offsets y, rows, rows).
+        across: ``K_x``, (offsets x, columns, columns).
+        one: amplitudes, (masks, rows, columns).
+        other: the same shape.
 
-def box_cells(side: float, wavelength: float, distance: float, apart: float) -> int:
-    """Cells of a box of ``side`` [m] that resolve the fringes of points ``apart`` [m]."""
-    return math.ceil(max(_CELLS, _NODES_IN_FRINGE * side * apart / (wavelength * distance)))
-
-
-def _integrals(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
-    """Integrals of ``kappa F_r conj(F_s)``, (offsets, apertures, apertures), r, s within reach."""
-    if axis.shadow:
-        return torch.diag_embed(axis.kernel(axis.fields(wavelength), of, of))
-    pixel, image = axis.pixel, float(axis.image)
-    outer, inner = (pixel + image) / 2, abs(pixel - image) / 2
-    apart = axis.width + min(reach, len(axis.centres) - 1) * _pitch(axis)
-    cells = box_cells(2 * outer, wavelength, float(axis.distance), apart)
-    edges = torch.linspace(-outer, outer, cells + 1, dtype=torch.float64)
-    below = torch.zeros_like(edges)
-    for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1)):
-        below += sign * (edges - corner).clamp_min(0).square() / 2
-    points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
-    fields = _fields(axis, points, of, wavelength)
-    weighted = fields * (axis.scale * below.diff())[:, None]
-    return (weighted.mT @ fields.conj()) * _near(of, reach)
-
-
-def _corners(axis: Axis, of: Tensor, wavelength: float | Tensor, reach: int) -> Tensor:
-    """Second derivative by the offset of :func:`_integrals`, same shape."""
-    if axis.shadow:
-        return torch.zeros(len(axis.offsets), len(of), len(of), dtype=torch.complex128)
-    outer, inner = (axis.pixel + float(axis.image)) / 2, (axis.pixel - float(axis.image)) / 2
-    corners = torch.tensor([-outer, -inner, inner, outer], dtype=torch.float64)
-    signs = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
-    fields = _fields(axis, axis.offsets[:, None] + corners, of, float(wavelength))
-    weighted = fields * (axis.scale * signs)[:, None]
-    return (weighted.mT @ fields.conj()) * _near(of, reach)
-
-
-def _fields(axis: Axis, points: Tensor, of: Tensor, wavelength: float) -> Tensor:
-    """Fields of some apertures at ``points`` (offsets, n): (offsets, n, apertures)."""
-    fields = aperture_fields(
-        points.flatten(),
-        axis.centres[of],
-        axis.width,
-        wavelength=wavelength,
-        source_distance=axis.source_distance,
-        distance=axis.distance,
-    )
-    return fields.reshape(*points.shape, len(of))
-
-
-def _near(of: Tensor, reach: int) -> Tensor:
-    return (of[:, None] - of).abs() <= reach
-
-
-def _pitch(axis: Axis) -> float:
-    return float(axis.centres[1] - axis.centres[0]) if len(axis.centres) > 1 else 0.0
+    Returns:
+        (masks, offsets y, offsets x).
+    """
+    first, second = one[:, None].to(across.dtype), other[:, None].to(across.dtype)
+    return torch.einsum("ors,mprs->mop", down, first @ across @ second.mT).real
 
 
 def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> Tensor:

@@ -27,6 +27,7 @@ from veilcam_optics.plan.cost import pairs
 from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.simulation.rotated_mask import RotatedMask
+from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 from veilcam_optics.transfer.kernels import shadow_kernel
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 
@@ -115,6 +116,7 @@ def model_of(called: Called, **sampling: object) -> Model:
         "wavelengths": 3,
         "layers": 3,
         "dtype": torch.float64,
+        "oversampling": max(2.0, 2 * FEWEST_CELLS / cells_in_aperture(camera)),
     }
     return Model(
         camera,
