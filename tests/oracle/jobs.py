@@ -89,6 +89,21 @@ def draw(seed: int) -> Job:
         unaffordable += 1
 
 
+def draw_everyday(seed: int) -> Job:
+    """A camera of an LCD in visible light, as it should be, that sees up to 30 degrees."""
+    generator = random.Random(seed)
+    while True:
+        lengths = Lengths(
+            generator.uniform(40e-6, 110e-6),
+            log_uniform(generator, 0.5e-3, 10e-3),
+            generator.uniform(450e-9, 650e-9),
+        )
+        job = replace(_draw(generator, lengths, _SIZES[0]), conditions=Conditions(), effects=())
+        narrow = job.scene.height / 2 / job.scene.distance <= math.tan(math.pi / 6)
+        if narrow and lit(job) and light(job).affordable(MOST_WORK):
+            return job
+
+
 def _lengths(generator: random.Random) -> Lengths:
     pitch, distance, wavelength = (
         _corner(generator, *ends) for ends in (PITCHES, DISTANCES, WAVELENGTHS)

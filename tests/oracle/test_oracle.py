@@ -16,7 +16,7 @@ from veilcam_optics.plan import Plan, plan
 
 from . import judge as judging
 from . import quadrature, run
-from .jobs import DISTANCES, PITCHES, WAVELENGTHS, Job, draw, read
+from .jobs import DISTANCES, PITCHES, WAVELENGTHS, Job, draw, draw_everyday, read
 from .judge import Result, judge, judge_job
 from .physics import Axis, Beam, Light, transfer
 from .run import draw_chart, figures_of, kept, main, reasons
@@ -114,6 +114,12 @@ def test_jobs_are_as_wide_as_they_say() -> None:
     assert len(seen) == 13
     assert min(seen.values()) >= 5
     assert draw(3) == drawn[3]
+
+
+def test_everyday_jobs_have_no_conditions() -> None:
+    for job in map(draw_everyday, range(20)):
+        assert job.conditions == Conditions()
+        assert 40e-6 <= job.camera.panel.pitch_y <= 110e-6
 
 
 def test_a_reading_saturates_is_lifted_and_rounded() -> None:
