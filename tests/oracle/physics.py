@@ -4,11 +4,13 @@ NumPy and float64 alone; nothing of the product is used. A spherical wave from e
 centre falls on the panel; every open cell of it sends on a wave of Rayleigh and Sommerfeld's first
 kind (Goodman, Introduction to Fourier Optics, 3rd ed., equation 3-41). No angle is taken for small.
 The irradiance is the flux through the sensor's plane, Im(U* dU/dz) / k; a scene pixel sends light
-by Lambert's law. A pixel's light is that of its centre, moved over its geometric image.
+by Lambert's law. A scene pixel is ``sources x sources`` points, each of whose light is moved over
+its own part of the pixel's geometric image.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -19,6 +21,10 @@ Array = npt.NDArray[np.float64]
 
 LEAST_SAMPLES = 3.0
 """Samples in the shortest wave that a cell's light makes on the sensor, against the scene's."""
+
+_COARSER = (1.0, 0.7, 0.5, 0.35, 0.25)
+"""A cell's light is right to first order in any direction, so that a coarser one is less exact, and
+not wrong: who uses it compares with one half as wide."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class Axis:
     apertures: int
     pitch: float
     open_parts: int
-    """Of ``parts`` equal parts of the pitch, in the middle: both even or both odd."""
+    """Of ``parts`` equal parts of the pitch, in the middle."""
     parts: int
     sensor: float
     pixels: int
@@ -64,6 +70,8 @@ class Light:
     """Of the mask, from x towards y [rad]."""
     shares: Array | None = field(default=None, compare=False)
     """Share of each channel in each embedding pixel, (3, rows, columns), instead of the beams'."""
+    sources: int = 1
+    """Points along each side of a scene pixel."""
 
     def finest(self, axis: Axis) -> float:
         """Longest side of a cell that resolves every wave [m]."""
@@ -98,11 +106,15 @@ class Light:
             length += abs(self.rotation) * max(self.y.sensor, self.x.sensor) + image
         return length
 
-    @property
-    def work(self) -> float:
+    def work(self, finer: float = 1.0) -> float:
         """Samples times waves."""
-        rows, columns = self.lengths()
-        return float(rows) * columns * len(self.beams) * self.y.scene_pixels * self.x.scene_pixels
+        rows, columns = self.lengths(finer)
+        points = self.y.scene_pixels * self.x.scene_pixels * self.sources**2
+        return float(rows) * columns * len(self.beams) * points
+
+    def affordable(self, work: float) -> float:
+        """Finest cells, as a factor, that make no more ``work``; 0 if none does."""
+        return next((finer for finer in _COARSER if self.work(finer) <= work), 0.0)
 
 
 def transfer(
@@ -124,7 +136,7 @@ def transfer(
     open_y, open_x = _openings(y, light.cells(y, finer)), _openings(x, light.cells(x, finer))
     cell_y, cell_x = (a.pitch / a.parts / light.cells(a, finer) for a in (y, x))
     masks = np.einsum("nr,bcrk,mk->bcnm", open_y, amplitudes, open_x)
-    at_y, at_x = _axis(len(open_y), cell_y) + y.shift, _axis(len(open_x), cell_x) + x.shift
+    at_y, at_x = _positions(y, cell_y), _positions(x, cell_x)
     seen_y = _axis(math.ceil(light.seen(y) / cell_y) + 1, cell_y)
     seen_x = _axis(math.ceil(light.seen(x) / cell_x) + 1, cell_x)
     picked = (
@@ -134,18 +146,24 @@ def transfer(
     )
     found = np.zeros((len(amplitudes), len(picked), y.pixels * x.pixels))
     for index, (row, column) in enumerate(picked):
-        point = (
-            (row - (y.scene_pixels - 1) / 2) * y.scene_pixel,
-            (column - (x.scene_pixels - 1) / 2) * x.scene_pixel,
-        )
-        for beam in light.beams:
+        for point, beam in itertools.product(_sources(light, row, column), light.beams):
             flux = _flux(
                 light, beam, masks[:, beam.channel], point, ((at_y, at_x), (seen_y, seen_x))
             )
             binned = _binned(light, beam, flux, (seen_y, seen_x))
             share = beam.share if light.shares is None else beam.share * light.shares[beam.channel]
             found[:, index] += (share * binned).reshape(len(amplitudes), -1)
-    return found / (y.scene_pixels * x.scene_pixels)
+    return found / (y.scene_pixels * x.scene_pixels * light.sources**2)
+
+
+def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
+    """Points of a scene pixel [m]."""
+    y, x = (
+        (at - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
+        + _axis(light.sources, axis.scene_pixel / light.sources)
+        for axis, at in ((light.y, row), (light.x, column))
+    )
+    return [(float(down), float(across)) for down in y for across in x]
 
 
 def _flux(
@@ -194,8 +212,9 @@ def _flux(
 
 
 def _binned(light: Light, beam: Beam, flux: Array, seen: tuple[Array, Array]) -> Array:
-    """Means over embedding pixels, blurred by the scene pixel's image: (masks, rows, columns)."""
-    images = [a.scene_pixel * light.distance / beam.scene_distance for a in (light.y, light.x)]
+    """Means over embedding pixels, blurred by a source's image: (masks, rows, columns)."""
+    reduced = light.distance / beam.scene_distance / light.sources
+    images = [axis.scene_pixel * reduced for axis in (light.y, light.x)]
     if not light.rotation:
         rows = _trapezoids(light.y, images[0], seen[0])
         columns = _trapezoids(light.x, images[1], seen[1])
@@ -243,12 +262,19 @@ def _trapezoids(axis: Axis, image: float, at: Array) -> Array:
 
 def _openings(axis: Axis, cells: int) -> Array:
     """1 in the cells of each aperture, (cells, apertures)."""
-    closed = (axis.parts - axis.open_parts) * cells
-    assert closed % 2 == 0, "apertures lie in the middle of their pitch"
+    first = (axis.parts - axis.open_parts) * cells // 2
     one = np.zeros(axis.parts * cells)
-    one[closed // 2 : len(one) - closed // 2] = 1
+    one[first : first + axis.open_parts * cells] = 1
     openings: Array = np.kron(np.eye(axis.apertures), one[:, None]).astype(np.float64)
     return openings
+
+
+def _positions(axis: Axis, cell: float) -> Array:
+    """Of the mask's cells [m]."""
+    cells = round(axis.pitch / axis.parts / cell)
+    # Where the closed part is odd, openings are half a cell too low among their cells.
+    late = (axis.parts - axis.open_parts) * cells % 2 * cell / 2
+    return _axis(axis.apertures * axis.parts * cells, cell) + axis.shift + late
 
 
 def _axis(count: int, step: float) -> Array:

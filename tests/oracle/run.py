@@ -1,7 +1,7 @@
 """Plans against exact light, over many jobs: one JSON line a job, and it goes on where it stopped.
 
     python -m tests.oracle.run --jobs 1000 --out build/oracle.jsonl \\
-        --figures benchmarks/results/optics.json
+        --figures benchmarks/results/optics.json --chart docs/images/oracle.png
 """
 
 from __future__ import annotations
@@ -9,125 +9,93 @@ from __future__ import annotations
 import json
 import math
 import statistics
-import time
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
+import matplotlib as mpl
 import numpy as np
 import torch
 import typer
+from benchmarks.figures import FiguresOption, record
 
-from veilcam_optics.errors import OpticsError
-from veilcam_optics.plan import Plan, plan
-from veilcam_training.experiments.records import check_record, record_figures
+from veilcam_training.experiments.records import check_record
 
-from .jobs import Job, draw, light, masks, scattered, shown
-from .physics import Array, transfer
+from .judge import Result, judge
 
-UNSURE = 0.3
-"""An oracle that is itself this share of the plan's error off cannot judge it."""
+LEAST_ERROR = 1e-7
+"""Smaller ones are rounding: they are drawn and divided by as this."""
 
 
-@dataclass(frozen=True)
-class Result:
-    """What came of one job."""
-
-    seed: int
-    tolerance: float
-    predicted: float
-    true: float
-    reached: bool
-    oracle_error: float
-    """Of one scene pixel, against cells half as wide: relative L2."""
-    method: str
-    effects: tuple[str, ...]
-    plan_seconds: float
-    oracle_seconds: float
-    refused: str = ""
-
-    @property
-    def judged(self) -> bool:
-        """Whether the oracle is surer than the plan."""
-        return not self.refused and self.oracle_error <= UNSURE * max(self.predicted, self.true)
-
-    @property
-    def honest(self) -> bool:
-        """Whether the true error is at most twice the predicted one."""
-        return self.true <= 2 * self.predicted
-
-    @property
-    def reached_ratio(self) -> float:
-        """True error over what a plan that says "reached" promises."""
-        return self.true / max(self.predicted, self.tolerance / 10)
-
-
-def truth(job: Job, weights: Array) -> tuple[Array, float]:
-    """Exact transfers of masks, and how far they are from those of cells half as wide."""
-    optics, amplitudes = light(job), shown(job, weights)
-    exact = transfer(optics, amplitudes)
-    fine = transfer(optics, amplitudes[:1], finer=2, only=(0, 0))
-    size = float(np.linalg.norm(fine)) or 1.0
-    return scattered(job, exact), float(np.linalg.norm(fine - exact[:1, :1])) / size
-
-
-def computed(chosen: Plan, weights: Array) -> Array:
-    """The plan's transfers of masks, by whatever method."""
-    rows, columns = chosen.model.scene.shape
-    points = torch.eye(rows * columns, dtype=chosen.operator.dtype).reshape(-1, rows, columns)
-    found = []
-    with torch.no_grad():
-        for mask in torch.from_numpy(weights):
-            response = chosen.operator.response(mask)
-            found.append(chosen.operator.collect(points, response).flatten(1).double().numpy())
-    return np.stack(found)
-
-
-def judge(seed: int) -> Result:
-    """One job: its plan, and the truth."""
-    job = draw(seed)
-    start = time.process_time()
-    try:
-        chosen = plan(job.camera, job.scene, job.embedding, job.tolerance, job.conditions)
-        planned = time.process_time() - start
-        weights = masks(job)
-        values = computed(chosen, weights)
-    except OpticsError as error:
-        return Result(
-            seed, job.tolerance, 0, 0, False, 0, "", job.effects, 0, 0, refused=str(error)
-        )
-    start = time.process_time()
-    exact, unsure = truth(job, weights)
-    size = float(np.linalg.norm(exact))
-    off = float(np.linalg.norm(values - exact)) / size if size else float(bool(values.any()))
-    return Result(
-        seed=seed,
-        tolerance=job.tolerance,
-        predicted=chosen.error,
-        true=off,
-        reached=chosen.reached,
-        oracle_error=unsure,
-        method=chosen.model.sampling.method if chosen.model.sampling.diffraction else "shadow",
-        effects=job.effects,
-        plan_seconds=round(planned, 3),
-        oracle_seconds=round(time.process_time() - start, 3),
-    )
-
-
-def figures_of(results: Iterable[Result]) -> dict[str, float]:
-    """The record's figures."""
-    every = list(results)
-    judged = [result for result in every if result.judged]
+def figures_of(results: Sequence[Result]) -> dict[str, float]:
+    """The record's figures; NaN where no job says anything."""
+    judged = [result for result in results if not result.unjudged]
     reached = [result.reached_ratio for result in judged if result.reached]
-    sharp = [result.predicted / max(result.true, 1e-12) for result in judged]
-    return {
-        "oracle_jobs": len(every),
-        "oracle_honest_fraction": round(sum(r.honest for r in judged) / len(judged), 4),
-        "oracle_worst_reached_ratio": round(max(reached, default=math.nan), 3),
-        "oracle_sharpness_median": round(statistics.median(sharp), 3),
-        "oracle_unjudged_fraction": round(1 - len(judged) / len(every), 4),
+    sharp = [max(r.predicted, LEAST_ERROR) / max(r.true, LEAST_ERROR) for r in judged]
+    reachable = [result for result in judged if result.reachable]
+    found = {
+        "oracle_jobs": len(results),
+        "oracle_honest_fraction": _share(result.honest for result in judged),
+        "oracle_worst_reached_ratio": max(reached, default=math.nan),
+        "oracle_sharpness_median": statistics.median(sharp) if sharp else math.nan,
+        "oracle_sharpness_95": float(np.quantile(sharp, 0.95)) if sharp else math.nan,
+        "oracle_reached_fraction": _share(result.reached for result in reachable),
+        "oracle_unjudged_fraction": 1 - len(judged) / len(results),
+        "oracle_worst_time_over_best": max((r.time_over_best for r in judged), default=math.nan),
     }
+    return {name: float(f"{value:.4g}") for name, value in found.items()}
+
+
+def reasons(results: Sequence[Result]) -> Counter[str]:
+    """How many are not judged, by why."""
+    return Counter(result.unjudged for result in results if result.unjudged)
+
+
+def draw_chart(results: Sequence[Result], path: Path) -> None:
+    """True over predicted error of every job that is judged."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    judged = [result for result in results if not result.unjudged]
+    figure, axes = plt.subplots(figsize=(6, 6), layout="constrained")
+    for reached, name, colour in ((True, "reached", "tab:blue"), (False, "not reached", "0.6")):
+        group = [result for result in judged if result.reached == reached]
+        axes.scatter(
+            [max(result.predicted, LEAST_ERROR) for result in group],
+            [max(result.true, LEAST_ERROR) for result in group],
+            s=10,
+            color=colour,
+            label=f"{name}: {len(group)}",
+        )
+    line = np.array([LEAST_ERROR / 2, 3])
+    axes.plot(line, line, color="k", linewidth=0.8, label="as predicted")
+    axes.plot(line, 2 * line, color="tab:red", linewidth=0.8, label="twice: honest below")
+    axes.plot(line, line / 30, color="0.5", linewidth=0.8, linestyle="--", label="a thirtieth")
+    axes.set(xscale="log", yscale="log", xlim=line, ylim=line)
+    axes.set(xlabel="predicted error (relative L2)", ylabel="true error (relative L2)")
+    axes.legend(loc="upper left", frameon=False)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def kept(path: Path) -> dict[int, Result]:
+    """Results that are there already, by seed; a line that was cut off is done again."""
+    found = {}
+    for line in path.read_text().splitlines() if path.exists() else []:
+        try:
+            values = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        values["effects"] = tuple(values["effects"])
+        found[int(values["seed"])] = Result(**values)
+    return found
+
+
+def _share(verdicts: object) -> float:
+    found = list(verdicts)  # type: ignore[call-overload]
+    return sum(found) / len(found) if found else math.nan
 
 
 def main(
@@ -137,27 +105,34 @@ def main(
     out: Annotated[Path, typer.Option(help="One JSON line a job; those there are kept.")] = Path(
         "build/oracle.jsonl"
     ),
-    figures: Annotated[Path | None, typer.Option(help="Record to write into.")] = None,
+    chart: Annotated[Path | None, typer.Option(help="Picture of all jobs to write.")] = None,
+    figures: FiguresOption = None,
 ) -> None:
     """Judge plans by exact light."""
     torch.set_num_threads(1)
     if figures is not None:
         check_record(figures)
     out.parent.mkdir(parents=True, exist_ok=True)
-    lines = out.read_text().splitlines() if out.exists() else []
-    done = {int(found["seed"]): Result(**found) for found in map(json.loads, lines)}
+    done = kept(out)
     seeds = range(first, first + jobs)
     with out.open("a") as file:
+        if out.stat().st_size and not out.read_text().endswith("\n"):
+            file.write("\n")
         for seed in seeds:
             if seed not in done:
                 done[seed] = judge(seed)
                 file.write(json.dumps(asdict(done[seed])) + "\n")
                 file.flush()
-    found = figures_of(done[seed] for seed in seeds)
+    results = [done[seed] for seed in seeds]
+    found = figures_of(results)
     for name, value in found.items():
         typer.echo(f"{name:28} {value}")
-    if figures is not None:
-        record_figures(figures, found)
+    for reason, count in reasons(results).items():
+        typer.echo(f"{'not judged':28} {count}: {reason}")
+    typer.echo(f"{'too large for the oracle':28} {sum(r.unaffordable for r in results)} more draws")
+    if chart is not None:
+        draw_chart(results, chart)
+    record(figures, found)
 
 
 if __name__ == "__main__":
