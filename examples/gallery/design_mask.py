@@ -20,7 +20,8 @@ start, losses = weights.detach().clone(), []
 def distances(mask: torch.Tensor) -> torch.Tensor:
     """Between the embeddings of all pairs of shapes, against their size."""
     seen = optics.embed(shapes, quantise(mask, camera.panel)).flatten(1)
-    return torch.pdist(seen) / seen.norm(dim=1).mean()
+    apart: torch.Tensor = torch.pdist(seen) / seen.norm(dim=1).mean()
+    return apart
 
 
 adam = torch.optim.Adam([weights], lr=0.03)
