@@ -27,6 +27,18 @@ def tangents(model: Model) -> tuple[Tensor, Tensor]:
     )
 
 
+def _edges(middles: Tensor, model: Model) -> Tensor:
+    """Tangents of where scene pixels end, from those of their middles."""
+    half = math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
+    return torch.cat((middles[:1] - half, middles + half))
+
+
+def _seen(y: Tensor, x: Tensor) -> Tensor:
+    """Integral of ``(1 + y^2 + x^2)^-2`` over the rectangle from the axis to a corner."""
+    root_y, root_x = (1 + y.square()).sqrt(), (1 + x.square()).sqrt()
+    return (y / root_y * (x / root_y).atan() + x / root_x * (y / root_x).atan()) / 2
+
+
 def stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
     """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x``: equation (8).
 
@@ -277,12 +289,15 @@ class OffAxis(Effect):
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
 
     def fade(self, model: Model) -> Tensor:
-        """Cos^4 of the angle: Lambert's law, the tilted mask, and twice the distance.
+        """Mean of cos^4 over a pixel: Lambert's law, the tilted mask, and twice the distance.
 
-        Goodman, Introduction to Fourier Optics, section 4.2.1.
+        In closed form: what a rectangle sends to a small plate that faces it (Howell, A Catalog of
+        Radiation Heat Transfer Configuration Factors, B-4).
         """
-        y, x = tangents(model)
-        return (1 + y.square()[:, None] + x.square()).pow(-2)
+        y, x = (_edges(axis, model) for axis in tangents(model))
+        corners = _seen(y[:, None], x)
+        area = (y[1:] - y[:-1])[:, None] * (x[1:] - x[:-1])
+        return corners.diff(dim=0).diff(dim=1) / area
 
 
 class StrayLight(Imperfection):

@@ -52,27 +52,55 @@ def large_angles(model: Model, interference: float) -> float:
     Light that goes off at an angle theta is fainter than Fresnel has it by 5/2 theta^2: the cosine
     counts twice in the field and once in the flux (Goodman, equation 3-41). Where pairs interfere
     the phase is left out that they do not share, of ``pi rho^4 / (4 lambda d^3)`` (section 4.2.2).
-    Angles are those that mask and sensor span, or, if these are smaller, those to which an aperture
-    spreads light: the tail of sinc^2, as far as the sensor sees.
 
     Args:
         model: camera, scene and embedding.
         interference: relative L2 of what interferes.
     """
     camera = actual_camera(model)
-    distance, wavelengths = camera.distance, camera.wavelengths
-    angles, fourths = 0.0, 0.0
+    fourths = 0.0
     for sensor, mask, aperture in _sides(camera):
-        spread = max(wavelengths) / aperture
-        seen = (sensor + mask) / 2 / distance
-        # Of points spread evenly over two lengths, sqrt(<x^4>) is about 3/2 <x^2>.
-        spanned = 1.5 * (sensor**2 + mask**2) / 12 / distance**2
-        # The integrals of (u^2 sinc^2 u)^2 up to ``seen`` over that of sinc^4.
-        angles += min(spanned, math.sqrt(9 / 8 / math.pi**4 * spread**3 * seen))
+        seen, spread = (sensor + mask) / 2 / camera.distance, max(camera.wavelengths) / aperture
         # Of such points a fifth of the largest is the root mean square of what pairs do not share.
         fourths += min(0.4 * seen**4, spread**4)
-    phase = math.pi / 4 * distance / min(wavelengths) * fourths
-    return min(1.0, math.hypot(2.5 * angles, min(1.0, phase) * interference / 2))
+    phase = math.pi / 4 * camera.distance / min(camera.wavelengths) * fourths
+    fainter = 2.5 * _angles_squared(camera) + _near_scene(model)
+    return min(1.0, math.hypot(fainter, min(1.0, phase) * interference / 2))
+
+
+def slanted_flux(model: Model) -> float:
+    """Relative L2 of what exact light on the axis leaves out, too, where it takes |field|^2.
+
+    That is the cosine of the flux, 1/2 theta^2.
+    """
+    return min(1.0, _angles_squared(actual_camera(model)) / 2 + _near_scene(model))
+
+
+def _angles_squared(camera: Camera) -> float:
+    """Root mean square of theta^2 in the light that is seen, theta [rad] to the axis.
+
+    Angles are those that mask and sensor span, or, if these are smaller, those to which an aperture
+    spreads light: the tail of sinc^2, as far as the sensor sees.
+    """
+    total = 0.0
+    for sensor, mask, aperture in _sides(camera):
+        spread = max(camera.wavelengths) / aperture
+        seen = (sensor + mask) / 2 / camera.distance
+        # Of points spread evenly over two lengths, sqrt(<x^4>) is about 3/2 <x^2>.
+        spanned = 1.5 * (sensor**2 + mask**2) / 12 / camera.distance**2
+        # The integrals of (u^2 sinc^2 u)^2 up to ``seen`` over that of sinc^4.
+        total += min(spanned, math.sqrt(9 / 8 / math.pi**4 * spread**3 * seen))
+    return total
+
+
+def _near_scene(model: Model) -> float:
+    """Relative L2 of taking the light of a scene point for as bright on all of the mask.
+
+    It comes at an angle of its own to every part, and is fainter there by 3/2 theta^2: the cube of
+    the cosine, of twice the distance and of the slant.
+    """
+    masks = (mask for _, mask, _ in _sides(actual_camera(model)))
+    return 1.5 * sum(1.5 * mask**2 / 12 for mask in masks) / model.scene.distance**2
 
 
 def oblique_angles(model: Model) -> float:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,6 +22,7 @@ from veilcam_optics.plan.bounds import (
     oblique_angles,
     resolved,
     shadow_error,
+    slanted_flux,
     smallest_step,
 )
 from veilcam_optics.plan.probe import Probe, relative
@@ -166,18 +168,16 @@ class ErrorModel:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
         model = self.model
         y, x = tangents(model)
-        stretch_y, stretch_x = stretch(y[:, None].expand(model.scene.shape), x)
+        stretches = _in_pixels(model)
         used = replace(model, sampling=replace(model.sampling, zones=count or 1))
         errors = torch.zeros(model.scene.shape, dtype=torch.float64)
         for row in zones(used):
             for zone in row:
                 here = (zone.rows, zone.columns)
-                for actual, taken, slope in (
-                    (stretch_y, zone.stretch[0], self._slopes[0]),
-                    (stretch_x, zone.stretch[1], self._slopes[1]),
-                ):
+                for actual, taken, slope in zip(stretches, zone.stretch, self._slopes, strict=True):
                     reference = 1.0 if count is None else taken
-                    errors[here] += (slope * (actual[here] / reference).log()).square()
+                    off = (actual[:, *here] / reference).log().square().mean(0)
+                    errors[here] += slope**2 * off
         fade = OffAxis().fade(model)
         if count is None:
             errors = errors + (1 / fade - 1).square()
@@ -201,8 +201,8 @@ class ErrorModel:
         """A probe for one scene pixel as large as the scene, and what it gives."""
         scene = self.model.scene
         side = scene.pixel * math.sqrt(scene.rows * scene.columns)
-        model = replace(self.model, scene=replace(scene, rows=1, columns=1, height=side))
-        model = model.with_sampling(reach=Reach(0, 0))
+        model = replace(self._near, scene=replace(scene, rows=1, columns=1, height=side))
+        model = model.with_sampling(step=fringe_step(model, model.sampling.reach))
         probe = Probe(model)
         shares = model.camera.sensor.channel_weights
         channels = [
@@ -248,7 +248,11 @@ class ErrorModel:
 
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
-        return math.hypot(grid_error(self.model, oversampling), oblique_angles(self.model))
+        model = self.model
+        return min(
+            1.0,
+            math.hypot(grid_error(model, oversampling), slanted_flux(model), oblique_angles(model)),
+        )
 
 
 def _dials(reach: int) -> list[int]:
@@ -257,3 +261,15 @@ def _dials(reach: int) -> list[int]:
     while found[-1] < reach:
         found.append(min(reach, max(found[-1] + 1, found[-1] * 4 // 3)))
     return found
+
+
+def _in_pixels(model: Model) -> tuple[Tensor, Tensor]:
+    """Factors on the wavelength along y and x at nine nodes of every scene pixel, (9, *scene)."""
+    y, x = tangents(model)
+    nodes = torch.from_numpy(np.polynomial.legendre.leggauss(3)[0])
+    nodes = nodes * math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
+    down, across = torch.cartesian_prod(nodes, nodes).T
+    return stretch(
+        (y[:, None] + down[:, None, None]).expand(9, *model.scene.shape),
+        (x + across[:, None, None]).expand(9, *model.scene.shape),
+    )
