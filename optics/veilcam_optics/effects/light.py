@@ -17,6 +17,9 @@ from veilcam_optics.transfer.operator import Beam, Reach
 _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 """Standard deviations in the full width at half maximum of a normal distribution."""
 
+_NARROW = 1e-4
+"""Scene pixels, as tangents: the middle stands for such a one to 1e-8, its edges round more."""
+
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
@@ -27,10 +30,9 @@ def tangents(model: Model) -> tuple[Tensor, Tensor]:
     )
 
 
-def _edges(middles: Tensor, model: Model) -> Tensor:
+def _edges(middles: Tensor, side: float) -> Tensor:
     """Tangents of where scene pixels end, from those of their middles."""
-    half = math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
-    return torch.cat((middles[:1] - half, middles + half))
+    return torch.cat((middles[:1] - side / 2, middles + side / 2))
 
 
 def _seen(y: Tensor, x: Tensor) -> Tensor:
@@ -292,12 +294,15 @@ class OffAxis(Effect):
         """Mean of cos^4 over a pixel: Lambert's law, the tilted mask, and twice the distance.
 
         In closed form: what a rectangle sends to a small plate that faces it (Howell, A Catalog of
-        Radiation Heat Transfer Configuration Factors, B-4).
+        Radiation Heat Transfer Configuration Factors, B-4). Differences of it round where pixels
+        are narrow; there the middle's is as good.
         """
-        y, x = (_edges(axis, model) for axis in tangents(model))
-        corners = _seen(y[:, None], x)
-        area = (y[1:] - y[:-1])[:, None] * (x[1:] - x[:-1])
-        return corners.diff(dim=0).diff(dim=1) / area
+        y, x = tangents(model)
+        side = 2 * math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
+        if side < _NARROW:
+            return (1 + y.square()[:, None] + x.square()).pow(-2)
+        corners = _seen(_edges(y, side)[:, None], _edges(x, side))
+        return corners.diff(dim=0).diff(dim=1) / side**2
 
 
 class StrayLight(Imperfection):

@@ -11,7 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.oracle.jobs import Job, masks
-from tests.oracle.run import computed, truth
+from tests.oracle.judge import computed, truth
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -42,9 +42,9 @@ def test_fine_pitch_is_not_said_to_be_reached_where_it_is_not() -> None:
     )
     scene, embedding = Scene(2, 2, height=0.005), Embedding(16, 16)
     chosen = plan(camera, scene, embedding, 1e-2)
-    job = Job(camera, scene, embedding, Conditions(), 1e-2, 1, 1, ())
+    job = Job(camera, scene, embedding, Conditions(), 1e-2, ((1, 1), (1, 1)))
     weights = masks(job)
-    exact, unsure = truth(job, weights)
+    exact, unsure = truth(job, weights, lambda _: 1e-4)
     found = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
     assert unsure < found / 10
     assert found < 2 * chosen.error
