@@ -113,6 +113,14 @@ def test_before_the_first_none_took_any_time(bench: Bench) -> None:
         assert (preparation.count, preparation.took) == (0, 0.0)
 
 
+def test_nothing_is_prepared_after_the_end(bench: Bench) -> None:
+    preparation = alone(bench)
+    preparation.close()
+    preparation.close()
+    with pytest.raises(RuntimeError, match="after shutdown"):
+        preparation.begin()
+
+
 def test_what_is_prepared_tells_nobody_its_mask(bench: Bench) -> None:
     with contextlib.closing(alone(bench)) as preparation:
         prepared = preparation.take()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import tempfile
 import zipfile
 from pathlib import Path
 
@@ -31,12 +30,11 @@ OWNER = OwnerKey(KEY.public_key().public_bytes_raw())
 
 
 @pytest.fixture(scope="module", params=[BUNDLE, FRESH], ids=["pairs", "fresh"])
-def written(request: pytest.FixtureRequest) -> bytes:
+def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A bundle as it is written today; those that are shipped may hold what is ignored by now."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "a.veilcam"
-        write_bundle(path, read_bundle(request.param))
-        return path.read_bytes()
+    path = tmp_path_factory.mktemp("written") / "a.veilcam"
+    write_bundle(path, read_bundle(request.param))
+    return path.read_bytes()
 
 
 @pytest.fixture
