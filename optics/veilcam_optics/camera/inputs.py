@@ -1,10 +1,8 @@
-"""The door for tensors that come in: masks and scenes, refused alike by whatever computes light."""
+"""The door for arrays that come in: masks and scenes, refused alike by whatever computes light."""
 
 from types import EllipsisType
 
-import torch
-from torch import Tensor
-
+from veilcam_optics.arrays import Array, detached, namespace
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError, require, require_shape
 
@@ -12,7 +10,7 @@ _ROUNDING = 1e-5
 """What rounding may add to a value in [0, 1], in float32 and after a resampling."""
 
 
-def check_weights(weights: Tensor, camera: Camera, *, batched: bool = False) -> None:
+def check_weights(weights: Array, camera: Camera, *, batched: bool = False) -> None:
     """Raise :class:`OpticsError` unless ``weights`` is a mask for ``camera``; if ``batched``, many.
 
     Amplitude transmittances: real floating-point numbers from 0 (dark) to 1 (open). The message
@@ -24,7 +22,7 @@ def check_weights(weights: Tensor, camera: Camera, *, batched: bool = False) -> 
     _check_values("weights", weights, "amplitude transmittances")
 
 
-def check_scenes(scenes: Tensor, *axes: int | str | EllipsisType) -> None:
+def check_scenes(scenes: Array, *axes: int | str | EllipsisType) -> None:
     """Raise :class:`OpticsError` unless ``scenes`` hold reflectances from 0 to 1.
 
     Args:
@@ -35,23 +33,19 @@ def check_scenes(scenes: Tensor, *axes: int | str | EllipsisType) -> None:
     _check_values("scenes", scenes, "reflectances")
 
 
-def _check_values(argument: str, values: Tensor, what: str) -> None:
-    require(
-        values.dtype.is_floating_point,
-        f"{argument}.dtype",
-        values.dtype,
-        "",
-        "torch.float32 or torch.float64",
-    )
-    if not values.numel():
+def _check_values(argument: str, values: Array, what: str) -> None:
+    xp = namespace(values)
+    real = xp.isdtype(values.dtype, "real floating")
+    require(real, f"{argument}.dtype", values.dtype, "", "float32 or float64")
+    if 0 in values.shape:
         return
-    low, high = (end.item() for end in torch.aminmax(values.detach()))
+    numbers = detached(values)
     # Both ends are NaN where one value is: then neither comparison holds.
-    if low >= -_ROUNDING and high <= 1 + _ROUNDING:
+    if float(xp.min(numbers)) >= -_ROUNDING and float(xp.max(numbers)) <= 1 + _ROUNDING:
         return
-    if not bool(torch.isfinite(values).all()):
+    if not bool(xp.all(xp.isfinite(numbers))):
         raise OpticsError(f"{argument} hold NaN or infinity: use finite numbers in [0, 1]")
-    outside = int(((values < -_ROUNDING) | (values > 1 + _ROUNDING)).sum())
+    outside = int(xp.sum((numbers < -_ROUNDING) | (numbers > 1 + _ROUNDING)))
     raise OpticsError(
         f"{argument} hold {outside} values outside [0, 1]: use {what} without a unit, 0 to 1"
     )

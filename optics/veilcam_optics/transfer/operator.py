@@ -13,22 +13,20 @@ which average out: a few offsets (dr, dc) are enough, and how many is the dial b
 time.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_optics.camera.inputs import check_scenes, check_weights
 from veilcam_optics.errors import require, require_count, require_positive
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
-from veilcam_optics.transfer.pairs import Group, Measurement, dark
-from veilcam_optics.transfer.regions import Region, embed_lit
-
-_NUMBERS_AT_ONCE = 2**20
-"""Of all masks that one product takes: more of them do not fit in a processor's cache."""
+from veilcam_optics.transfer.pairs import Group, dark, stack_groups
+from veilcam_optics.transfer.product import Measurement, Transfer
+from veilcam_optics.transfer.regions import Region
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +77,9 @@ class Beam:
 class TransferOperator(nn.Module):
     """``T(w)`` for one camera, scene and embedding; everything but ``w`` is computed once.
 
+    It makes the tables, and holds them as buffers; the product is that of :class:`Transfer`, which
+    computes in NumPy just as well.
+
     Args:
         camera: geometry, filters and wavelengths; nominal.
         scene: flat object; a scene pixel needs to be no finer than the embedding can tell apart.
@@ -120,8 +121,6 @@ class TransferOperator(nn.Module):
         require_count("reach.rows", reach.rows, least=0)
         require_count("reach.columns", reach.columns, least=0)
         require_positive("step", step, "m")
-        self.camera, self.scene, self.embedding = camera, scene, embedding
-        self.reach, self.colour = reach, colour
         if beams is None:
             wavelengths: Sequence[float | Tensor] = (
                 camera.wavelengths
@@ -150,7 +149,7 @@ class TransferOperator(nn.Module):
             for distance in {beam.scene_distance for beam in beams}
         }
         rotation = imperfections.rotation if variables.rotation is None else variables.rotation
-        measurements: list[Measurement] = []
+        measurements: list[Measurement[Tensor]] = []
         groups: list[Group] = []
         for channel, share in enumerate(camera.sensor.channel_weights):
             for beam in beams:
@@ -164,99 +163,57 @@ class TransferOperator(nn.Module):
             if colour or channel == len(CHANNELS) - 1:
                 if not groups:  # no row passes this light: a measurement without pairs
                     groups.append(dark(*axes[beams[0].scene_distance]))
-                measurements.append(Measurement(groups, dtype))
+                measurements.append(stack_groups(groups, dtype))
                 groups = []
-        self.measurements, self._measurements = nn.ModuleList(measurements), tuple(measurements)
+        self.reach = reach
+        self.transfer = Transfer(camera, scene, embedding, tuple(measurements))
+        """What computes, on this module's buffers."""
+        for name, table in self.transfer.arrays().items():
+            self.register_buffer(name, table)
+
+    @property
+    def camera(self) -> Camera:
+        """Whose transfer it is."""
+        return self.transfer.camera
+
+    @property
+    def scene(self) -> Scene:
+        """What is before the camera."""
+        return self.transfer.scene
+
+    @property
+    def embedding(self) -> Embedding:
+        """What is made of it."""
+        return self.transfer.embedding
+
+    @property
+    def colour(self) -> bool:
+        """Whether the three channels are kept apart."""
+        return self.transfer.colour
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of every result."""
+        dtype: torch.dtype = self.transfer.dtype
+        return dtype
 
     def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
-        """The transfer matrix of a mask, or of each of several.
-
-        Args:
-            weights: amplitude transmittances, ``camera.mask_shape``, or (masks, rows, columns).
-                Differentiable. Several masks at once save what a call costs beside its products,
-                which is most of it where scene and embedding are small.
-            region: part of the scene that is asked for; None for all of it. Its cost is its own: an
-                object that moves about in a large and black scene costs what the object does.
-
-        Returns:
-            (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour, for
-            each mask: irradiance of an embedding pixel relative to an all-white scene seen without
-            a mask.
-
-        Raises:
-            OpticsError: the masks have another shape, or hold NaN or infinity; a region that is not
-                wholly in the scene.
-        """
-        batched = weights.dim() == 3
-        check_weights(weights, self.camera, batched=batched)
-        if region is None:
-            region = Region(0, 0, *self.scene.shape)
-        else:
-            region.check(self.scene)
-        pixels, size = region.rows * region.columns, self.embedding.size
-        at_once = max(1, _NUMBERS_AT_ONCE // (pixels * size))
-        some = torch.split(weights, at_once) if batched else (weights,)
-        transfers = []
-        for measurement in self._measurements:
-            parts = [self._laid_out(measurement, masks, region) for masks in some]
-            transfer = parts[0] if len(parts) == 1 else torch.cat(parts)
-            transfers.append(transfer.reshape(*weights.shape[:-2], pixels, size))
-        # One gray measurement is taken as it is: stacking would copy the largest tensor of a step.
-        return torch.stack(transfers, dim=-3) if self.colour else transfers[0]
-
-    def _laid_out(self, measurement: Measurement, weights: Tensor, region: Region) -> Tensor:
-        """Transfers (masks, scene rows, columns, embedding rows, columns), or that of one mask."""
-        rows, columns = self.embedding.shape
-        # Offsets are in the order of the scene's pixels, so those of a region lie side by side.
-        y = slice(region.top * rows, (region.top + region.rows) * rows)
-        x = slice(region.left * columns, (region.left + region.columns) * columns)
-        if weights.dim() == 2:
-            transfer = measurement.transfer(weights, y, x)
-            return transfer.view(region.rows, rows, region.columns, columns).transpose(1, 2)
-        transfer = measurement.transfer(weights.transpose(0, 1), y, x)
-        shape = (region.rows, rows, len(weights), region.columns, columns)
-        return transfer.view(shape).permute(2, 0, 3, 1, 4)
+        """The transfer matrix of a mask, or of each of several; see :class:`Transfer`."""
+        return self.transfer(weights, region)
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
-        """Noiseless embeddings of scenes behind a mask.
-
-        Args:
-            scenes: (batch, rows, columns), or (batch, 3, rows, columns) in colour, in [0, 1].
-            weights: amplitude transmittances, ``camera.mask_shape``.
-
-        Returns:
-            (batch, rows, columns) or (batch, 3, rows, columns) of the embedding.
-
-        Raises:
-            OpticsError: the scenes or the mask have another shape.
-        """
-        self._check_scenes(scenes)
-        if self.colour:
-            pixels = self.scene.rows * self.scene.columns
-            flat = torch.einsum("bcp,cpe->bce", scenes.reshape(-1, 3, pixels), self(weights))
-            return flat.reshape(-1, 3, *self.embedding.shape)
-        whole = Region(0, 0, *self.scene.shape)
-        values = embed_lit(scenes, whole, lambda region: self(weights, region))
-        return values.reshape(-1, *self.embedding.shape)
+        """Noiseless embeddings of scenes behind a mask; see :meth:`Transfer.embed`."""
+        return self.transfer.embed(scenes, weights)
 
     def embed_by_factors(self, scenes: Tensor, weights: Tensor) -> Tensor:
-        """As :meth:`embed`, factor by factor: for matrices too large to be formed.
+        """The same without the matrix; see :meth:`Transfer.embed_by_factors`."""
+        return self.transfer.embed_by_factors(scenes, weights)
 
-        It needs ``pairs x rows x columns`` numbers at once, and more time for each scene.
-        """
-        self._check_scenes(scenes)
-        check_weights(weights, self.camera)
-        values = [
-            measurement.embed(
-                scenes[:, channel] if self.colour else scenes, weights, self.embedding.shape
-            )
-            for channel, measurement in enumerate(self._measurements)
-        ]
-        return torch.stack(values, dim=1) if self.colour else values[0]
-
-    def _check_scenes(self, scenes: Tensor) -> None:
-        expected = (3, *self.scene.shape) if self.colour else self.scene.shape
-        check_scenes(scenes, "batch", *expected)
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Compute on what a type or device that is asked for makes of the buffers."""
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        self.transfer = self.transfer.holding(dict(self.named_buffers()))
+        return self
 
 
 def make_axes(

@@ -122,7 +122,7 @@ def test_values_that_cannot_be_are_refused_at_every_door(value: float, message: 
 @pytest.mark.parametrize("dtype", [torch.int64, torch.uint8, torch.bool, torch.complex64])
 def test_only_real_numbers_are_taken(dtype: torch.dtype) -> None:
     """A mask of levels, or a picture of bytes, is in another unit."""
-    message = rf"\.dtype = {dtype} is not valid: use torch.float32 or torch.float64"
+    message = rf"\.dtype = {dtype} is not valid: use float32 or float64"
     for name, door in doors_of_masks().items():
         with pytest.raises(OpticsError, match="weights" + message):
             raise AssertionError(f"{name} took {door(torch.ones(CAMERA.mask_shape, dtype=dtype))}")

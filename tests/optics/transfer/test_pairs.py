@@ -11,9 +11,9 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.transfer import operator as transfer_operator
+from veilcam_optics.transfer import product
 from veilcam_optics.transfer.operator import Reach, TransferOperator
-from veilcam_optics.transfer.pairs import Measurement
+from veilcam_optics.transfer.product import Measurement
 from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.regions import Region
 
@@ -75,11 +75,11 @@ def test_more_masks_than_one_product_takes(monkeypatch: pytest.MonkeyPatch) -> N
     whole, masks = make(colour=True), masks_of(CAMERA, 5)
     together = whole(masks)
     # Two masks at once, so that the last one is alone.
-    monkeypatch.setattr(transfer_operator, "_NUMBERS_AT_ONCE", 2 * together[0, 0].numel() + 1)
+    monkeypatch.setattr(product, "_NUMBERS_AT_ONCE", 2 * together[0, 0].numel() + 1)
     taken: list[int] = []
     transfer = Measurement.transfer
 
-    def counted(measurement: Measurement, weights: Tensor, y: slice, x: slice) -> Tensor:
+    def counted(measurement: Measurement[Tensor], weights: Tensor, y: slice, x: slice) -> Tensor:
         taken.append(weights.shape[1])
         return transfer(measurement, weights, y, x)
 
