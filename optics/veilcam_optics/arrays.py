@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 from array_api_compat import array_namespace as namespace
-from array_api_compat import device, is_torch_array
+from array_api_compat import device, is_torch_array, to_device
 from typing_extensions import TypeVar
 
 if TYPE_CHECKING:
@@ -25,8 +25,10 @@ __all__ = [
     "detached",
     "device",
     "namespace",
+    "needs_gradient",
     "overwrite",
     "solve_triangular",
+    "to_device",
 ]
 
 Array = TypeVar("Array", "npt.NDArray[Any]", "Tensor", default="Tensor")
@@ -46,6 +48,11 @@ def as_type(array: Array, name: str) -> Array:
 def detached(array: Array) -> Array:
     """The same numbers, without what a gradient needs."""
     return array.detach() if is_torch_array(array) else array
+
+
+def needs_gradient(array: Array) -> bool:
+    """Whether torch records what is made of it."""
+    return is_torch_array(array) and bool(array.requires_grad)
 
 
 def overwrite(*arrays: Array) -> None:

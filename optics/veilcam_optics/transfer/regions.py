@@ -7,7 +7,7 @@ and a batch of handwritten digits only that of the pixels that one of them touch
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from veilcam_optics.arrays import Array, device, namespace
+from veilcam_optics.arrays import Array, device, namespace, needs_gradient
 from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.errors import require
 
@@ -70,8 +70,7 @@ def _lit(scenes: Array) -> tuple[Array, Array] | None:
     """Rows and columns of the pixels that are lit in any scene, unless they are most or none."""
     # An accelerator would have to wait for their number, and its product is short as it is. A
     # gradient with respect to the scenes is asked for at black pixels too.
-    learned = getattr(scenes, "requires_grad", False)
-    if str(device(scenes)) != "cpu" or learned or not scenes.shape[0]:
+    if str(device(scenes)) != "cpu" or needs_gradient(scenes) or not scenes.shape[0]:
         return None
     xp = namespace(scenes)
     lit = (xp.max(scenes, axis=0) != 0) | (xp.min(scenes, axis=0) != 0)
