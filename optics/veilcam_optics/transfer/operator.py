@@ -163,7 +163,7 @@ class TransferOperator(nn.Module):
             if colour or channel == len(CHANNELS) - 1:
                 if not groups:  # no row passes this light: a measurement without pairs
                     groups.append(dark(*axes[beams[0].scene_distance]))
-                measurements.append(stack_groups(groups, dtype))
+                measurements.append(stack_groups(groups, camera.mask_shape, dtype))
                 groups = []
         self.reach = reach
         self.transfer = Transfer(camera, scene, embedding, tuple(measurements))
@@ -212,7 +212,9 @@ class TransferOperator(nn.Module):
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
         """Compute on what a type or device that is asked for makes of the buffers."""
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
-        self.transfer = self.transfer.holding(dict(self.named_buffers()))
+        self.transfer = Transfer.from_arrays(
+            self.camera, self.scene, self.embedding, dict(self.named_buffers())
+        )
         return self
 
 

@@ -37,23 +37,27 @@ def dark(y: Axis, x: Axis) -> Group:
     return Group(none, none, 0, columns, torch.zeros(len(y.offsets), 0, dtype=torch.float64))
 
 
-def stack_groups(groups: Sequence[Group], dtype: torch.dtype) -> Measurement[Tensor]:
-    """One measurement's groups, at least one, stacked where they are of one shape."""
+def stack_groups(
+    groups: Sequence[Group], window: tuple[int, int], dtype: torch.dtype
+) -> Measurement[Tensor]:
+    """One measurement's groups, at least one, stacked where they are of one shape.
+
+    Args:
+        groups: of a mask of the shape ``window``.
+        window: rows and columns.
+        dtype: of the tables.
+    """
     by_shape: dict[tuple[int, int], list[Group]] = {}
     for group in groups:
         by_shape.setdefault(group.shape, []).append(group)
-    stacks = tuple(_stack(alike, dtype) for alike in by_shape.values())
+    stacks = tuple(
+        Stack.of(
+            first=torch.cat([group.first for group in alike]),
+            second=torch.cat([group.second for group in alike]),
+            columns=torch.stack([group.columns for group in alike]).to(dtype),
+            window=window,
+        )
+        for alike in by_shape.values()
+    )
     rows = [group.rows for alike in by_shape.values() for group in alike]
     return Measurement(stacks, torch.cat(rows, dim=1).to(dtype))
-
-
-def _stack(groups: Sequence[Group], dtype: torch.dtype) -> Stack[Tensor]:
-    offset, _ = groups[0].shape
-    alone = (torch.equal(group.first, group.second) for group in groups)
-    return Stack(
-        first=torch.cat([group.first for group in groups]),
-        second=torch.cat([group.second for group in groups]),
-        columns=torch.stack([group.columns for group in groups]).to(dtype),
-        offset=offset,
-        squares=offset == 0 and all(alone),
-    )

@@ -12,7 +12,7 @@ along x by one product, and gathered along y by another.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Generic, Self
 
 from veilcam_optics.arrays import Array, device, namespace
@@ -22,6 +22,9 @@ from veilcam_optics.transfer.regions import Region, embed_lit
 
 _NUMBERS_AT_ONCE = 2**20
 """Of all masks that one product takes: more of them do not fit in a processor's cache."""
+
+_TABLES = ("first", "second", "columns")
+"""Of a stack, as files and buffers name them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,13 @@ class Stack(Generic[Array]):
     offset: int
     squares: bool
     """Every sub-pixel is paired with itself."""
+
+    @classmethod
+    def of(cls, first: Array, second: Array, columns: Array, window: tuple[int, int]) -> Self:
+        """From tables alone: pairs some columns apart are as many columns fewer."""
+        offset = window[1] - columns.shape[1]
+        squares = offset == 0 and bool(namespace(first).all(first == second))
+        return cls(first, second, columns, offset, squares)
 
     def spread(self, weights: Array, x: slice) -> Array:
         """Products of paired weights, spread along x.
@@ -220,28 +230,27 @@ class Transfer(Generic[Array]):
         for channel, measurement in enumerate(self.measurements):
             named[f"rows_{channel}"] = measurement.rows
             for index, stack in enumerate(measurement.stacks):
-                for name in ("first", "second", "columns"):
+                for name in _TABLES:
                     named[f"{name}_{channel}_{index}"] = getattr(stack, name)
         return named
 
-    def holding(self, arrays: Mapping[str, Array]) -> Self:
-        """The same, with other tables of the same names: of another type, library or place."""
-        measurements = tuple(
-            Measurement(
-                tuple(
-                    replace(
-                        stack,
-                        first=arrays[f"first_{channel}_{index}"],
-                        second=arrays[f"second_{channel}_{index}"],
-                        columns=arrays[f"columns_{channel}_{index}"],
-                    )
-                    for index, stack in enumerate(measurement.stacks)
-                ),
-                arrays[f"rows_{channel}"],
-            )
-            for channel, measurement in enumerate(self.measurements)
-        )
-        return replace(self, measurements=measurements)
+    @classmethod
+    def from_arrays(
+        cls, camera: Camera, scene: Scene, embedding: Embedding, arrays: Mapping[str, Array]
+    ) -> Self:
+        """What :meth:`arrays` gave, put together again: of another type, library or place."""
+        measurements = []
+        for channel in range(len(CHANNELS)):
+            if f"rows_{channel}" not in arrays:
+                break
+            stacks: list[Stack[Array]] = []
+            while f"columns_{channel}_{len(stacks)}" in arrays:
+                first, second, columns = (
+                    arrays[f"{table}_{channel}_{len(stacks)}"] for table in _TABLES
+                )
+                stacks.append(Stack.of(first, second, columns, camera.mask_shape))
+            measurements.append(Measurement(tuple(stacks), arrays[f"rows_{channel}"]))
+        return cls(camera, scene, embedding, tuple(measurements))
 
     def _one(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:
         """Transfer (scene pixels, embedding pixels) of one mask."""
