@@ -169,21 +169,22 @@ def prepare_decoder(
     variance = noise.variance(mean_measurement, spread) + lost
     deviation = xp.sqrt(variance)
     scaled = as_type(reduced / deviation[:, None], precision.factors)
-    known = statistics.to(precision.factors)
+    basis = as_type(statistics.basis, precision.factors)
+    prior = as_type(statistics.variance, precision.factors)
     if scaled.shape[0] < scaled.shape[1]:
         factor = _factor(scaled @ scaled.T)
         half = solve_triangular(factor, scaled)
         estimator = solve_triangular(factor, half, transposed=True).T
-        told = half @ known.basis.T
-        posterior = known.variance - xp.sum(told * told, axis=0)
+        told = half @ basis.T
+        posterior = prior - xp.sum(told * told, axis=0)
     else:
         factor = _factor(scaled.T @ scaled)
         half = solve_triangular(factor, scaled.T)
         estimator = solve_triangular(factor, half, transposed=True)
-        left = solve_triangular(factor, known.basis.T)
-        posterior = xp.sum(left * left, axis=0) + known.residual
+        left = solve_triangular(factor, basis.T)
+        posterior = xp.sum(left * left, axis=0) + as_type(statistics.residual, precision.factors)
     posterior = xp.clip(posterior, 1e-12)  # not 0, where the root has no gradient
-    total = float(xp.sum(known.variance))
+    total = float(xp.sum(prior))
     decoder = Decoder(
         scene=scene,
         embedding=embedding,

@@ -51,11 +51,19 @@ _TAIL_ENDS = 5.0
 """Root of the logarithm where a tail goes on as the far one: a probability of 1e-11."""
 
 
+_AT_ONCE = 2**13
+"""Numbers whose intermediate values fit in a processor's cache."""
+
+
 def normal(drawn: npt.NDArray[np.uint8]) -> Values:
     """Normal numbers, float64, one from every 8 uniform bytes."""
     words = drawn.view("<u8") >> np.uint64(11)
     # The last of 2^53 words would be rounded to a probability of 1, whose number is infinite.
-    return inverse_normal(np.minimum((words + 0.5) * 2.0**-53, 1 - 2.0**-53))
+    numbers: Values = np.minimum((words + 0.5) * 2.0**-53, 1 - 2.0**-53)
+    for start in range(0, numbers.size, _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        numbers[some] = inverse_normal(numbers[some])
+    return numbers
 
 
 def inverse_normal(probability: Values) -> Values:
@@ -77,8 +85,17 @@ def inverse_normal(probability: Values) -> Values:
     return found
 
 
-def _quotient(coefficients: tuple[tuple[float, ...], ...], at: Values) -> Values:
+def _quotient(coefficients: tuple[tuple[float, ...], tuple[float, ...]], at: Values) -> Values:
     """Of two polynomials."""
-    numerator, denominator = (np.polynomial.polynomial.polyval(at, c) for c in coefficients)
-    quotient: Values = numerator / denominator
+    quotient = _polynomial(coefficients[0], at)
+    quotient /= _polynomial(coefficients[1], at)
     return quotient
+
+
+def _polynomial(coefficients: tuple[float, ...], at: Values) -> Values:
+    """By Horner's rule, in place: NumPy's own takes half as long again."""
+    total = np.full_like(at, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total *= at
+        total += coefficient
+    return total
