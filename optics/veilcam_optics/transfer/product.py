@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Self
 
-from veilcam_optics.arrays import Array, device, namespace
+from veilcam_optics.arrays import Array, device, joined, namespace
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.inputs import check_scenes, check_weights
 from veilcam_optics.transfer.regions import Region, embed_lit
@@ -266,21 +266,24 @@ class Transfer(Generic[Array]):
     def _several(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:
         """Transfers (masks, scene pixels, embedding pixels)."""
         xp = namespace(weights)
-        rows, columns = self.embedding.shape
         pixels, masks = region.rows * region.columns, weights.shape[0]
         at_once = max(1, _NUMBERS_AT_ONCE // (pixels * self.embedding.size))
-        parts = []
-        for start in range(0, max(1, masks), at_once):
-            some = weights[start : start + at_once]
-            transfer = measurement.transfer(
-                xp.permute_dims(some, (1, 0, 2)), *self._offsets(region)
-            )
-            shape = (region.rows, rows, some.shape[0], region.columns, columns)
-            parts.append(xp.permute_dims(xp.reshape(transfer, shape), (2, 0, 3, 1, 4)))
-        # Laid out in the order of pixels by whichever of the two copies.
-        together = parts[0] if len(parts) == 1 else xp.concat(parts)
-        matrices: Array = xp.reshape(together, (masks, pixels, self.embedding.size))
+        starts = range(0, max(1, masks), at_once)
+        parts = (
+            self._apart(measurement, weights[start : start + at_once], region) for start in starts
+        )
+        # Laid out in the order of pixels by whichever copies.
+        matrices: Array = xp.reshape(joined(parts, masks), (masks, pixels, self.embedding.size))
         return matrices
+
+    def _apart(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:
+        """Transfers (masks, scene rows, columns, embedding rows, columns), as they come."""
+        xp = namespace(weights)
+        rows, columns = self.embedding.shape
+        transfer = measurement.transfer(xp.permute_dims(weights, (1, 0, 2)), *self._offsets(region))
+        shape = (region.rows, rows, weights.shape[0], region.columns, columns)
+        apart: Array = xp.permute_dims(xp.reshape(transfer, shape), (2, 0, 3, 1, 4))
+        return apart
 
     def _offsets(self, region: Region) -> tuple[slice, slice]:
         """Offsets along y and x of a region: as its pixels are in order, they lie side by side."""
