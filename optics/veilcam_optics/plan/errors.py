@@ -9,29 +9,33 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.effects.light import OffAxis, stretch, tangents, zones
+from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
 from veilcam_optics.effects.mask import DeadLines
 from veilcam_optics.effects.model import Model
+from veilcam_optics.effects.sensor import BlackLevel, white
 from veilcam_optics.plan.bounds import (
     affordable_reach,
     far_pairs,
     fringe_step,
     grid_error,
-    large_angles,
+    near_scene,
     nearest_rows,
-    oblique_angles,
     resolved,
     shadow_error,
-    slanted_flux,
     smallest_step,
 )
-from veilcam_optics.plan.probe import Probe, relative
+from veilcam_optics.plan.paraxial import paraxial_errors, uneven_error
+from veilcam_optics.plan.probe import Probe, mean_shares, relative
+from veilcam_optics.plan.reading import converted
 from veilcam_optics.plan.rotation import rotation_errors
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
 ROUNDING = {torch.float32: 7e-7, torch.float64: 0.0}
 """Relative L2 of a transfer matrix's number format, measured: kernels are cast from float64."""
+
+_FEWER, _FEWEST = 6, 4
+"""Offsets along each axis where more is wanted of each than its light."""
 
 _LEAST_TOLERANCE = 1e-5
 """Below it nothing is sampled any finer: no plan will get there."""
@@ -185,7 +189,20 @@ class ErrorModel:
         side = max(model.camera.sensor.height, model.camera.sensor.width)
         tangent = y.square()[:, None] + x.square()
         errors = errors + tangent * (4 * side / math.sqrt(12) / model.scene.distance) ** 2
+        errors = errors + near_scene(model) ** 2 + self._uneven**2
         return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
+
+    @cached_property
+    def _uneven(self) -> float:
+        """Relative L2 of the fading across scene pixels."""
+        side = scene_pixel_tangent(self.model)
+        t_y, t_x = tangents(self.model)
+        farthest = math.hypot(float(t_y.abs().max()), float(t_x.abs().max()))
+        # Where the sensor sees one side of a pixel and not the other, by half of what they differ.
+        most = 2 * math.sqrt(2) * side * (farthest + side / 2)
+        if most <= self._small:
+            return most
+        return uneven_error(Probe(self.model, _FEWEST), self._near)
 
     @cached_property
     def _slopes(self) -> tuple[float, float]:
@@ -204,7 +221,7 @@ class ErrorModel:
         model = replace(self._near, scene=replace(scene, rows=1, columns=1, height=side))
         model = model.with_sampling(step=fringe_step(model, model.sampling.reach))
         probe = Probe(model)
-        shares = model.camera.sensor.channel_weights
+        shares = mean_shares(model)
         channels = [
             probe.transfer(model, channels=[channel]) / share if share else None
             for channel, share in enumerate(shares)
@@ -224,9 +241,27 @@ class ErrorModel:
 
     def paraxial(self) -> float:
         """Relative L2 of Fresnel's approximation, which every factored field makes."""
+        return self._paraxial[0]
+
+    @cached_property
+    def _paraxial(self) -> tuple[float, float]:
+        """Relative L2 of what a factored field leaves out of exact light, and of a grid."""
         if not self.model.sampling.diffraction:
-            return 0.0
-        return math.hypot(large_angles(self.model, self.interference()), oblique_angles(self.model))
+            return 0.0, 0.0
+        return paraxial_errors(Probe(self.model, _FEWER), self.model)
+
+    def read(self, error: float) -> float:
+        """Relative L2 of what the camera reads, of an error of the light."""
+        if not self.model.conditions.adc_bits or not error:
+            return error
+        return converted(error, white(self), self.model.conditions, self.model.embedding.size)
+
+    def rounding(self, dtype: torch.dtype) -> float:
+        """Relative L2 of a number format; an offset rounds light that is fainter than it."""
+        if not self.model.conditions.black_level:
+            return ROUNDING[dtype]
+        offset = BlackLevel().error(self)
+        return min(1.0, math.hypot(ROUNDING[dtype], torch.finfo(dtype).eps * offset))
 
     def quadrature(self, model: Model) -> tuple[float, float]:
         """Largest step [m] whose integration error is far below the tolerance, and that error.
@@ -248,11 +283,7 @@ class ErrorModel:
 
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
-        model = self.model
-        return min(
-            1.0,
-            math.hypot(grid_error(model, oversampling), slanted_flux(model), oblique_angles(model)),
-        )
+        return min(1.0, math.hypot(grid_error(self.model, oversampling), self._paraxial[1]))
 
 
 def _dials(reach: int) -> list[int]:

@@ -15,7 +15,7 @@ from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
-from veilcam_optics.plan.errors import ROUNDING, ErrorModel, Interferences
+from veilcam_optics.plan.errors import ErrorModel, Interferences
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 
 MAX_NUMBERS = 1.5e8
@@ -92,7 +92,7 @@ def search(
     if method in (None, "grid"):
         kinds.append(_grids(error_model, model, errors))
     settings = [(setting, together([made, error])) for kind in kinds for setting, error in kind]
-    reaching = [(m, e) for m, e in settings if e <= error_model.tolerance]
+    reaching = [(m, e) for m, e in settings if error_model.read(e) <= error_model.tolerance]
     found = _fitting(reaching, batch, method)
     if found:
         return min(found, key=lambda c: (c.cost.rank, c.error)), True
@@ -230,7 +230,7 @@ def _field(
 def _formats(error_model: ErrorModel) -> list[Option]:
     """Number formats, by what rounding costs in accuracy."""
     options = [
-        Option(partial(Model.with_sampling, dtype=dtype), ROUNDING[dtype])
+        Option(partial(Model.with_sampling, dtype=dtype), error_model.rounding(dtype))
         for dtype in (torch.float32, torch.float64)
     ]
     return _worth_it(options, error_model.tolerance)
