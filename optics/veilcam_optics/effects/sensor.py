@@ -22,6 +22,13 @@ def channel_shares(model: Model) -> Tensor:
     return shares[:, None, None].expand(-1, *model.embedding.shape)
 
 
+def mean_shares(model: Model) -> tuple[float, ...]:
+    """Shares of R, G and B in a gray measurement, over all of the sensor."""
+    if not model.conditions.bayer:
+        return model.camera.sensor.channel_weights
+    return tuple(channel_shares(model).mean((1, 2)).tolist())
+
+
 def converter_range(conditions: Conditions) -> float:
     """Embedding value at which the converter ends."""
     if conditions.adc_range:
@@ -33,7 +40,7 @@ def converter_range(conditions: Conditions) -> float:
 
 def white(comparison: Comparison) -> Tensor:
     """Noiseless gray embeddings of a white scene, (masks, rows, columns)."""
-    shares = torch.tensor(comparison.model.camera.sensor.channel_weights, dtype=torch.float64)
+    shares = torch.tensor(mean_shares(comparison.model), dtype=torch.float64)
     return torch.einsum("c,cmyx->myx", shares, comparison.values())
 
 

@@ -7,6 +7,7 @@ seen: in a dark gap, say, that is light which an edge sends off at a large angle
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -21,8 +22,8 @@ from veilcam_optics.plan.probe import Probe, pair_products, relative
 _MOST = 4
 """Highest power: of the phase; of the amplitude the second."""
 
-_WIDE, _PARTS = 0.1, 5
-"""Scene pixels from so wide an angle on [rad] are looked at in so many parts along each axis."""
+_WIDE, _PARTS, _FEWER = 0.1, 5, 2
+"""Scene pixels from so wide an angle on [rad] are looked at in more parts along each axis."""
 
 Series = dict[tuple[int, int], Tensor]
 """Factors of strays over the distance along y and x, by their powers; (offsets y, offsets x)."""
@@ -49,18 +50,21 @@ class Rays:
         return cls(-tangents_y[:, None] * cosine, -tangents_x * cosine, cosine)
 
 
-def paraxial_errors(probe: Probe, model: Model) -> tuple[float, float]:
+def paraxial_errors(
+    probe: Probe, model: Model, channels: Sequence[int] | None = None
+) -> tuple[float, float]:
     """Relative L2 of a factored field, and of a grid.
 
     Args:
         probe: offsets where light is looked at.
         model: with diffraction, and the reach of interference that counts.
+        channels: those that are looked at; None for all.
     """
     model = model.with_sampling(wavelengths=1, layers=1)
     parts = _PARTS if scene_pixel_tangent(model) > _WIDE else 1
     rays = Rays.of(*probe.tangents(model, parts))
     plain, factored, grid = (probe.dark(parts) for _ in range(3))
-    for beam, scaled in probe.lights(model):
+    for beam, scaled in probe.lights(model, channels):
         y, x = probe.axes(model, beam, parts)
         rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
         wavelength, reach = float(beam.wavelength), model.sampling.reach
@@ -79,15 +83,15 @@ def paraxial_errors(probe: Probe, model: Model) -> tuple[float, float]:
     return tuple(_all_orders(relative(seen + change, seen)) for change in (factored, grid))  # type: ignore[return-value]
 
 
-def uneven_error(probe: Probe, model: Model) -> float:
+def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> float:
     """Relative L2 of taking a scene pixel for evenly bright, where the sensor sees some of it.
 
     Oblique parts of it are fainter, by the fourth power of the cosine.
     """
-    fade = Rays.of(*probe.tangents(model, _PARTS)).cosine ** 4
-    light = probe.transfer(model, parts=_PARTS)
-    exact = _whole(fade * light, _PARTS)
-    return relative(_whole(fade, _PARTS) * _whole(light, _PARTS), exact)
+    parts = _PARTS if scene_pixel_tangent(model) > _WIDE else _FEWER
+    fade = Rays.of(*probe.tangents(model, parts)).cosine ** 4
+    light = probe.transfer(model, channels=channels, parts=parts)
+    return relative(_whole(fade, parts) * _whole(light, parts), _whole(fade * light, parts))
 
 
 def _all_orders(first: float) -> float:

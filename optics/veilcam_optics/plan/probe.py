@@ -14,16 +14,20 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.effects.composition import beams, collected, shown
 from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
-from veilcam_optics.effects.sensor import channel_shares
+from veilcam_optics.effects.sensor import mean_shares
 from veilcam_optics.plan.boxes import bends, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.operator import Beam, make_axes
 
 _OFFSETS = 12
 """Offsets kept of each axis."""
+
+_MANY = 500
+"""Weights of a mask whose light is about alike everywhere: two thirds of the offsets will do."""
 
 _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
@@ -43,7 +47,9 @@ class Probe:
         generator = torch.Generator().manual_seed(0)
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
         scene, embedding = model.scene, model.embedding
-        self._kept: dict[object, Tensor] = {}
+        offsets = offsets if rows * columns < _MANY else offsets * 2 // 3
+        self._integrals: dict[object, tuple[int, Tensor]] = {}
+        self._axes: dict[object, tuple[Axis, Axis]] = {}
         self.kept_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
         self.kept_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
 
@@ -58,6 +64,12 @@ class Probe:
         scene = model.scene
         if beam.scene_distance is not None:
             scene = replace(scene, distance=beam.scene_distance)
+        key = (model.camera, scene, model.conditions.imperfections, model.approximation, parts)
+        if key not in self._axes:
+            self._axes[key] = self._made_axes(model, scene, parts)
+        return self._axes[key]
+
+    def _made_axes(self, model: Model, scene: Scene, parts: int) -> tuple[Axis, Axis]:
         y, x = make_axes(
             model.camera,
             scene,
@@ -105,20 +117,20 @@ class Probe:
         """
         total = self.dark(parts)
         for beam, scaled in self.lights(model, channels):
-            rows, down, across = self._integrals(model, beam, stretch, parts)
+            rows, down, across = self._pairs(model, beam, stretch, parts)
             weights = scaled[:, rows]
             total += pair_sums(down, across, weights, weights)
         # The mean over what is kept stands for that over all.
         return collected(model, total, (1, 2))
 
-    def bend(self, model: Model) -> Tensor:
+    def bend(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
         """Sum of the second derivatives of :meth:`transfer` by the offset along y and x [1/m^2].
 
         The second derivative of the kernel's box is four points at its corners.
         """
         total = self.dark()
-        for beam, scaled in self.lights(model):
-            rows, down, across = self._integrals(model, beam, (1.0, 1.0))
+        for beam, scaled in self.lights(model, channels):
+            rows, down, across = self._pairs(model, beam, (1.0, 1.0))
             y, x = self.axes(model, beam)
             bent_down = bends(y, rows, float(beam.wavelength), model.sampling.reach.rows)
             every = torch.arange(len(x.centres))
@@ -141,7 +153,7 @@ class Probe:
         """
         found = self.dark().repeat(len(rows), len(columns), 1, 1, 1)
         for beam, scaled in self.lights(model):
-            used, down, across = self._integrals(model, beam, (1.0, 1.0))
+            used, down, across = self._pairs(model, beam, (1.0, 1.0))
             every = torch.arange(across.shape[-1])
             for k, far_columns in enumerate(columns):
                 near = across * within_reach(every, far_columns)
@@ -171,7 +183,7 @@ class Probe:
                 found.append((beam, weights * (passed * math.sqrt(share))[:, None]))
         return found
 
-    def _integrals(
+    def _pairs(
         self, model: Model, beam: Beam, stretch: tuple[float, float], parts: int = 1
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
@@ -187,23 +199,18 @@ class Probe:
             key = (
                 *(index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
                 *(float(axis.distance), float(axis.source_distance), float(axis.image), axis.pixel),
-                *(tuple(of.tolist()), wavelength, far, model.approximation),
+                *(tuple(of.tolist()), wavelength, model.approximation),
             )
-            if key not in self._kept:
-                self._kept[key] = integrals(axis, of, wavelength, far)
-            found.append(self._kept[key])
+            kept, values = self._integrals.get(key, (-1, None))
+            if values is None or kept < far:
+                kept, values = far, integrals(axis, of, wavelength, far)
+                self._integrals[key] = kept, values
+            found.append(values if kept == far else values * within_reach(of, far))
         return rows, found[0], found[1]
 
 
-def mean_shares(model: Model) -> tuple[float, ...]:
-    """Shares of R, G and B in a gray measurement, over all of the sensor."""
-    if not model.conditions.bayer:
-        return model.camera.sensor.channel_weights
-    return tuple(channel_shares(model).mean((1, 2)).tolist())
-
-
 def relative(value: Tensor, reference: Tensor) -> float:
-    """Relative L2 of ``value`` to ``reference`` for the worst mask that passes light; masks first.
+    """Root mean square over masks of the relative L2 of ``value`` to ``reference``; masks first.
 
     Of many weights every mask has about the same error. Of few, one mask may leave the sensor in
     the dark, where little is large. 0 where nothing differs, else 1 for no reference at all.
@@ -213,7 +220,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
     if not differences.any():
         return 0.0
     lit = sizes > 0
-    return float((differences[lit] / sizes[lit]).max()) if lit.any() else 1.0
+    return float((differences[lit] / sizes[lit]).square().mean().sqrt()) if lit.any() else 1.0
 
 
 def pair_sums(down: Tensor, across: Tensor, one: Tensor, other: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ _ALIKE = 0.25
 """Standard deviation of codes that all lie about as far from where the next one begins."""
 
 
-_SELDOM = 0.01
+_SELDOM = 0.03
 """Of so few readings one holds a changed code: what that adds is left out."""
 
 
