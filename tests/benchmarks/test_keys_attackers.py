@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.privacy.keys.attackers import Family
 from benchmarks.privacy.keys.released import Released
 from benchmarks.privacy.keys.rows import attack
 from benchmarks.privacy.keys.scenes import Question
 
 from veilcam_optics.camera.geometry import Embedding
+from veilcam_training.attacks.networks import Family
 
 SHAPE = (8, 8)
 PIXELS = Embedding(*SHAPE).size

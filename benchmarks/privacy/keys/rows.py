@@ -8,7 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from benchmarks.privacy.keys.attackers import (
+from benchmarks.privacy.keys.intervals import Gain, accuracy_gain, area_gain, linkage_gain
+from benchmarks.privacy.keys.linkage import blocks_of, links
+from benchmarks.privacy.keys.released import Released
+from benchmarks.privacy.keys.scenes import Question
+from torch import Tensor
+
+from veilcam_training.attacks.networks import (
     TRIALS,
     Attacker,
     Family,
@@ -17,11 +23,6 @@ from benchmarks.privacy.keys.attackers import (
     best_of,
     judged,
 )
-from benchmarks.privacy.keys.intervals import Gain, accuracy_gain, area_gain, linkage_gain
-from benchmarks.privacy.keys.linkage import blocks_of, links
-from benchmarks.privacy.keys.released import Released
-from benchmarks.privacy.keys.scenes import Question
-from torch import Tensor
 
 FOLDS = 4
 CHECK = 0.2
