@@ -11,7 +11,6 @@ import torch
 import typer
 from benchmarks.privacy.keys import white
 from benchmarks.privacy.keys.attackers import FAMILIES
-from benchmarks.privacy.keys.intervals import Gain, holm
 from benchmarks.privacy.keys.released import (
     CAPTURES,
     Camera,
@@ -27,6 +26,7 @@ from tests.server.conftest import make_fresh_bundle
 
 from veilcam_server.masks.fresh import FreshReader
 from veilcam_server.masks.source import Mask
+from veilcam_training.attacks.intervals import Gain, holm
 from veilcam_training.bundle import write_bundle
 
 SHAPE = (28, 28)

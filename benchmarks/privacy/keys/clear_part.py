@@ -21,11 +21,12 @@ from benchmarks.privacy.keys.attackers import (
     linear,
     perceptron,
 )
-from benchmarks.privacy.keys.intervals import ALPHA, Gain
 from benchmarks.privacy.keys.plant import Answer
 from benchmarks.privacy.keys.rows import cross_fit, presence_gain
 from pydantic import JsonValue
 from scipy.stats import ks_2samp
+
+from veilcam_training.attacks.intervals import ALPHA, Gain
 
 HIDDEN = ("embedding.values", "embedding.block", "key", "signature")
 """Ends of the names of what is no clear part; their sizes are."""

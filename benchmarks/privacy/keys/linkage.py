@@ -11,9 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from benchmarks.privacy.keys.attackers import Family, Trial
-from benchmarks.privacy.keys.intervals import area
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
+
+from veilcam_training.attacks.intervals import area
 
 PAIRS = 10
 """Of a block."""

@@ -17,11 +17,12 @@ from benchmarks.privacy.keys.attackers import (
     best_of,
     judged,
 )
-from benchmarks.privacy.keys.intervals import Gain, accuracy_gain, area_gain, linkage_gain
 from benchmarks.privacy.keys.linkage import blocks_of, links
 from benchmarks.privacy.keys.released import Released
 from benchmarks.privacy.keys.scenes import Question
 from torch import Tensor
+
+from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
 
 FOLDS = 4
 CHECK = 0.2

@@ -11,7 +11,6 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.privacy.keys.attackers import FAMILIES
 from benchmarks.privacy.keys.clear_part import clear_part_gain, columns, differences
-from benchmarks.privacy.keys.intervals import area, holm
 from benchmarks.privacy.keys.options import (
     BundleOption,
     EpochsOption,
@@ -36,6 +35,7 @@ from benchmarks.rig import work_folder
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_server.demo_data import FRESH, load_digits
+from veilcam_training.attacks.intervals import area, holm
 
 
 def answers(
