@@ -10,7 +10,6 @@ import pytest
 import torch
 import typer
 from benchmarks.privacy.keys import white
-from benchmarks.privacy.keys.intervals import Gain, holm
 from benchmarks.privacy.keys.released import (
     CAPTURES,
     Camera,
@@ -26,6 +25,7 @@ from tests.server.conftest import make_fresh_bundle
 
 from veilcam_server.masks.fresh import FreshReader
 from veilcam_server.masks.source import Mask
+from veilcam_training.attacks.intervals import Gain, holm
 from veilcam_training.attacks.networks import FAMILIES
 from veilcam_training.bundle import write_bundle
 

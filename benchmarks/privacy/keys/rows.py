@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from benchmarks.privacy.keys.intervals import Gain, accuracy_gain, area_gain, linkage_gain
-from benchmarks.privacy.keys.linkage import blocks_of, links
 from benchmarks.privacy.keys.released import Released
 from benchmarks.privacy.keys.scenes import Question
 from torch import Tensor
 
+from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
+from veilcam_training.attacks.linkage import blocks_of, links
 from veilcam_training.attacks.networks import (
     TRIALS,
     Attacker,

@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from benchmarks.privacy.keys.intervals import area
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from veilcam_training.attacks.intervals import area
 from veilcam_training.attacks.networks import Family, Trial
 
 PAIRS = 10
