@@ -40,7 +40,6 @@ from veilcam_training.attacks.linkage import by_products, link_area
 from veilcam_training.attacks.networks import (
     TRIALS,
     Build,
-    Scores,
     Seen,
     best_of,
     by_network,
@@ -108,8 +107,7 @@ class Study:
 
     Args:
         bundle: of mode fresh.
-        form: in which captures leave.
-        embedding: how large they are.
+        cell: the form in which captures leave, and how large they are.
         data: to learn from, and to be judged by.
         plan: how much is tried.
         seed: of all that is drawn.
@@ -150,11 +148,9 @@ class Study:
         found = []
         for _ in range(count):
             mask = self._victim.mask()
-            found.append(Mask(self._seen(mask, *self._known), self._asked(mask, digits)))
+            asked = digits.draw(self._plan.asked, self._random)
+            found.append(Mask(self._seen(mask, *self._known), self._seen(mask, *asked)))
         return found
-
-    def _asked(self, mask: VictimMask, digits: Digits) -> Seen:
-        return self._seen(mask, *digits.draw(self._plan.asked, self._random))
 
     def _seen(self, mask: VictimMask, scenes: Tensor, labels: Tensor) -> Seen:
         return Seen(self._victim.capture(mask, scenes), labels)
@@ -178,7 +174,14 @@ class Study:
         tried = [
             partial(by_network, build=build, trial=TRIALS[0], epochs=EPOCHS) for build in builds
         ]
-        return _Keyless(best_of(tried)(learned, check, CLASSES))
+        scores = best_of(tried)(learned, check, CLASSES)
+
+        def read(known: Seen, vectors: Tensor, classes: int) -> Tensor:
+            del known, classes
+            with torch.no_grad():
+                return scores(_scaled(vectors)).double()
+
+        return read
 
     def attack(self, keyless: Reader, count: int) -> Point:
         """The worst attacker that knows ``count`` captures."""
@@ -205,16 +208,6 @@ class Study:
             pairs.append([self._victim.capture(mask, shown) for _ in range(2)])
         first, second = (torch.stack([pair[side] for pair in pairs]) for side in range(2))
         return link_area(by_products, first, second)
-
-
-@dataclass(frozen=True)
-class _Keyless:
-    scores: Scores
-
-    def __call__(self, known: Seen, vectors: Tensor, classes: int) -> Tensor:
-        del known, classes
-        with torch.no_grad():
-            return self.scores(_scaled(vectors)).double()
 
 
 def _scaled(vectors: Tensor) -> Tensor:
@@ -261,6 +254,11 @@ def budget(curves: Curves, form: Form, seed: int) -> int:
     return counts[-1]
 
 
+def size(embedding: Embedding) -> str:
+    """As in ``24x32``."""
+    return f"{embedding.rows}x{embedding.columns}"
+
+
 def measured(
     bundle: Bundle, data: tuple[Digits, Digits], work: Path, plan: Plan, seed: int
 ) -> tuple[Curves, dict[str, float]]:
@@ -271,7 +269,7 @@ def measured(
     with shown_progress() as progress:
         task = progress.add_task("forms and sizes", total=len(cells) * len(plan.counts))
         for form, embedding in cells:
-            path = work / f"{form}-{embedding}-{seed}.json"
+            path = work / f"{form}-{size(embedding)}-{seed}.json"
             if not path.exists():
                 study = Study(bundle, (form, embedding), data, plan, seed)
                 keyless, points = study.keyless(), {}
@@ -284,7 +282,7 @@ def measured(
             if said["plan"] != json.loads(json.dumps(asdict(plan))):
                 raise typer.BadParameter(f"{path} is of another plan: use an empty --work")
             curves[form, embedding] = {int(n): Point(**p) for n, p in said["points"].items()}
-            areas[f"{form}_{embedding}"] = said["same"]
+            areas[f"{form}_{size(embedding)}"] = said["same"]
             progress.update(task, completed=len(curves) * len(plan.counts))
     return curves, areas
 
@@ -300,7 +298,7 @@ def draw(curves: Curves, path: Path, seed: int) -> None:
             counts = sorted(points)
             ends = np.array([interval(points[n].shares, seed) for n in counts])
             means = [points[n].mean for n in counts]
-            panel.plot(counts, means, marker="o", markersize=4, label=str(embedding))
+            panel.plot(counts, means, marker="o", markersize=4, label=size(embedding))
             panel.fill_between(counts, ends[:, 0], ends[:, 1], alpha=0.2)
         panel.axhline(100 / CLASSES, color="#777777", linestyle=":", label="chance")
         panel.set_xscale("symlog", linthresh=1)
@@ -337,10 +335,10 @@ def measure(
         for count, point in points.items():
             low, high = interval(point.shares, seed)
             print(
-                f"{form:6}{embedding!s:7}{count:5} known: {point.mean:5.1f} % "
+                f"{form:6}{size(embedding):7}{count:5} known: {point.mean:5.1f} % "
                 f"[{low:.1f}, {high:.1f}] by {point.attacker}"
             )
-            values[f"budget_{form}_{embedding}_{count}_known"] = round(point.mean, 2)
+            values[f"budget_{form}_{size(embedding)}_{count}_known"] = round(point.mean, 2)
     for name, found in areas.items():
         print(f"{name}: the same scene behind one mask: AUC {found:.4f}")
         values[f"budget_{name}_same_scene_auc"] = round(found, 4)

@@ -1,0 +1,89 @@
+"""Budgets follow from what is shown to be read, and what was measured is not measured again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+import typer
+from benchmarks.privacy import budgets
+from benchmarks.privacy.budgets import Curves, Digits, Plan, Point, budget, draw, interval, measured
+
+from veilcam_optics.camera.geometry import Embedding
+from veilcam_server.demo_data import FRESH
+from veilcam_training.bundle import read_bundle
+from veilcam_training.data import Images
+
+SMALL, LARGE = Embedding(3, 4), Embedding(6, 8)
+PLAN = Plan(counts=(0, 20), own=3, check=1, test=4, asked=60, wide=(4, 30))
+
+
+def curves(form: budgets.Form, small: list[float], large: list[float]) -> Curves:
+    """Of counts 0, 1 and 3, read evenly behind four masks."""
+    return {
+        (form, size): {
+            count: Point("x", [each - 1, each + 1] * 2)
+            for count, each in zip((0, 1, 3), shares, strict=True)
+        }
+        for size, shares in ((SMALL, small), (LARGE, large))
+    }
+
+
+def test_a_budget_is_the_least_count_at_which_something_is_read() -> None:
+    assert budget(curves("white", [10, 10, 30], [10, 15, 30]), "white", 1) == 1
+    assert budget(curves("white", [10, 10, 30], [10, 10, 10]), "white", 1) == 3
+    assert budget(curves("raw", [10, 10, 30], [90, 95, 99]), "raw", 1) == 0
+    # Above the bar, and not shown to be: masks differ by more.
+    assert budget(curves("raw", [11.5, 10, 30], [10, 10, 10]), "raw", 1) == 3
+    # Nothing is read: nothing beyond what was tried is said.
+    assert budget(curves("raw", [10, 10, 10], [10, 10, 10]), "raw", 1) == 3
+
+
+def test_an_interval_is_of_masks() -> None:
+    low, high = interval([40.0, 60.0] * 50, 1)
+    # The mean of 100 shares with a deviation of 10: 2.33 errors of 1 to either side; of 10,000
+    # draws the ends are known to about 0.04.
+    assert low == pytest.approx(50 - 2.33, abs=0.25)
+    assert high == pytest.approx(50 + 2.33, abs=0.25)
+    assert interval([50.0] * 5, 1) == (50.0, 50.0)
+
+
+def digits(seed: int) -> Digits:
+    """Pictures of which a bar's place says the class, the last class ten times rarer."""
+    random = torch.Generator().manual_seed(seed)
+    labels = torch.cat([torch.arange(9).repeat(10), torch.tensor([9])])
+    pixels = torch.randint(60, (len(labels), 28, 28), generator=random, dtype=torch.uint8)
+    for place, label in enumerate(labels.tolist()):
+        pixels[place, :, 2 * label + 4 : 2 * label + 8] = 250
+    return Digits(Images(pixels, labels))
+
+
+def test_every_class_comes_equally_often() -> None:
+    scenes, labels = digits(1).draw(2000, torch.Generator().manual_seed(1))
+    assert scenes.shape == (2000, 28, 28)
+    # Five standard deviations of a count of 200.
+    assert (torch.bincount(labels, minlength=10) - 200).abs().max() < 5 * 180**0.5
+
+
+@pytest.mark.slow
+def test_what_was_measured_is_kept_and_charted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budgets, "EMBEDDINGS", (SMALL,))
+    monkeypatch.setattr(budgets, "EPOCHS", 2)
+    data = digits(1), digits(2)
+    found, areas = measured(read_bundle(FRESH), data, tmp_path, PLAN, 1)
+    assert {form for form, _ in found} == {"white", "raw"}
+    assert all(sorted(points) == [0, 20] for points in found.values())
+    assert all(len(point.shares) == 4 for points in found.values() for point in points.values())
+    # Behind one mask the same scene gives nearly the same direction.
+    assert areas["white_3x4"] > 0.7
+    assert found["white", SMALL][20].mean > found["white", SMALL][0].mean
+    monkeypatch.setattr(budgets, "Study", None)
+    assert measured(read_bundle(FRESH), data, tmp_path, PLAN, 1) == (found, areas)
+    with pytest.raises(typer.BadParameter, match="another plan"):
+        measured(read_bundle(FRESH), data, tmp_path, Plan(), 1)
+    picture = tmp_path / "budgets.png"
+    draw(found, picture, 1)
+    assert picture.stat().st_size > 1000
