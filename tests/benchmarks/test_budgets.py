@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 import typer
-from benchmarks.privacy import budgets
-from benchmarks.privacy.budgets import Curves, Digits, Plan, Point, budget, draw, interval, measured
+from benchmarks.privacy.budgets import curves as of_curves
+from benchmarks.privacy.budgets import study
+from benchmarks.privacy.budgets.curves import Cell, Cells, budget, draw, interval, measured
+from benchmarks.privacy.budgets.study import Digits, Form, Plan, Point
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_server.demo_data import FRESH
@@ -16,16 +18,22 @@ from veilcam_training.bundle import read_bundle
 from veilcam_training.data import Images
 
 SMALL, LARGE = Embedding(3, 4), Embedding(6, 8)
-PLAN = Plan(counts=(0, 20), own=3, check=1, test=4, asked=60, wide=(4, 30))
+PLAN = Plan(
+    counts=(0, 20), own=3, check=1, test=4, asked=60, wide=(4, 30), crowd=(19,), sets=(6, 2, 4)
+)
 
 
-def curves(form: budgets.Form, small: list[float], large: list[float]) -> Curves:
-    """Of counts 0, 1 and 3, read evenly behind four masks."""
+def curves(form: Form, small: list[float], large: list[float], crowd: float = 10.0) -> Cells:
+    """Of counts 0, 1 and 3, read evenly behind four masks; two others say nothing or something."""
     return {
-        (form, size): {
-            count: Point("x", [each - 1, each + 1] * 2)
-            for count, each in zip((0, 1, 3), shares, strict=True)
-        }
+        (form, size): Cell(
+            {
+                count: Point("x", [each - 1, each + 1] * 2)
+                for count, each in zip((0, 1, 3), shares, strict=True)
+            },
+            {2: Point("x", [crowd] * 4)},
+            0.5,
+        )
         for size, shares in ((SMALL, small), (LARGE, large))
     }
 
@@ -36,6 +44,7 @@ def test_a_budget_is_the_least_count_at_which_something_is_read() -> None:
     assert budget(curves("raw", [10, 10, 30], [90, 95, 99]), "raw", 1) == 0
     # Above the bar, and not shown to be: masks differ by more.
     assert budget(curves("raw", [11.5, 10, 30], [10, 10, 10]), "raw", 1) == 3
+    assert budget(curves("white", [10, 10, 30], [10, 10, 10], crowd=12), "white", 1) == 2
     # Nothing is read: nothing beyond what was tried is said.
     assert budget(curves("raw", [10, 10, 10], [10, 10, 10]), "raw", 1) == 3
 
@@ -70,18 +79,20 @@ def test_every_class_comes_equally_often() -> None:
 def test_what_was_measured_is_kept_and_charted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(budgets, "EMBEDDINGS", (SMALL,))
-    monkeypatch.setattr(budgets, "EPOCHS", 2)
+    monkeypatch.setattr(of_curves, "EMBEDDINGS", (SMALL,))
+    monkeypatch.setattr(study, "EPOCHS", 2)
     data = digits(1), digits(2)
-    found, areas = measured(read_bundle(FRESH), data, tmp_path, PLAN, 1)
-    assert {form for form, _ in found} == {"white", "raw"}
-    assert all(sorted(points) == [0, 20] for points in found.values())
-    assert all(len(point.shares) == 4 for points in found.values() for point in points.values())
+    found = measured(read_bundle(FRESH), data, tmp_path, PLAN, 1)
+    assert list(found) == [("white", SMALL), ("raw", SMALL)]
+    for cell in found.values():
+        assert (sorted(cell.known), sorted(cell.crowd)) == ([0, 20], [19])
+        assert {len(each.shares) for each in (*cell.known.values(), *cell.crowd.values())} == {4}
+    white = found["white", SMALL]
     # Behind one mask the same scene gives nearly the same direction.
-    assert areas["white_3x4"] > 0.7
-    assert found["white", SMALL][20].mean > found["white", SMALL][0].mean
-    monkeypatch.setattr(budgets, "Study", None)
-    assert measured(read_bundle(FRESH), data, tmp_path, PLAN, 1) == (found, areas)
+    assert white.same_scene > 0.7
+    assert white.known[20].mean > white.known[0].mean
+    monkeypatch.setattr(of_curves, "Study", None)
+    assert measured(read_bundle(FRESH), data, tmp_path, PLAN, 1) == found
     with pytest.raises(typer.BadParameter, match="another plan"):
         measured(read_bundle(FRESH), data, tmp_path, Plan(), 1)
     picture = tmp_path / "budgets.png"
