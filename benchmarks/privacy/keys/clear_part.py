@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from benchmarks.privacy.keys.plant import Answer
-from benchmarks.privacy.keys.rows import cross_fit, presence_gain
 from pydantic import JsonValue
 from scipy.stats import ks_2samp
 
 from veilcam_training.attacks.intervals import ALPHA, Gain
+from veilcam_training.attacks.keyless import cross_fit, presence_gain
 from veilcam_training.attacks.networks import (
     TRIALS,
     Attacker,

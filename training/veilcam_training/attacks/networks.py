@@ -196,31 +196,32 @@ def by_network(
             for part in torch.split(torch.randperm(len(learned.labels)), _BATCH):
                 batch = learned.take(part)
                 optimiser.zero_grad()
-                loss = cross_entropy(network(_inputs(batch.vectors, scale)), batch.labels)
+                loss = cross_entropy(network(inputs(batch.vectors, scale)), batch.labels)
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimiser.step()
             network.eval()
-            logits = judged(lambda each: network(_inputs(each, scale)), check.vectors)
+            logits = judged(lambda each: network(inputs(each, scale)), check.vectors)
             found = float(cross_entropy(logits, check.labels))
             if found < best:
                 best, kept = found, {k: v.clone() for k, v in network.state_dict().items()}
             if progress is not None:
                 progress(epoch + 1, epochs)
     network.load_state_dict(kept)
-    return lambda vectors: network(_inputs(vectors, scale))
+    return lambda vectors: network(inputs(vectors, scale))
 
 
-def _inputs(vectors: Tensor, scale: float) -> Tensor:
+def inputs(vectors: Tensor, scale: float) -> Tensor:
+    """What networks take: values in units of 1 / scale, and their squares, (count, 2, pixels)."""
     values = vectors * scale
     return torch.stack([values, values.square() - 1], dim=1)
 
 
-def attackers(family: Family, shape: tuple[int, int], epochs: int) -> list[Attacker]:
+def attackers(family: Family, shape: tuple[int, int] | None, epochs: int) -> list[Attacker]:
     """All members of a family.
 
     Args:
         family: of attackers.
-        shape: rows and columns of an embedding.
+        shape: rows and columns of an embedding; None: what leaves is no picture, e.g. ciphertext.
         epochs: most that a network is fitted for.
     """
     if family == "length":
@@ -232,7 +233,9 @@ def attackers(family: Family, shape: tuple[int, int], epochs: int) -> list[Attac
             for count in (1, 10, 100)
         ]
         return [by_means, *neighbours]
-    builds: list[Build] = [linear, perceptron, partial(convolutions, shape)]
+    builds: list[Build] = [linear, perceptron]
+    if shape is not None:
+        builds.append(partial(convolutions, shape))
     return [
         partial(by_network, build=build, trial=trial, epochs=epochs)
         for build in builds
