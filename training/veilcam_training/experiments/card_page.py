@@ -76,10 +76,11 @@ def draw_pictures(study: Study) -> bytes:
     for axes_row, (title, values, is_scene) in zip(panels, rows, strict=True):
         for axes, mask in zip(axes_row, masks, strict=True):
             bare(axes)
+            picture = values[mask].numpy()
             if is_scene:
-                axes.imshow(values[mask], cmap="gray", vmin=0, vmax=1)
+                axes.imshow(picture, cmap="gray", vmin=0, vmax=1)
             else:
-                axes.imshow(_as_picture(values[mask].numpy(), shape), cmap="magma")
+                axes.imshow(_as_picture(picture, shape), cmap="magma")
         axes_row[0].set_ylabel(title, rotation=0, ha="right", va="center", fontsize=13)
     stream = io.BytesIO()
     figure.savefig(stream, dpi=110, facecolor="white", metadata={"Software": None})

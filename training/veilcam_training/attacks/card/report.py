@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from veilcam_optics.files import write_whole
 from veilcam_training.attacks.card.rows import ROWS, Found
-from veilcam_training.attacks.card.study import QUICK, Plan, Study, Tell, parted
+from veilcam_training.attacks.card.study import Plan, Study, Tell, parted
 from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.attacks.card.threats import (
     CLAIMED,
@@ -142,12 +142,12 @@ def make_card(
         found.append(known[0])
         spent += known[1]
         tell("threats", number + 1, len(ROWS))
-    rows = judge(found, subject.form, quick=plan == QUICK)
+    rows = judge(found, subject.form, quick=plan.quick)
     card = PrivacyCard(
         subject=bundle.subject,
         mode=subject.mode,
         form=subject.form,
-        quick=plan == QUICK,
+        quick=plan.quick,
         data=data,
         seed=seed,
         made_at=datetime.now(UTC),

@@ -9,16 +9,25 @@ from pydantic import BaseModel
 from torch import Tensor
 
 from veilcam_training.attacks.card.pools import CAPTURES
-from veilcam_training.attacks.card.study import Contest, Study, by_pairs
+from veilcam_training.attacks.card.study import Shots, Study, by_pairs
 from veilcam_training.attacks.card.threats import KNOWN
 from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
-from veilcam_training.attacks.known_pairs import KernelRidge
+from veilcam_training.attacks.known_pairs import KernelRidge, hits, readers
+from veilcam_training.attacks.leaked import estimates
 from veilcam_training.attacks.linkage import link_area, links
+from veilcam_training.attacks.mask_recovery import (
+    Evidence,
+    KnownPictures,
+    MeanCapture,
+    recover_mask,
+)
 from veilcam_training.attacks.metrics import mean_picture_advantage, psnr, ssim
 from veilcam_training.attacks.networks import Seen, by_network, judged, linear, perceptron
+from veilcam_training.seeding import stream
 
 FOLDS = 2
-RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
+FEW = 4
+"""Known pictures that a mask is looked for with."""
 
 
 class Found(BaseModel, frozen=True, extra="forbid"):
@@ -36,7 +45,7 @@ class Found(BaseModel, frozen=True, extra="forbid"):
 def with_the_key(study: Study) -> Found:
     """T0: the attackers of every other row, given the key."""
     found, seen = study.read, study.seen
-    gain = _points(study, found.scores, seen.labels, bar=0.0)
+    gain = _points(study, found.scores)
     # The share itself, and not what it is above chance.
     share = Gain(gain.shown, gain.error, 0.0, gain.count, gain.shown)
     others = {name: 100 * value for name, value in found.shares.items()}
@@ -46,13 +55,28 @@ def with_the_key(study: Study) -> Found:
 def ciphertext_only(study: Study) -> Found:
     """T1: what leaves, by attackers who learned from cameras of their own."""
     own, seen = study.own, study.seen
-    found = study.contest(
+    contest = study.contest(
         study.of_release(),
         (own.released, own.labels),
         seen.released.flatten(0, 1),
         seen.labels.flatten(),
     )
-    return _read(study, "T1", found)
+    found = _read(study, "T1", contest.name, contest.scores, contest.shares)
+    if not study.plan.recovered or study.subject.form != "raw":
+        return found
+    by_mean = {
+        "mask by gradient from the mean of captures": _recovered(
+            study,
+            lambda shots: MeanCapture(
+                study.subject.decoding,
+                shots.captures.known.vectors.mean(0),
+                len(shots.captures.known.labels),
+            ),
+        )
+    }
+    other = _of_masks(study, "T1", by_mean, f"{study.plan.known} captures of a mask, none known")
+    worse = other if other.gain.value > found.gain.value else found
+    return worse.model_copy(update={"others": found.others | other.others})
 
 
 def wrong_key(study: Study) -> Found:
@@ -64,7 +88,7 @@ def wrong_key(study: Study) -> Found:
         seen.wrong.flatten(2).flatten(0, 1),
         seen.labels.flatten(),
     )
-    return _read(study, "T2", found)
+    return _read(study, "T2", found.name, found.scores, found.shares)
 
 
 def other_epochs(study: Study) -> Found:
@@ -81,12 +105,11 @@ def other_epochs(study: Study) -> Found:
             seen.released[judging].flatten(0, 1),
             seen.labels[judging].flatten(),
         )
-        scores[judging.repeat_interleave(CAPTURES)] = found.scores
+        scores[judging.repeat_interleave(CAPTURES)] = found.scores.float()
         names.append(found.name)
         for name, share in found.shares.items():
             shares[name] = shares.get(name, 0.0) + share / FOLDS
-    whole = Contest(" / ".join(dict.fromkeys(names)), scores, shares)
-    return _read(study, "T3", whole)
+    return _read(study, "T3", " / ".join(dict.fromkeys(names)), scores, shares)
 
 
 def this_mask(study: Study) -> Found:
@@ -96,7 +119,7 @@ def this_mask(study: Study) -> Found:
         return _known_pairs(study, "T4", known)
     seen = study.seen
     scores = torch.zeros(seen.labels.numel(), study.classes)
-    gain = _points(study, scores, seen.labels, bar=0.0)
+    gain = _points(study, scores)
     return Found(
         threat="T4",
         attack="one answer for all",
@@ -118,7 +141,7 @@ def leaked_list(study: Study) -> Found:
         seen.listed.flatten(2).flatten(0, 1),
         seen.labels.flatten(),
     )
-    return _read(study, "T5", found)
+    return _read(study, "T5", found.name, found.scores, found.shares)
 
 
 def full_leak(study: Study) -> Found:
@@ -235,20 +258,23 @@ ROWS: Mapping[str, Callable[[Study], Found]] = {
 }
 
 
-def _read(study: Study, threat: str, found: Contest) -> Found:
+def _read(
+    study: Study, threat: str, attack: str, scores: Tensor, shares: Mapping[str, float]
+) -> Found:
     chance = 100 / study.classes
     return Found(
         threat=threat,
-        attack=found.name,
-        gain=_points(study, found.scores, study.seen.labels, bar=0.0),
+        attack=attack,
+        gain=_points(study, scores),
         masks=study.seen.masks,
-        others={name: 100 * share - chance for name, share in found.shares.items()},
+        others={name: 100 * share - chance for name, share in shares.items()},
     )
 
 
-def _points(study: Study, scores: Tensor, labels: Tensor, *, bar: float) -> Gain:
-    hits = by_pairs(scores.argmax(1) == labels.flatten()).numpy()
-    return accuracy_gain(hits, study.classes, bar)
+def _points(study: Study, scores: Tensor) -> Gain:
+    """Of scores of all captures that were seen."""
+    right = by_pairs(scores.argmax(1) == study.seen.labels.flatten()).numpy()
+    return accuracy_gain(right, study.classes, 0.0)
 
 
 def _folds(study: Study) -> Tensor:
@@ -259,29 +285,50 @@ def _folds(study: Study) -> Tensor:
 
 
 def _known_pairs(study: Study, threat: str, known: int) -> Found:
-    """Ridge regression on kernels; kernel and ridge are those that are best on a third of masks."""
-    readers = {
-        f"{kernel} kernel, ridge {ridge:g}": KernelRidge(kernel, ridge)
-        for kernel in ("linear", "quadratic", "gaussian")
-        for ridge in RIDGES
+    """Readers of labelled captures; which of them is used is chosen behind a third of the masks."""
+    masks = [each.captures.of_first(known) for each in study.long]
+    tried = readers()
+    if not study.plan.recovered:  # light attackers
+        tried = {name: each for name, each in tried.items() if isinstance(each, KernelRidge)}
+    given = {name: hits(each, masks, study.classes) for name, each in tried.items()}
+    if study.plan.recovered and study.subject.form == "raw":
+        few = min(known, FEW)
+        given[f"mask by gradient from {few} known pictures"] = _recovered(
+            study,
+            lambda shots: KnownPictures(
+                study.subject.decoding,
+                shots.scenes[:few],
+                shots.captures.known.vectors[:few],
+            ),
+        )
+    return _of_masks(study, threat, given, f"{known} captures known")
+
+
+def _of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) -> Found:
+    """The best behind the first third of its masks, judged behind the others."""
+    tuned = {name: max(1, len(each) // 3) for name, each in given.items()}
+    name = max(given, key=lambda each: float(given[each][: tuned[each]].double().mean()))
+    gains = {
+        each: accuracy_gain(found[tuned[each] :].numpy(), study.classes, 0.0)
+        for each, found in given.items()
     }
-    shown = [(held.take(torch.arange(known)), asked) for held, asked in study.long]
-    hits = {
-        name: torch.stack(
-            [
-                (reader(held, asked.vectors, study.classes).argmax(1) == asked.labels)
-                for held, asked in shown
-            ]
-        ).numpy()
-        for name, reader in readers.items()
-    }
-    tuned = len(shown) // 3
-    name = max(hits, key=lambda each: float(hits[each][:tuned].mean()))
-    gains = {each: accuracy_gain(found[tuned:], study.classes, 0.0) for each, found in hits.items()}
     return Found(
         threat=threat,
-        attack=f"{name}, {known} captures known",
+        attack=f"{name}; {note}",
         gain=gains[name],
-        masks=len(shown) - tuned,
+        masks=len(given[name]) - tuned[name],
         others={each: gain.value for each, gain in gains.items()},
     )
+
+
+def _recovered(study: Study, evidence: Callable[[Shots], Evidence]) -> Tensor:
+    """What is read behind masks that were found by gradient, bool (masks, captures)."""
+    decoding, random = study.subject.decoding, stream(study.seed, "recovered")
+    shape, right = study.subject.bundle.camera.mask_shape, []
+    for shots in study.long[: study.plan.recovered]:
+        found = recover_mask(evidence(shots), shape, generator=random)
+        asked = shots.captures.asked
+        decoded = estimates(decoding, found.weights, asked.vectors)
+        right.append(judged(study.read.answer, decoded.flatten(1)).argmax(1) == asked.labels)
+        study.tell("masks by gradient", len(right), study.plan.recovered)
+    return torch.stack(right)

@@ -10,9 +10,11 @@ from torch import Tensor
 
 from veilcam_training.attacks.card.pools import CAPTURES, Pool, collect, draw
 from veilcam_training.attacks.card.subject import Subject
+from veilcam_training.attacks.known_pairs import Mask
 from veilcam_training.attacks.networks import (
     TRIALS,
     Attacker,
+    Scores,
     Seen,
     Trial,
     by_length,
@@ -33,6 +35,8 @@ HELD = 0.2
 ATTACKERS = 0.6
 """Share of the pictures that attackers know; the camera sees the others."""
 
+ASKED = 100
+"""Captures that are to be read, behind each mask of many."""
 LEAST = 100
 """Pictures of either part."""
 
@@ -55,11 +59,24 @@ class Plan:
     epochs: int
     """Most that a network is fitted for."""
     trials: tuple[Trial, ...]
+    recovered: int
+    """Masks that are looked for by gradient, of those behind which many captures are taken."""
+    quick: bool = False
+    """Whether thresholds are those of few captures."""
 
 
-QUICK = Plan(own=100, seen=240, long=9, known=400, epochs=25, trials=TRIALS[1:2])
+QUICK = Plan(
+    own=100,
+    seen=240,
+    long=9,
+    known=400,
+    epochs=25,
+    trials=TRIALS[1:2],
+    recovered=0,
+    quick=True,
+)
 """2,400 captures: a gain of 0 is proven to be below three points."""
-FULL = Plan(own=800, seen=2400, long=60, known=1000, epochs=15, trials=TRIALS)
+FULL = Plan(own=800, seen=2400, long=60, known=1000, epochs=15, trials=TRIALS, recovered=6)
 """24,000 captures: a gain of 0 is proven to be below one point."""
 
 
@@ -79,12 +96,23 @@ def parted(images: Images, seed: int) -> tuple[Images, Images]:
 
 
 @dataclass(frozen=True)
+class Shots:
+    """Many captures behind one mask, and the pictures of those that are known."""
+
+    captures: Mask
+    scenes: Tensor
+    """(known, rows, columns)."""
+
+
+@dataclass(frozen=True)
 class Contest:
     """Several attackers on one question: who was best where it does not count, and all of them."""
 
     name: str
+    answer: Scores
+    """Of the chosen one."""
     scores: Tensor
-    """Of the chosen one, (count, classes)."""
+    """That it gave, (count, classes)."""
     shares: dict[str, float]
     """Of the judged captures that each had right."""
 
@@ -113,7 +141,7 @@ class Study:
     ) -> None:
         self.subject, self.plan, self.seed = subject, plan, seed
         self.theirs, self.ours = parted(images, seed)
-        self._folder, self._tell = folder, tell
+        self._folder, self.tell = folder, tell
 
     @property
     def classes(self) -> int:
@@ -132,24 +160,25 @@ class Study:
 
     def _pool(self, images: Images, masks: int, *, own: bool) -> Pool:
         name = "masks of attackers' own" if own else "masks of the camera"
-        tell = partial(self._tell, name)
+        tell = partial(self.tell, name)
         where = self._folder
         return collect(
             self.subject, images, masks=masks, own=own, seed=self.seed, folder=where, progress=tell
         )
 
     @cached_property
-    def long(self) -> list[tuple[Seen, Seen]]:
-        """Many captures behind each of a few masks: those that are known, and as many others."""
+    def long(self) -> list[Shots]:
+        """Many captures behind each of a few masks."""
         random, found = stream(self.seed, "long"), []
         victim = self.subject.camera(own=False, generator=random)
         for number in range(self.plan.long):
-            chosen = draw(self.ours, self.plan.known + 100, random)
-            released = victim.capture(victim.mask(), self.ours.scenes(chosen))
-            whole = Seen(released, self.ours.labels[chosen])
+            chosen = draw(self.ours, self.plan.known + ASKED, random)
+            scenes = self.ours.scenes(chosen)
+            whole = Seen(victim.capture(victim.mask(), scenes), self.ours.labels[chosen])
             known, asked = torch.arange(len(chosen)).tensor_split([self.plan.known])
-            found.append((whole.take(known), whole.take(asked)))
-            self._tell("masks of many captures", number + 1, self.plan.long)
+            captures = Mask(whole.take(known), whole.take(asked))
+            found.append(Shots(captures, scenes[: self.plan.known]))
+            self.tell("masks of many captures", number + 1, self.plan.long)
         return found
 
     def contest(
@@ -174,15 +203,15 @@ class Study:
             Seen(vectors[part].flatten(0, 1), labels[part].flatten())
             for part in (slice(None, -held), slice(-held, None))
         )
-        best, chosen, shares, given = -1.0, "", {}, torch.zeros(0)
+        shares, tried = dict[str, float](), []
         for name, attacker in attackers.items():
             found = attacker(kept, check, self.classes)
             right = float((judged(found, check.vectors).argmax(1) == check.labels).double().mean())
             scores = judged(found, asked)
             shares[name] = float((scores.argmax(1) == truth).double().mean())
-            if right > best:
-                best, chosen, given = right, name, scores
-        return Contest(chosen, given, shares)
+            tried.append((right, name, found, scores))
+        _, chosen, answer, given = max(tried, key=lambda each: each[0])
+        return Contest(chosen, answer, given, shares)
 
     def of_release(self) -> dict[str, Attacker]:
         """Attackers of what leaves."""
