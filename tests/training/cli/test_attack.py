@@ -11,7 +11,6 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from tests.training.attacks.card.conftest import TINY, make_images, make_pairs
 from typer.testing import CliRunner
 
-from veilcam_training.attacks.card import study
 from veilcam_training.bundle import PrivacyCard, read_bundle, sign_bundle, write_bundle
 from veilcam_training.cli import attack
 from veilcam_training.cli.main import app
@@ -23,7 +22,7 @@ from veilcam_training.errors import TrainingError
 def bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "a.veilcam"
     write_bundle(path, make_pairs())
-    monkeypatch.setattr(study, "QUICK", TINY)
+    monkeypatch.setattr(attack, "QUICK", TINY)
     monkeypatch.setattr(attack, "shipped_digits", make_images)
     return path
 

@@ -6,9 +6,11 @@ from typing import Annotated
 import torch
 import typer
 from rich.console import Console
+from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from veilcam_optics.files import write_whole
+from veilcam_training.attacks.card.study import FULL, QUICK, Tell
 from veilcam_training.bundle import CardRow, PrivacyCard, add_card, read_bundle
 from veilcam_training.cli.options import Threads
 from veilcam_training.data import Images, open_source
@@ -63,7 +65,6 @@ def report(
     """Attack a bundle in ten ways, and make its privacy card."""
     # Slow to import.
     from veilcam_training.attacks.card.report import Work, make_card  # noqa: PLC0415
-    from veilcam_training.attacks.card.study import FULL, QUICK  # noqa: PLC0415
     from veilcam_training.experiments.card_page import draw_pictures, write_page  # noqa: PLC0415
 
     if resume and out is None:
@@ -79,13 +80,6 @@ def report(
         raise TrainingError(f"{bundle} is signed: give it the card first, then sign it")
     images, name = _images(contents.task, data)
     with make_progress(Console(stderr=True)) as progress:
-        tasks = {"threats": progress.add_task("threats", total=10, note="")}
-
-        def tell(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = progress.add_task(what, total=total, note="")
-            progress.update(tasks[what], completed=done, total=total)
-
         card, study = make_card(
             contents,
             images,
@@ -95,7 +89,7 @@ def report(
             plan=QUICK if quick else FULL,
             seed=seed,
             work=Work(None if out is None else out / "work", resume),
-            tell=tell,
+            tell=teller(progress),
         )
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
@@ -108,6 +102,23 @@ def report(
     if write:
         add_card(bundle, card)
         console.print(f"{bundle} carries the card; its digest is {read_bundle(bundle).digest[:12]}")
+
+
+def teller(progress: Progress, mode: str = "") -> Tell:
+    """Show progress: a bar for each thing that is done.
+
+    Args:
+        progress: to add bars to.
+        mode: what is attacked, where there are several.
+    """
+    tasks: dict[str, TaskID] = {}
+
+    def tell(what: str, done: int, total: int) -> None:
+        if what not in tasks:
+            tasks[what] = progress.add_task(f"{mode} {what}".strip(), total=total, note="")
+        progress.update(tasks[what], completed=done)
+
+    return tell
 
 
 def _images(task: str, data: Path | None) -> tuple[Images, str]:

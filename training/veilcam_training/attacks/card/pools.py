@@ -6,7 +6,6 @@ A pool is collected in parts, each from a seed of its own: one that was broken o
 
 import io
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Self
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from veilcam_optics.files import write_whole
 from veilcam_training.attacks.card.subject import Subject
+from veilcam_training.attacks.networks import Progress
 from veilcam_training.attacks.victim import Victim, VictimMask
 from veilcam_training.data import Images
 from veilcam_training.seeding import stream
@@ -26,8 +26,6 @@ PART = 20
 """Masks of one part."""
 LEAKED = 3
 """Past epochs on a leaked list, where none is stored."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
