@@ -54,6 +54,10 @@ def report(
         str | None,
         typer.Option("--form", help="raw, white or sealed; white of fresh masks, raw of others."),
     ] = None,
+    faces: Annotated[
+        Path | None,
+        typer.Option("--faces", help="Folder that holds faces.npz: notes beside T8 and T9."),
+    ] = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, help="Of the attacks; the camera's keys are its own.")
     ] = SEED,
@@ -90,6 +94,7 @@ def report(
             seed=seed,
             work=Work(None if out is None else out / "work", resume),
             tell=teller(progress),
+            faces=faces,
         )
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from veilcam_optics.files import write_whole
+from veilcam_training.attacks.card.faces import face_notes, load_faces
 from veilcam_training.attacks.card.rows import ROWS, Found
 from veilcam_training.attacks.card.study import Plan, Study, Tell, parted
 from veilcam_training.attacks.card.subject import make_subject
@@ -92,6 +93,7 @@ def make_card(
     seed: int,
     work: Work,
     tell: Tell,
+    faces: Path | None = None,
 ) -> tuple[PrivacyCard, Study]:
     """Attack a camera in all ten ways.
 
@@ -105,6 +107,7 @@ def make_card(
         seed: of everything.
         work: what was found already, and what is found.
         tell: is told of progress.
+        faces: folder of drawn faces, for notes beside T8 and T9; None: without them.
 
     Returns:
         The card, and the study with its captures.
@@ -129,6 +132,7 @@ def make_card(
             "images": len(images),
             "plan": repr(plan),
             "seed": seed,
+            "faces": faces is not None,
         }
     )
     study = Study(subject, images, plan, seed=seed, folder=work.folder, tell=tell)
@@ -142,6 +146,8 @@ def make_card(
         found.append(known[0])
         spent += known[1]
         tell("threats", number + 1, len(ROWS))
+    if faces is not None:
+        found = _with_notes(found, face_notes(study, load_faces(faces, bundle.scene)))
     rows = judge(found, subject.form, quick=plan.quick)
     card = PrivacyCard(
         subject=bundle.subject,
@@ -155,6 +161,15 @@ def make_card(
         rows=tuple(rows),
     )
     return card, study
+
+
+def _with_notes(found: Sequence[Found], notes: Mapping[str, str]) -> list[Found]:
+    return [
+        each.model_copy(update={"notes": (*each.notes, notes[each.threat])})
+        if each.threat in notes
+        else each
+        for each in found
+    ]
 
 
 def judge(found: Sequence[Found], form: str, *, quick: bool) -> list[CardRow]:
