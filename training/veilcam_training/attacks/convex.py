@@ -213,6 +213,8 @@ def descend(
     variation: float,
     stops: Sequence[int],
     progress: Progress | None = None,
+    *,
+    inner: int = INNER_STEPS,
 ) -> Iterator[Recovery]:
     """FISTA, restarted where it overshoots (O'Donoghue and Candes 2015); what it has at each stop.
 
@@ -222,6 +224,8 @@ def descend(
         variation: see :class:`ConvexAttack`.
         stops: counts of iterations, rising.
         progress: told of the iterations that are done, and of all.
+        inner: steps of the dual problem of total variation, in each of these; the gap closes no
+            further than they are exact.
     """
     # In units of each picture's own light, so that settings hold for all of them.
     power = embeddings.square().sum((1, 2), keepdim=True).clamp_min(torch.finfo().tiny)
@@ -233,7 +237,7 @@ def descend(
     for count in range(1, stops[-1] + 1):
         stepped = ahead - (normal(ahead) - slope) / normal.bound
         if variation:
-            new, dual = denoise(stepped, weight / normal.bound, dual, INNER_STEPS)
+            new, dual = denoise(stepped, weight / normal.bound, dual, inner)
         else:
             new = stepped.clamp_min(0)
         overshot = ((ahead - new) * (new - scenes)).sum((1, 2), keepdim=True) > 0
