@@ -27,8 +27,8 @@ class CardSummary(Answer):
     """What attacks on a bundle found, as whoever made it says."""
 
     outcome: str
-    """``PASS``: all that is claimed held; ``FAIL``; ``VOID``: the attacks failed even with the
-    key, so that no row says anything."""
+    """``PASS``: all that is claimed held; ``FAIL``; ``NOT CLAIMED``: nothing is claimed; ``VOID``:
+    the attacks failed even with the key, so that no row says anything."""
     mode: str
     """The masks that were attacked: ``fresh``, ``random``, or ``pairs`` and their number."""
     form: str

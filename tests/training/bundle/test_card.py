@@ -150,6 +150,7 @@ def test_a_card_of_other_masks_is_neither_taken_nor_shown(path: Path) -> None:
         ({"T0": "PASS", "T1": "FAIL"}, "FAIL"),
         ({"T0": "FAIL", "T1": "PASS"}, "VOID"),
         ({"T1": "PASS"}, "VOID"),
+        ({"T0": "PASS", "T1": "NOT CLAIMED"}, "NOT CLAIMED"),
     ],
 )
 def test_a_card_without_a_key_that_opens_is_void(outcomes: dict[str, Outcome], wanted: str) -> None:

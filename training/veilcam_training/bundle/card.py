@@ -81,11 +81,14 @@ class PrivacyCard(BaseModel, frozen=True, extra="forbid", strict=True):
         return not any(row.threat == "T0" and row.outcome == "PASS" for row in self.rows)
 
     @property
-    def outcome(self) -> Literal["PASS", "FAIL", "VOID"]:
-        """Whether all that is claimed held."""
+    def outcome(self) -> Literal["PASS", "FAIL", "NOT CLAIMED", "VOID"]:
+        """Whether all that is claimed held, if anything is."""
         if self.void:
             return "VOID"
-        return "FAIL" if any(row.outcome == "FAIL" for row in self.rows) else "PASS"
+        claimed = {row.outcome for row in self.rows if row.threat != "T0"} - {"NOT CLAIMED"}
+        if not claimed:
+            return "NOT CLAIMED"
+        return "FAIL" if "FAIL" in claimed else "PASS"
 
 
 def subject_of(manifest: bytes) -> str:
