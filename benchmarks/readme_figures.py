@@ -365,7 +365,7 @@ CONVEX: Figures = {
         )
         for size in (
             *("384x512", "192x256", "96x128", "48x64", "24x32"),
-            *("12x16", "6x8", "3x4"),
+            *("6x8", "3x4"),
         )
         for psf, words in {"good": "right PSF", "bad": "another mask's PSF"}.items()
         for metric, pattern in (("psnr", "{:.1f} dB"), ("ssim", "{:.2f}"))
@@ -389,7 +389,7 @@ CONVEX: Figures = {
     },
     "convex_gap": (
         "privacy",
-        "duality gap after 600 iterations with 50 dual steps each, worst cell, of a black scene's",
+        "duality gap after 400 iterations with 40 dual steps each, worst cell, of a black scene's",
         "{:.0e}",
     ),
 }

@@ -52,14 +52,15 @@ from veilcam_training.seeding import stream
 
 SENSOR = (768, 1024)
 """Samples on the sensor: every size of the table divides them."""
-SIZES = ((384, 512), (192, 256), (96, 128), (48, 64), (24, 32), (12, 16), (6, 8), (3, 4))
+SIZES = ((384, 512), (192, 256), (96, 128), (48, 64), (24, 32), (6, 8), (3, 4))
 SNR_DB = 40.0
-TUNED_ON = 12
+TUNED_ON, UNTUNED_ON = 8, 16
+"""Pictures."""
 MOST_PIXELS = 5000
 UNTUNED = ConvexAttack(0.0, 300, 1.0)
 """As far as 300 iterations go, without regularisation: what noise does to an attacker who does not
 look."""
-CONVERGED, INNER = 600, 50
+CONVERGED, INNER = 400, 40
 """Iterations, and dual steps in each, of the run that shows that a minimum is reached."""
 
 
@@ -140,13 +141,13 @@ def attack(
     embeddings = shot_noise(light, SNR_DB, stream(1, "convex", "noise", *size))
     normal, seen = Normal(assumed), embeddings[len(own) :]
     settings = tune(normal, embeddings[: len(own)], own)
-    recovered, untuned = settings(normal, seen), UNTUNED(normal, seen)
-    (minimum,) = descend(normal, seen[:2], settings.variation, (CONVERGED,), inner=INNER)
+    recovered, untuned = settings(normal, seen), UNTUNED(normal, seen[:UNTUNED_ON])
+    (minimum,) = descend(normal, seen[:1], settings.variation, (CONVERGED,), inner=INNER)
     return {
         **likeness(recovered.scenes, truth),
         "settings": asdict(settings),
         "gap": float(recovered.gap.median()),
-        "untuned": likeness(untuned.scenes, truth),
+        "untuned": likeness(untuned.scenes, truth[:UNTUNED_ON]),
         "untuned_gap": float(untuned.gap.median()),
         "converged_gap": float(minimum.gap.max()),
     }

@@ -20,7 +20,7 @@ from veilcam_training.encoders import LearnedMask, Setup
 from veilcam_training.seeding import stream
 
 SNR_DB = 40.0
-STEPS, BATCH = 100, 200
+STEPS, BATCH = 60, 200
 RATE = 1e-2
 POOLING = 2
 """Masks are learned on pictures of so much larger pixels: a quarter of the time."""
