@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, pad
+from torch.nn.functional import avg_pool2d
 
 from veilcam_optics.propagation.sampling import fast_length
 from veilcam_training.attacks.networks import Progress
@@ -30,7 +30,7 @@ ROUNDING = 1e-5
 """Float32 errors that the bound on the step allows for, relative."""
 INNER_STEPS = 10
 """Of the dual problem of total variation, in each gradient step; they go on where they ended."""
-CLOSING_STEPS = 200
+CLOSING_STEPS = 100
 """Of it, before a gap is told: the bound is as good as the dual variables are."""
 
 VARIATIONS = (0.0, 1e-4, 3e-4, 1e-3, 1e-2)
@@ -213,6 +213,8 @@ def descend(
     variation: float,
     stops: Sequence[int],
     progress: Progress | None = None,
+    *,
+    inner: int = INNER_STEPS,
 ) -> Iterator[Recovery]:
     """FISTA, restarted where it overshoots (O'Donoghue and Candes 2015); what it has at each stop.
 
@@ -222,6 +224,8 @@ def descend(
         variation: see :class:`ConvexAttack`.
         stops: counts of iterations, rising.
         progress: told of the iterations that are done, and of all.
+        inner: steps of the dual problem of total variation, in each of these; the gap closes no
+            further than they are exact.
     """
     # In units of each picture's own light, so that settings hold for all of them.
     power = embeddings.square().sum((1, 2), keepdim=True).clamp_min(torch.finfo().tiny)
@@ -233,7 +237,7 @@ def descend(
     for count in range(1, stops[-1] + 1):
         stepped = ahead - (normal(ahead) - slope) / normal.bound
         if variation:
-            new, dual = denoise(stepped, weight / normal.bound, dual, INNER_STEPS)
+            new, dual = denoise(stepped, weight / normal.bound, dual, inner)
         else:
             new = stepped.clamp_min(0)
         overshot = ((ahead - new) * (new - scenes)).sum((1, 2), keepdim=True) > 0
@@ -268,27 +272,31 @@ def denoise(scenes: Tensor, weight: Tensor, dual: Tensor, steps: int) -> tuple[T
     step = 1 / (8 * weight.clamp_min(torch.finfo().tiny))
     ahead, momentum = dual, 1.0
     for _ in range(steps):
-        moved = ahead + step * differences((scenes - weight * divergence(ahead)).clamp_min(0))
-        new = moved / moved.square().sum(0).sqrt().clamp_min(1)
+        shown = torch.addcmul(scenes, weight, divergence(ahead), value=-1).clamp_min_(0)
+        moved = torch.addcmul(ahead, step, differences(shown))
+        new = moved.div_(torch.hypot(moved[0], moved[1]).clamp_min_(1))
         following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = new + (momentum - 1) / following * (new - dual)
+        ahead = torch.lerp(new, dual, (1 - momentum) / following)
         dual, momentum = new, following
     return (scenes - weight * divergence(dual)).clamp_min(0), dual
 
 
 def differences(scenes: Tensor) -> Tensor:
     """Forward differences (2, count, rows, columns) along y and x, 0 at the far edges."""
-    down = pad(scenes.diff(dim=-2), (0, 0, 0, 1))
-    along = pad(scenes.diff(dim=-1), (0, 1))
-    return torch.stack([down, along])
+    found = scenes.new_zeros(2, *scenes.shape)
+    torch.sub(scenes[:, 1:], scenes[:, :-1], out=found[0, :, :-1])
+    torch.sub(scenes[:, :, 1:], scenes[:, :, :-1], out=found[1, :, :, :-1])
+    return found
 
 
 def divergence(dual: Tensor) -> Tensor:
     """The transpose of :func:`differences`."""
-    down, along = dual[0, :, :-1], dual[1, :, :, :-1]
-    return (
-        pad(down, (0, 0, 1, 0)) - pad(down, (0, 0, 0, 1)) + pad(along, (1, 0)) - pad(along, (0, 1))
-    )
+    found = torch.zeros_like(dual[0])
+    found[:, 1:] += dual[0, :, :-1]
+    found[:, :-1] -= dual[0, :, :-1]
+    found[:, :, 1:] += dual[1, :, :, :-1]
+    found[:, :, :-1] -= dual[1, :, :, :-1]
+    return found
 
 
 def duality_gap(
