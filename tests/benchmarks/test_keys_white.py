@@ -10,12 +10,11 @@ import pytest
 import torch
 import typer
 from benchmarks.privacy.keys import white
-from benchmarks.privacy.keys.attackers import FAMILIES
-from benchmarks.privacy.keys.intervals import Gain, holm
 from benchmarks.privacy.keys.released import (
     CAPTURES,
     Camera,
     Floats32,
+    Released,
     chunk_path,
     collect,
     load,
@@ -27,6 +26,8 @@ from tests.server.conftest import make_fresh_bundle
 
 from veilcam_server.masks.fresh import FreshReader
 from veilcam_server.masks.source import Mask
+from veilcam_training.attacks.intervals import Gain, holm
+from veilcam_training.attacks.networks import FAMILIES
 from veilcam_training.bundle import write_bundle
 
 SHAPE = (28, 28)
@@ -142,6 +143,17 @@ def test_captures_are_loaded_over_chunks(tmp_path: Path, monkeypatch: pytest.Mon
         "chunk-00000.npz",
         "chunk-00001.npz",
     ]
+
+
+def test_old_white_is_the_direction_times_its_length() -> None:
+    random = np.random.default_rng(4)
+    vectors = random.standard_normal((20, 2, 12)).astype(np.float32)
+    vectors /= np.linalg.norm(vectors, axis=2, keepdims=True)
+    labels, lengths = np.zeros((20, 2), np.int64), random.random((20, 2)) + 1
+    old = Released(vectors, labels, lengths).with_lengths()
+    np.testing.assert_allclose(np.linalg.norm(old.vectors, axis=2), lengths, rtol=1e-6)
+    with pytest.raises(ValueError, match="--legacy"):
+        Released(vectors, labels, None).with_lengths()
 
 
 @pytest.mark.slow

@@ -12,7 +12,13 @@ from zlib import crc32
 import numpy as np
 import numpy.typing as npt
 import torch
-from benchmarks.privacy.keys.attackers import (
+from benchmarks.privacy.keys.plant import Answer
+from pydantic import JsonValue
+from scipy.stats import ks_2samp
+
+from veilcam_training.attacks.intervals import ALPHA, Gain
+from veilcam_training.attacks.keyless import cross_fit, presence_gain
+from veilcam_training.attacks.networks import (
     TRIALS,
     Attacker,
     best_of,
@@ -21,11 +27,6 @@ from benchmarks.privacy.keys.attackers import (
     linear,
     perceptron,
 )
-from benchmarks.privacy.keys.intervals import ALPHA, Gain
-from benchmarks.privacy.keys.plant import Answer
-from benchmarks.privacy.keys.rows import cross_fit, presence_gain
-from pydantic import JsonValue
-from scipy.stats import ks_2samp
 
 HIDDEN = ("embedding.values", "embedding.block", "key", "signature")
 """Ends of the names of what is no clear part; their sizes are."""

@@ -9,9 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.privacy.keys.attackers import FAMILIES
 from benchmarks.privacy.keys.clear_part import clear_part_gain, columns, differences
-from benchmarks.privacy.keys.intervals import area, holm
 from benchmarks.privacy.keys.options import (
     BundleOption,
     EpochsOption,
@@ -36,6 +34,8 @@ from benchmarks.rig import work_folder
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_server.demo_data import FRESH, load_digits
+from veilcam_training.attacks.intervals import area, holm
+from veilcam_training.attacks.networks import FAMILIES
 
 
 def answers(

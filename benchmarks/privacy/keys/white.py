@@ -10,8 +10,6 @@ from typing import Annotated, cast, get_args
 
 import typer
 from benchmarks.figures import FiguresOption, record
-from benchmarks.privacy.keys.attackers import FAMILIES
-from benchmarks.privacy.keys.intervals import ALPHA, Gain, Verdict, holm
 from benchmarks.privacy.keys.options import (
     BundleOption,
     EpochsOption,
@@ -25,6 +23,8 @@ from benchmarks.privacy.keys.rows import attack
 from benchmarks.privacy.keys.scenes import Question, load_scenes
 
 from veilcam_server.demo_data import FRESH
+from veilcam_training.attacks.intervals import ALPHA, Gain, Verdict, holm
+from veilcam_training.attacks.networks import FAMILIES
 
 QUESTIONS: tuple[Question, ...] = get_args(Question)
 _SHAPE = "shape.json"

@@ -17,6 +17,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, one_hot
 
+from veilcam_training.errors import require
+from veilcam_training.seeding import seeded
+
 Family = Literal["length", "products", "networks"]
 Scores = Callable[[Tensor], Tensor]
 """From vectors (count, pixels) to scores (count, classes)."""
@@ -137,59 +140,88 @@ def perceptron(pixels: int, classes: int) -> nn.Module:
     )
 
 
-def convolutions(shape: tuple[int, int], pixels: int, classes: int) -> nn.Module:
-    """Two convolutions and a linear layer, on the embedding as a picture."""
+def convolutions(
+    shape: tuple[int, int], pixels: int, classes: int, *, width: int = 16
+) -> nn.Module:
+    """Two convolutions and two linear layers, on the embedding as a picture.
+
+    Args:
+        shape: rows and columns of the picture.
+        pixels: their product.
+        classes: answers to tell apart.
+        width: channels of the first convolution; the second has twice as many.
+
+    Raises:
+        TrainingError: a shape of another size.
+    """
     rows, columns = shape
-    if rows * columns != pixels:
-        raise ValueError(f"{pixels} pixels are no picture of {shape}")
+    require(rows * columns == pixels, f"{pixels} pixels are no picture of {shape}: use its size")
+    # Too short a side stays as long as it is.
+    halved = [2 if side >= 4 else 1 for side in shape]
+    left = (rows // halved[0] ** 2) * (columns // halved[1] ** 2)
+    pool = (halved[0], halved[1])
     return nn.Sequential(
         nn.Unflatten(2, shape),
-        *(nn.Conv2d(2, 16, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)),
-        *(nn.Conv2d(16, 32, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)),
-        *(nn.Flatten(), nn.Linear(32 * (rows // 4) * (columns // 4), classes)),
+        *(nn.Conv2d(2, width, 3, padding=1), nn.ReLU(), nn.MaxPool2d(pool)),
+        *(nn.Conv2d(width, 2 * width, 3, padding=1), nn.ReLU(), nn.MaxPool2d(pool)),
+        *(nn.Flatten(), nn.Dropout(0.2), nn.Linear(2 * width * left, 128)),
+        *(nn.ReLU(), nn.Linear(128, classes)),
     )
 
 
+Progress = Callable[[int, int], None]
+"""Takes how much of how much is done."""
+
+
 def by_network(
-    learned: Seen, check: Seen, classes: int, *, build: Build, trial: Trial, epochs: int
+    learned: Seen,
+    check: Seen,
+    classes: int,
+    *,
+    build: Build,
+    trial: Trial,
+    epochs: int,
+    progress: Progress | None = None,
 ) -> Scores:
-    """Fit a network by Adam; the epoch that does best on ``check`` counts."""
+    """Fit a network by AdamW; the epoch that does best on ``check`` counts."""
     pixels = learned.vectors.shape[1]
     # One scale for all: what the length tells is kept.
     scale = 1 / float(learned.vectors.square().mean().sqrt())
-    with torch.random.fork_rng():
-        torch.manual_seed(trial.seed)
+    with seeded(trial.seed, "network"):
         network = build(pixels, classes)
         optimiser = torch.optim.AdamW(network.parameters(), trial.rate, weight_decay=trial.decay)
         best, kept = np.inf, network.state_dict()
-        for _ in range(epochs):
+        for epoch in range(epochs):
             network.train()
             for part in torch.split(torch.randperm(len(learned.labels)), _BATCH):
                 batch = learned.take(part)
                 optimiser.zero_grad()
-                loss = cross_entropy(network(_inputs(batch.vectors, scale)), batch.labels)
+                loss = cross_entropy(network(inputs(batch.vectors, scale)), batch.labels)
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimiser.step()
             network.eval()
-            logits = judged(lambda each: network(_inputs(each, scale)), check.vectors)
+            logits = judged(lambda each: network(inputs(each, scale)), check.vectors)
             found = float(cross_entropy(logits, check.labels))
             if found < best:
                 best, kept = found, {k: v.clone() for k, v in network.state_dict().items()}
+            if progress is not None:
+                progress(epoch + 1, epochs)
     network.load_state_dict(kept)
-    return lambda vectors: network(_inputs(vectors, scale))
+    return lambda vectors: network(inputs(vectors, scale))
 
 
-def _inputs(vectors: Tensor, scale: float) -> Tensor:
+def inputs(vectors: Tensor, scale: float) -> Tensor:
+    """What networks take: values in units of 1 / scale, and their squares, (count, 2, pixels)."""
     values = vectors * scale
     return torch.stack([values, values.square() - 1], dim=1)
 
 
-def attackers(family: Family, shape: tuple[int, int], epochs: int) -> list[Attacker]:
+def attackers(family: Family, shape: tuple[int, int] | None, epochs: int) -> list[Attacker]:
     """All members of a family.
 
     Args:
         family: of attackers.
-        shape: rows and columns of an embedding.
+        shape: rows and columns of an embedding; None: what leaves is no picture, e.g. ciphertext.
         epochs: most that a network is fitted for.
     """
     if family == "length":
@@ -201,7 +233,9 @@ def attackers(family: Family, shape: tuple[int, int], epochs: int) -> list[Attac
             for count in (1, 10, 100)
         ]
         return [by_means, *neighbours]
-    builds: list[Build] = [linear, perceptron, partial(convolutions, shape)]
+    builds: list[Build] = [linear, perceptron]
+    if shape is not None:
+        builds.append(partial(convolutions, shape))
     return [
         partial(by_network, build=build, trial=trial, epochs=epochs)
         for build in builds

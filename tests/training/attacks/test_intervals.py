@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.privacy.keys.intervals import (
+from scipy.stats import mannwhitneyu, norm
+
+from veilcam_training.attacks.intervals import (
     Gain,
     accuracy_gain,
     area,
@@ -12,7 +14,6 @@ from benchmarks.privacy.keys.intervals import (
     holm,
     linkage_gain,
 )
-from scipy.stats import mannwhitneyu, norm
 
 
 def test_the_area_is_mann_whitneys_and_its_error_delongs() -> None:
