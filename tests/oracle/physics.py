@@ -188,7 +188,7 @@ def _flux(
     wave = rest * lambert * beam.scene_distance / way
     rows, columns = len(at[0]) + len(seen[0]) - 1, len(at[1]) + len(seen[1]) - 1
     sizes = _fast(rows), _fast(columns)
-    steps = at[0][1] - at[0][0], at[1][1] - at[1][0]
+    steps = seen[0][1] - seen[0][0], seen[1][1] - seen[1][0]  # a mask may be one cell
     dy = (seen[0][0] - at[0][-1] + steps[0] * np.arange(rows))[:, None]
     dx = seen[1][0] - at[1][-1] + steps[1] * np.arange(columns)
     far = np.sqrt(dy**2 + dx**2 + light.distance**2)

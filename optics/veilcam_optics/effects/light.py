@@ -23,11 +23,16 @@ _NARROW = 1e-4
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-    scale = math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
+    scale = scene_pixel_tangent(model)
     return tuple(  # type: ignore[return-value]
         (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * scale
         for count in model.scene.shape
     )
+
+
+def scene_pixel_tangent(model: Model) -> float:
+    """How far apart the tangents of neighbouring scene pixels are."""
+    return math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
 
 
 def _edges(middles: Tensor, side: float) -> Tensor:
@@ -81,7 +86,7 @@ class Zone:
 
 def zones(model: Model) -> list[list[Zone]]:
     """The parts of the scene that have a point spread function each, by rows and columns."""
-    scale = math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
+    scale = scene_pixel_tangent(model)
     parts = []
     for length in model.scene.shape:
         count = min(model.sampling.zones if model.conditions.off_axis else 1, length)
@@ -298,7 +303,7 @@ class OffAxis(Effect):
         are narrow; there the middle's is as good.
         """
         y, x = tangents(model)
-        side = 2 * math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
+        side = scene_pixel_tangent(model)
         if side < _NARROW:
             return (1 + y.square()[:, None] + x.square()).pow(-2)
         corners = _seen(_edges(y, side)[:, None], _edges(x, side))

@@ -46,99 +46,17 @@ def shadow_error(model: Model, aperture: float) -> float:
     return min(1.0, max(camera.wavelengths) * camera.distance / (aperture * box))
 
 
-def large_angles(model: Model, interference: float) -> float:
-    """Relative L2 of Fresnel's approximation on the axis.
-
-    Light that goes off at an angle theta is fainter than Fresnel has it by 5/2 theta^2: the cosine
-    counts twice in the field and once in the flux (Goodman, equation 3-41). Where pairs interfere
-    the phase is left out that they do not share, of ``pi rho^4 / (4 lambda d^3)`` (section 4.2.2).
-
-    Args:
-        model: camera, scene and embedding.
-        interference: relative L2 of what interferes.
-    """
-    camera = actual_camera(model)
-    fourths = 0.0
-    for sensor, mask, aperture in _sides(camera):
-        seen, spread = (sensor + mask) / 2 / camera.distance, max(camera.wavelengths) / aperture
-        # Of such points a fifth of the largest is the root mean square of what pairs do not share.
-        fourths += min(0.4 * seen**4, spread**4)
-    phase = math.pi / 4 * camera.distance / min(camera.wavelengths) * fourths
-    fainter = 2.5 * _angles_squared(camera) + _near_scene(model)
-    return min(1.0, math.hypot(fainter, min(1.0, phase) * interference / 2))
-
-
-def slanted_flux(model: Model) -> float:
-    """Relative L2 of what exact light on the axis leaves out, too, where it takes |field|^2.
-
-    That is the cosine of the flux, 1/2 theta^2.
-    """
-    return min(1.0, _angles_squared(actual_camera(model)) / 2 + _near_scene(model))
-
-
-def _angles_squared(camera: Camera) -> float:
-    """Root mean square of theta^2 in the light that is seen, theta [rad] to the axis.
-
-    Angles are those that mask and sensor span, or, if these are smaller, those to which an aperture
-    spreads light: the tail of sinc^2, as far as the sensor sees.
-    """
-    total = 0.0
-    for sensor, mask, aperture in _sides(camera):
-        spread = max(camera.wavelengths) / aperture
-        seen = (sensor + mask) / 2 / camera.distance
-        # Of points spread evenly over two lengths, sqrt(<x^4>) is about 3/2 <x^2>.
-        spanned = 1.5 * (sensor**2 + mask**2) / 12 / camera.distance**2
-        # The integrals of (u^2 sinc^2 u)^2 up to ``seen`` over that of sinc^4.
-        total += min(spanned, math.sqrt(9 / 8 / math.pi**4 * spread**3 * seen))
-    return total
-
-
-def _near_scene(model: Model) -> float:
+def near_scene(model: Model) -> float:
     """Relative L2 of taking the light of a scene point for as bright on all of the mask.
 
     It comes at an angle of its own to every part, and is fainter there by 3/2 theta^2: the cube of
     the cosine, of twice the distance and of the slant.
     """
-    masks = (mask for _, mask, _ in _sides(actual_camera(model)))
-    return 1.5 * sum(1.5 * mask**2 / 12 for mask in masks) / model.scene.distance**2
-
-
-def oblique_angles(model: Model) -> float:
-    """Relative L2 of taking light that comes at an angle for light on the axis, but stretched.
-
-    Of what leaves at phi + theta and at phi - theta, the one is fainter: by 5 tan(phi) theta of the
-    mean. Pixels wider than the spread average that.
-    """
     camera = actual_camera(model)
-    sensor, embedding = camera.sensor, model.embedding
-    image = model.scene.pixel_at_sensor(camera)
-    tangents_squared = [
-        (math.tan(model.conditions.off_axis or 0.0) * count / model.scene.rows) ** 2 / 3
-        for count in model.scene.shape
-    ]
-    total = 0.0
-    for (side, mask, aperture), squared, pixel in zip(
-        _sides(camera),
-        tangents_squared,
-        (sensor.height / embedding.rows, sensor.width / embedding.columns),
-        strict=True,
-    ):
-        spread = max(camera.wavelengths) / aperture
-        seen = math.sqrt((side**2 + mask**2) / 12) / camera.distance
-        # The root of <u^2> weighted with sinc^4 u is 0.28.
-        angle = min(seen, 0.28 * spread)
-        averaged = min(1.0, spread * camera.distance / max(pixel, image))
-        total += squared * (5 * angle * averaged) ** 2
-    return min(1.0, math.sqrt(total))
-
-
-def _sides(camera: Camera) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Lengths of sensor, mask and aperture along y and x."""
     panel, window = camera.panel, camera.window
-    return (
-        (camera.sensor.height, window.rows * panel.pitch_y, panel.aperture_y),
-        (camera.sensor.width, window.columns * panel.pitch_x, panel.aperture_x),
-    )
+    # Of points spread evenly over a length, sqrt(<x^4>) is about 3/2 <x^2>.
+    sides = (window.rows * panel.pitch_y) ** 2 + (window.columns * panel.pitch_x) ** 2
+    return 1.5 * 1.5 * sides / 12 / model.scene.distance**2
 
 
 def grid_error(model: Model, oversampling: float) -> float:

@@ -14,6 +14,9 @@ _CELLS = 24
 _NODES_IN_FRINGE = 2.2
 """Above 2: each product of two fields is limited to a band, and these are enough to know it."""
 
+_FARTHEST = 2.0
+"""Strays over the distance that a series is asked about."""
+
 
 def box_cells(side: float, wavelength: float, distance: float, apart: float) -> int:
     """Cells of a box of ``side`` [m] that resolve the fringes of points ``apart`` [m]."""
@@ -30,6 +33,7 @@ class BoxFields:
         reach: how far apart two apertures may be, in apertures, to be counted as interfering.
 
     Attributes:
+        points: middles of cells [m], (offsets, cells).
         fields: complex128 (offsets, cells, apertures).
     """
 
@@ -45,12 +49,50 @@ class BoxFields:
             below += sign * (edges - corner).clamp_min(0).square() / 2
         self._shares = (axis.scale * below.diff())[:, None]
         self._near = within_reach(of, reach)
-        points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
-        self.fields = _fields(axis, points, of, wavelength)
+        self._axis, self._of, self._wavelength = axis, of, wavelength
+        self.points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
+        self.fields = _fields(axis, self.points, of, wavelength)
 
     def integrated(self, one: Tensor, other: Tensor) -> Tensor:
         """Integrals of ``kappa one[r] conj(other[s])``, (offsets, apertures, apertures)."""
         return ((one * self._shares).mT @ other.conj()) * self._near
+
+    def strays(self, most: int) -> list[Tensor]:
+        """Fields of light times powers of its stray, as :attr:`fields`; powers 0 to ``most``.
+
+        The stray of light is how far it comes along the axis from aperture to sensor, over the
+        distance. Partial integration of ``v^n exp(i pi v^2 / (lambda D))`` leads to lower powers.
+        Light that strays by more than two distances is taken for straying by two: no series holds
+        farther out.
+        """
+        axis, wavelength, distance = self._axis, self._wavelength, float(self._axis.distance)
+        shadow = 1 / (1 + distance / float(axis.source_distance))
+        points = self.points[..., None] / distance
+        scale = wavelength * shadow / (2j * math.pi * distance)
+        edges = []
+        for side in (axis.width / 2, -axis.width / 2):
+            at = (axis.centres[self._of] + side) / distance - shadow * points
+            phase = math.pi * distance / (wavelength * shadow) * at.square()
+            wave = torch.polar(torch.full_like(phase, math.sqrt(distance / wavelength)), phase)
+            edges.append((at, wave))
+        moments = [self.fields]
+        for power in range(1, most + 1):
+            (above, wave), (below, other) = edges
+            ends = above ** (power - 1) * wave - below ** (power - 1) * other
+            if power > 1:
+                ends = ends - (power - 1) * moments[power - 2]
+            moments.append(scale * ends)
+        straight = (1 - shadow) * points
+        gap = (points - self._axis.centres[self._of] / distance).abs() - axis.width / distance / 2
+        excess = (gap / _FARTHEST).clamp_min(1)
+        found = [self.fields]
+        for power in range(1, most + 1):
+            stray = torch.zeros_like(self.fields)
+            for k in range(power + 1):
+                factor = math.comb(power, k) * (-1) ** k
+                stray += factor * straight ** (power - k) * moments[k]
+            found.append(stray / excess**power)
+        return found
 
 
 def integrals(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:

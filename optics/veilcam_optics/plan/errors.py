@@ -9,29 +9,37 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.effects.light import OffAxis, stretch, tangents, zones
+from veilcam_optics.camera.geometry import CHANNELS
+from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
 from veilcam_optics.effects.mask import DeadLines
 from veilcam_optics.effects.model import Model
+from veilcam_optics.effects.sensor import BlackLevel, mean_shares, white
 from veilcam_optics.plan.bounds import (
     affordable_reach,
     far_pairs,
     fringe_step,
     grid_error,
-    large_angles,
+    near_scene,
     nearest_rows,
-    oblique_angles,
     resolved,
     shadow_error,
-    slanted_flux,
     smallest_step,
 )
+from veilcam_optics.plan.paraxial import paraxial_errors, uneven_error
 from veilcam_optics.plan.probe import Probe, relative
+from veilcam_optics.plan.reading import converted
 from veilcam_optics.plan.rotation import rotation_errors
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
 ROUNDING = {torch.float32: 7e-7, torch.float64: 0.0}
 """Relative L2 of a transfer matrix's number format, measured: kernels are cast from float64."""
+
+_FEWER, _FEWEST = 6, 4
+"""Offsets along each axis where more is wanted of each than its light."""
+
+_LARGE = 500
+"""Weights of a mask."""
 
 _LEAST_TOLERANCE = 1e-5
 """Below it nothing is sampled any finer: no plan will get there."""
@@ -127,7 +135,23 @@ class ErrorModel:
             return self._shadow_error
         near = self._near.sampling
         changed = changed.with_sampling(reach=near.reach, step=near.step)
-        return relative(self._probe.transfer(changed), self._probe.transfer(self._near))
+        # What is alike for all colours is told by one.
+        alike = (
+            changed.sampling.diffraction == near.diffraction
+            and changed.conditions.bayer == self.model.conditions.bayer
+            and all(
+                changed.camera.row_amplitudes(c) == self.model.camera.row_amplitudes(c)
+                for c in range(len(CHANNELS))
+            )
+        )
+        channels = self._brightest if alike else None
+        exact = self._probe.transfer(self._near, channels=channels)
+        return relative(self._probe.transfer(changed, channels=channels), exact)
+
+    @cached_property
+    def _brightest(self) -> list[int]:
+        """The channel that counts most in a gray measurement."""
+        return self._probe.channels(self.model)[:1]
 
     @cached_property
     def _near(self) -> Model:
@@ -166,33 +190,50 @@ class ErrorModel:
 
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
-        model = self.model
-        y, x = tangents(model)
-        stretches = _in_pixels(model)
-        used = replace(model, sampling=replace(model.sampling, zones=count or 1))
-        errors = torch.zeros(model.scene.shape, dtype=torch.float64)
-        for row in zones(used):
-            for zone in row:
-                here = (zone.rows, zone.columns)
-                for actual, taken, slope in zip(stretches, zone.stretch, self._slopes, strict=True):
-                    reference = 1.0 if count is None else taken
-                    off = (actual[:, *here] / reference).log().square().mean(0)
-                    errors[here] += slope**2 * off
-        fade = OffAxis().fade(model)
+        errors, fade = self._any_zones, OffAxis().fade(self.model)
+        for actual, taken, slope in zip(
+            self._stretches, _taken(self.model, count), self._slopes, strict=True
+        ):
+            errors = errors + slope**2 * (actual / taken).log().square().mean(0)
         if count is None:
             errors = errors + (1 / fade - 1).square()
+        return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
+
+    @cached_property
+    def _any_zones(self) -> Tensor:
+        """Squares of what no number of zones helps against, for every scene pixel."""
+        model = self.model
+        y, x = tangents(model)
         # The angle to a scene point is not quite the same from everywhere on mask and sensor.
         side = max(model.camera.sensor.height, model.camera.sensor.width)
-        tangent = y.square()[:, None] + x.square()
-        errors = errors + tangent * (4 * side / math.sqrt(12) / model.scene.distance) ** 2
-        return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
+        slanted = (y.square()[:, None] + x.square()) * (
+            4 * side / math.sqrt(12) / model.scene.distance
+        ) ** 2
+        return slanted + near_scene(model) ** 2 + self._uneven**2
+
+    @cached_property
+    def _stretches(self) -> tuple[Tensor, Tensor]:
+        return _in_pixels(self.model)
+
+    @cached_property
+    def _uneven(self) -> float:
+        """Relative L2 of the fading across scene pixels."""
+        side = scene_pixel_tangent(self.model)
+        t_y, t_x = tangents(self.model)
+        farthest = math.hypot(float(t_y.abs().max()), float(t_x.abs().max()))
+        # Where the sensor sees one side of a pixel and not the other, by half of what they differ.
+        most = 2 * math.sqrt(2) * side * (farthest + side / 2)
+        if most <= self._small:
+            return most
+        return uneven_error(Probe(self.model, _FEWEST), self._near, self._brightest)
 
     @cached_property
     def _slopes(self) -> tuple[float, float]:
         """Relative change of the transfer per relative change of the wavelength along y and x."""
-        base = self._probe.transfer(self._near)
+        one = self._brightest
+        base = self._probe.transfer(self._near, channels=one)
         return tuple(  # type: ignore[return-value]
-            relative(self._probe.transfer(self._near, stretch), base) / math.log(1.02)
+            relative(self._probe.transfer(self._near, stretch, channels=one), base) / math.log(1.02)
             for stretch in ((1.02, 1.0), (1.0, 1.02))
         )
 
@@ -204,7 +245,7 @@ class ErrorModel:
         model = replace(self._near, scene=replace(scene, rows=1, columns=1, height=side))
         model = model.with_sampling(step=fringe_step(model, model.sampling.reach))
         probe = Probe(model)
-        shares = model.camera.sensor.channel_weights
+        shares = mean_shares(model)
         channels = [
             probe.transfer(model, channels=[channel]) / share if share else None
             for channel, share in enumerate(shares)
@@ -224,9 +265,30 @@ class ErrorModel:
 
     def paraxial(self) -> float:
         """Relative L2 of Fresnel's approximation, which every factored field makes."""
+        return self._paraxial[0]
+
+    @cached_property
+    def _paraxial(self) -> tuple[float, float]:
+        """Relative L2 of what a factored field leaves out of exact light, and of a grid."""
         if not self.model.sampling.diffraction:
-            return 0.0
-        return math.hypot(large_angles(self.model, self.interference()), oblique_angles(self.model))
+            return 0.0, 0.0
+        # Of a large mask, which takes long, one colour tells enough.
+        rows, columns = self.model.camera.mask_shape
+        channels = self._brightest if rows * columns > _LARGE else None
+        return paraxial_errors(Probe(self.model, _FEWER), self.model, channels)
+
+    def read(self, error: float) -> float:
+        """Relative L2 of what the camera reads, of an error of the light."""
+        if not self.model.conditions.adc_bits or not error:
+            return error
+        return converted(error, white(self), self.model.conditions, self.model.embedding.size)
+
+    def rounding(self, dtype: torch.dtype) -> float:
+        """Relative L2 of a number format; an offset rounds light that is fainter than it."""
+        if not self.model.conditions.black_level:
+            return ROUNDING[dtype]
+        offset = BlackLevel().error(self)
+        return min(1.0, math.hypot(ROUNDING[dtype], torch.finfo(dtype).eps * offset))
 
     def quadrature(self, model: Model) -> tuple[float, float]:
         """Largest step [m] whose integration error is far below the tolerance, and that error.
@@ -238,8 +300,8 @@ class ErrorModel:
             return model.sampling.step, 0.0
         longest = fringe_step(model, model.sampling.reach)
         judged = model.with_sampling(wavelengths=1, layers=1, step=longest)
-        size = float(self._probe.transfer(judged).norm())
-        bend = float(self._probe.bend(judged).norm())
+        size = float(self._probe.transfer(judged, channels=self._brightest).norm())
+        bend = float(self._probe.bend(judged, channels=self._brightest).norm())
         if not size or not bend:
             return longest, 0.0
         wanted = math.sqrt(12 * self._small * size / bend)
@@ -248,11 +310,7 @@ class ErrorModel:
 
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
-        model = self.model
-        return min(
-            1.0,
-            math.hypot(grid_error(model, oversampling), slanted_flux(model), oblique_angles(model)),
-        )
+        return min(1.0, math.hypot(grid_error(self.model, oversampling), self._paraxial[1]))
 
 
 def _dials(reach: int) -> list[int]:
@@ -261,6 +319,18 @@ def _dials(reach: int) -> list[int]:
     while found[-1] < reach:
         found.append(min(reach, max(found[-1] + 1, found[-1] * 4 // 3)))
     return found
+
+
+def _taken(model: Model, count: int | None) -> tuple[Tensor, Tensor]:
+    """Factors on the wavelength along y and x that zones take for every scene pixel's."""
+    found = torch.ones(2, *model.scene.shape, dtype=torch.float64)
+    if count is not None:
+        for row in zones(model.with_sampling(zones=count)):
+            for zone in row:
+                along_y, along_x = zone.stretch
+                found[0, zone.rows, zone.columns] = along_y
+                found[1, zone.rows, zone.columns] = along_x
+    return found[0], found[1]
 
 
 def _in_pixels(model: Model) -> tuple[Tensor, Tensor]:

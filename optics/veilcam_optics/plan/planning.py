@@ -166,7 +166,7 @@ def plan(
     choice, reached = search(error_model, model, errors, made=made, batch=batch, method=method)
     step, quadrature = error_model.quadrature(choice.model)
     chosen = choice.model.with_sampling(step=step)
-    error = together([choice.error, quadrature])
+    error = error_model.read(together([choice.error, quadrature]))
     return Plan(
         model=chosen,
         asked=asked,

@@ -14,14 +14,20 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.effects.composition import beams, collected, shown
+from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
+from veilcam_optics.effects.sensor import mean_shares
 from veilcam_optics.plan.boxes import bends, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.operator import Beam, make_axes
 
 _OFFSETS = 12
 """Offsets kept of each axis."""
+
+_MANY = 500
+"""Weights of a mask whose light is about alike everywhere: two thirds of the offsets will do."""
 
 _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
@@ -41,15 +47,29 @@ class Probe:
         generator = torch.Generator().manual_seed(0)
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
         scene, embedding = model.scene, model.embedding
-        self._kept: dict[object, Tensor] = {}
+        offsets = offsets if rows * columns < _MANY else offsets * 2 // 3
+        self._integrals: dict[object, tuple[int, Tensor]] = {}
+        self._axes: dict[object, tuple[Axis, Axis]] = {}
         self.kept_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
         self.kept_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
 
-    def axes(self, model: Model, beam: Beam) -> tuple[Axis, Axis]:
-        """The axes of ``model``, reduced to the kept offsets."""
+    def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis, Axis]:
+        """The axes of ``model``, reduced to the kept offsets.
+
+        Args:
+            model: like the probe's.
+            beam: may come from another distance.
+            parts: of every scene pixel along each axis, with an offset each.
+        """
         scene = model.scene
         if beam.scene_distance is not None:
             scene = replace(scene, distance=beam.scene_distance)
+        key = (model.camera, scene, model.conditions.imperfections, model.approximation, parts)
+        if key not in self._axes:
+            self._axes[key] = self._made_axes(model, scene, parts)
+        return self._axes[key]
+
+    def _made_axes(self, model: Model, scene: Scene, parts: int) -> tuple[Axis, Axis]:
         y, x = make_axes(
             model.camera,
             scene,
@@ -58,12 +78,22 @@ class Probe:
             approximation=model.approximation,
             imperfections=model.conditions.imperfections,
         )
-        y.offsets, x.offsets = y.offsets[self.kept_y], x.offsets[self.kept_x]
+        for axis, kept in ((y, self.kept_y), (x, self.kept_x)):
+            axis.offsets = _parted(axis.offsets[kept], float(axis.image), parts)
+            axis.image, axis.scale = axis.image / parts, axis.scale * parts
         return y, x
+
+    def tangents(self, model: Model, parts: int = 1) -> tuple[Tensor, Tensor]:
+        """Tangents of the angles to the axis of what kept offsets see, along y and x."""
+        y, x = tangents(model)
+        embedding = model.embedding
+        y, x = y[self.kept_y // embedding.rows], x[self.kept_x // embedding.columns]
+        side = scene_pixel_tangent(model)
+        return _parted(y, side, parts), _parted(x, side, parts)
 
     def channels(self, model: Model) -> list[int]:
         """Channels that count in a gray measurement, brightest first; at least one."""
-        shares = model.camera.sensor.channel_weights
+        shares = mean_shares(model)
         light = [
             share * sum(amplitude**2 for amplitude in model.camera.row_amplitudes(channel))
             for channel, share in enumerate(shares)
@@ -77,27 +107,30 @@ class Probe:
         stretch: tuple[float, float] = (1.0, 1.0),
         *,
         channels: Sequence[int] | None = None,
+        parts: int = 1,
     ) -> Tensor:
         """Gray transfer of every mask at the kept offsets, (masks, offsets y, offsets x).
 
+        With ``parts``, that of each of so many parts of scene pixels along each axis.
+
         Fading over the field, rotation and the sensor are left out.
         """
-        total = self._dark()
-        for beam, scaled in self._lights(model, channels):
-            rows, down, across = self._integrals(model, beam, stretch)
+        total = self.dark(parts)
+        for beam, scaled in self.lights(model, channels):
+            rows, down, across = self._pairs(model, beam, stretch, parts)
             weights = scaled[:, rows]
             total += pair_sums(down, across, weights, weights)
         # The mean over what is kept stands for that over all.
         return collected(model, total, (1, 2))
 
-    def bend(self, model: Model) -> Tensor:
+    def bend(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
         """Sum of the second derivatives of :meth:`transfer` by the offset along y and x [1/m^2].
 
         The second derivative of the kernel's box is four points at its corners.
         """
-        total = self._dark()
-        for beam, scaled in self._lights(model):
-            rows, down, across = self._integrals(model, beam, (1.0, 1.0))
+        total = self.dark()
+        for beam, scaled in self.lights(model, channels):
+            rows, down, across = self._pairs(model, beam, (1.0, 1.0))
             y, x = self.axes(model, beam)
             bent_down = bends(y, rows, float(beam.wavelength), model.sampling.reach.rows)
             every = torch.arange(len(x.centres))
@@ -118,9 +151,9 @@ class Probe:
         Returns:
             (len(rows), len(columns), masks, offsets y, offsets x).
         """
-        found = self._dark().repeat(len(rows), len(columns), 1, 1, 1)
-        for beam, scaled in self._lights(model):
-            used, down, across = self._integrals(model, beam, (1.0, 1.0))
+        found = self.dark().repeat(len(rows), len(columns), 1, 1, 1)
+        for beam, scaled in self.lights(model):
+            used, down, across = self._pairs(model, beam, (1.0, 1.0))
             every = torch.arange(across.shape[-1])
             for k, far_columns in enumerate(columns):
                 near = across * within_reach(every, far_columns)
@@ -129,19 +162,20 @@ class Probe:
                     found[n, k] += _traced(down * within_reach(used, far_rows), spread)
         return found
 
-    def _dark(self) -> Tensor:
-        shape = (len(self.masks), len(self.kept_y), len(self.kept_x))
+    def dark(self, parts: int = 1) -> Tensor:
+        """No light at any kept offset behind any mask, (masks, offsets y, offsets x)."""
+        shape = (len(self.masks), parts * len(self.kept_y), parts * len(self.kept_x))
         return torch.zeros(shape, dtype=torch.float64)
 
-    def _lights(
+    def lights(
         self, model: Model, channels: Sequence[int] | None = None
     ) -> list[tuple[Beam, Tensor]]:
         """Each beam with the amplitudes that it passes, its share included."""
         used = self.channels(model) if channels is None else channels
-        weights = shown(model, self.masks)
+        weights, shares = shown(model, self.masks), mean_shares(model)
         found = []
         for beam in beams(model):
-            share = beam.share * model.camera.sensor.channel_weights[beam.channel]
+            share = beam.share * shares[beam.channel]
             if beam.channel in used and share > 0:
                 passed = torch.tensor(
                     model.camera.row_amplitudes(beam.channel), dtype=torch.float64
@@ -149,11 +183,11 @@ class Probe:
                 found.append((beam, weights * (passed * math.sqrt(share))[:, None]))
         return found
 
-    def _integrals(
-        self, model: Model, beam: Beam, stretch: tuple[float, float]
+    def _pairs(
+        self, model: Model, beam: Beam, stretch: tuple[float, float], parts: int = 1
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
-        axes = self.axes(model, beam)
+        axes = self.axes(model, beam, parts)
         rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
         used = (rows, torch.arange(len(axes[1].centres)))
         reach = model.sampling.reach
@@ -165,20 +199,28 @@ class Probe:
             key = (
                 *(index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
                 *(float(axis.distance), float(axis.source_distance), float(axis.image), axis.pixel),
-                *(tuple(of.tolist()), wavelength, far, model.approximation),
+                *(tuple(of.tolist()), wavelength, model.approximation),
             )
-            if key not in self._kept:
-                self._kept[key] = integrals(axis, of, wavelength, far)
-            found.append(self._kept[key])
+            kept, values = self._integrals.get(key, (-1, None))
+            if values is None or kept < far:
+                kept, values = far, integrals(axis, of, wavelength, far)
+                self._integrals[key] = kept, values
+            found.append(values if kept == far else values * within_reach(of, far))
         return rows, found[0], found[1]
 
 
 def relative(value: Tensor, reference: Tensor) -> float:
-    """Relative L2 of ``value`` to ``reference``; 0 where both are zero, else 1 for no reference."""
-    difference, size = float((value - reference).norm()), float(reference.norm())
-    if difference == 0:
+    """Root mean square over masks of the relative L2 of ``value`` to ``reference``; masks first.
+
+    Of many weights every mask has about the same error. Of few, one mask may leave the sensor in
+    the dark, where little is large. 0 where nothing differs, else 1 for no reference at all.
+    """
+    differences = (value - reference).flatten(1).norm(dim=1)
+    sizes = reference.flatten(1).norm(dim=1)
+    if not differences.any():
         return 0.0
-    return difference / size if size else 1.0
+    lit = sizes > 0
+    return float((differences[lit] / sizes[lit]).square().mean().sqrt()) if lit.any() else 1.0
 
 
 def pair_sums(down: Tensor, across: Tensor, one: Tensor, other: Tensor) -> Tensor:
@@ -201,6 +243,12 @@ def pair_products(across: Tensor, one: Tensor, other: Tensor) -> Tensor:
     return one[:, None].to(across.dtype) @ across @ other[:, None].mT.to(across.dtype)
 
 
+def _parted(middles: Tensor, side: float, parts: int) -> Tensor:
+    """Middles of the parts of pixels, part by part."""
+    at = (torch.arange(parts, dtype=torch.float64) - (parts - 1) / 2) * side / parts
+    return (middles[:, None] + at).flatten()
+
+
 def _traced(down: Tensor, spread: Tensor) -> Tensor:
     return torch.einsum("ors,mprs->mop", down, spread).real
 
@@ -214,7 +262,11 @@ def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> T
     )
     at_scene = (torch.arange(scene, dtype=torch.float64) - (scene - 1) / 2) * image
     order = (at_scene[:, None] + at_pixel).flatten().argsort(stable=True)
-    if len(order) <= most:
-        return order
-    # The middle of each of ``most`` equal parts.
-    return order[((torch.arange(most) + 0.5) * len(order) / most).long()]
+    return _some(order, most)
+
+
+def _some(kept: Tensor, most: int) -> Tensor:
+    """The middle of each of ``most`` equal parts, or all where they are no more."""
+    if len(kept) <= most:
+        return kept
+    return kept[((torch.arange(most) + 0.5) * len(kept) / most).long()]

@@ -2,8 +2,10 @@
 
 Turned by a small angle ``a``, the aperture of row ``r`` and column ``c`` moves along y by
 ``a x_c`` and along x by ``-a y_r``. To first order that adds ``F' (w x) G^T - F (y w) G'^T`` to the
-field, a dash being a derivative by the aperture's place. The transfer operator moves the *light* of
-each pair by what its middle moves, which leaves out that pairs turn, too.
+field, a dash being a derivative by the aperture's place. An aperture turns, too: that adds the
+same with its own light's lever, ``F' w H^T - H w G'^T``, ``H`` the field weighted with the way from
+the aperture's middle. The transfer operator moves the *light* of each pair by what its middle
+moves, which leaves out that pairs and apertures turn.
 """
 
 from collections.abc import Callable
@@ -19,6 +21,9 @@ from veilcam_optics.transfer.kernels import Axis
 
 _SMALL = 1e-2
 """Step of the derivatives, in parts of what changes the field by one radian."""
+
+_LEVER = -1
+"""Instead of a derivative's order: the field weighted with the way from the aperture's middle."""
 
 Orders = dict[tuple[int, int], Tensor]
 """``K`` of the derivatives of one field and of the other, by their orders."""
@@ -51,6 +56,7 @@ def rotation_errors(probe: Probe, model: Model) -> tuple[float, float]:
     w, wx, wy = weights, weights * x, weights * y
     plain = total((0, 0), (0, 0), w, w)
     turned = 2 * (total((0, 1), (0, 0), w, wx) - total((0, 0), (0, 1), w, wy))
+    own = 2 * (total((0, 1), (0, _LEVER), w, w) - total((0, _LEVER), (0, 1), w, w))
     moved = total((0, 1), (0, 0), w, wx) + total((0, 1), (0, 0), wx, w)
     moved -= total((0, 0), (0, 1), w, wy) + total((0, 0), (0, 1), wy, w)
     second = (
@@ -61,7 +67,7 @@ def rotation_errors(probe: Probe, model: Model) -> tuple[float, float]:
         + total((0, 0), (0, 2), w, wy * y)
         - 2 * total((0, 1), (0, 1), w, wx * y)
     )
-    change = angle * turned + angle**2 * second
+    change = angle * (turned + own) + angle**2 * second
     left = change - angle * moved
     return min(1.0, relative(plain + change, plain)), min(1.0, relative(plain + left, plain))
 
@@ -84,7 +90,15 @@ def _orders(axis: Axis, of: Tensor, wavelength: float, reach: int, far: float) -
         # Nothing interferes: the irradiance's own derivatives.
         slope, curve = (after - before) / (4 * far), (after + before - 2 * plain) / (2 * far**2)
         none = torch.zeros_like(plain)
-        return {(0, 0): plain, (0, 1): slope, (1, 0): slope, (1, 1): none, (0, 2): curve}
+        return {
+            (0, 0): plain,
+            (0, 1): slope,
+            (1, 0): slope,
+            (1, 1): none,
+            (0, 2): curve,
+            # An aperture's light is its own mirror image, but for what the box cuts off.
+            (0, _LEVER): none,
+        }
     seen = float(axis.offsets.abs().max() + (axis.centres - axis.centres.mean()).abs().max())
     small = _SMALL * min(axis.width, wavelength * float(axis.distance) / (seen + axis.width))
     boxes = BoxFields(axis, of, wavelength, reach)
@@ -97,10 +111,14 @@ def _orders(axis: Axis, of: Tensor, wavelength: float, reach: int, far: float) -
         (after - before) / (2 * small),
         (after + before - 2 * boxes.fields) / small**2,
     )
-    return {
+    found = {
         (a, b): boxes.integrated(fields[a], fields[b])
         for a, b in ((0, 0), (0, 1), (1, 0), (1, 1), (0, 2))
     }
+    strays = boxes.strays(1)[1] * float(axis.distance)
+    lever = (boxes.points[..., None] - axis.centres[of]) * boxes.fields - strays
+    found[0, _LEVER] = boxes.integrated(boxes.fields, lever)
+    return found
 
 
 def _moved(axis: Axis, move: float, found: Callable[[], Tensor]) -> Tensor:

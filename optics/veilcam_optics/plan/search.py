@@ -1,7 +1,7 @@
 """The cheapest setting whose errors, taken together, stay under the tolerance."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -15,7 +15,7 @@ from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
-from veilcam_optics.plan.errors import ROUNDING, ErrorModel, Interferences
+from veilcam_optics.plan.errors import ErrorModel, Interferences
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 
 MAX_NUMBERS = 1.5e8
@@ -86,13 +86,14 @@ def search(
     Returns:
         The choice, and whether it reaches the tolerance; if none does, the most accurate.
     """
+    field = _field(error_model, model, errors)
     kinds = []
     if method != "grid":
-        kinds.append(_matrices(error_model, model, errors))
+        kinds.append(_matrices(error_model, model, errors, field))
     if method in (None, "grid"):
-        kinds.append(_grids(error_model, model, errors))
+        kinds.append(_grids(error_model, model, field))
     settings = [(setting, together([made, error])) for kind in kinds for setting, error in kind]
-    reaching = [(m, e) for m, e in settings if e <= error_model.tolerance]
+    reaching = [(m, e) for m, e in settings if error_model.read(e) <= error_model.tolerance]
     found = _fitting(reaching, batch, method)
     if found:
         return min(found, key=lambda c: (c.cost.rank, c.error)), True
@@ -123,7 +124,10 @@ def _candidates(
 
 
 def _matrices(
-    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel,
+    model: Model,
+    errors: Mapping[str, float],
+    field: Sequence[list[Option]],
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the factored field, with or without a matrix that is formed."""
     filters = [(model, 0.0, error_model.full)]
@@ -131,10 +135,9 @@ def _matrices(
         ideal = FilterLeakage().without(model)
         filters.append((ideal, errors[FilterLeakage.name], error_model.ideal_filters))
     paraxial = errors.get(NonParaxial.name, 0.0)
-    field = _field(error_model, model, errors)
     if MaskRotation.name in errors:
         ignored = Option(MaskRotation().without, errors[MaskRotation.name])
-        field.append([ignored, Option(_same, error_model.rotated(first_order=True))])
+        field = [*field, [ignored, Option(_same, error_model.rotated(first_order=True))]]
     for base, leaked, interferences in filters:
         reaches = _reaches(base, interferences, errors, error_model.tolerance)
         for chosen in product(reaches, *field, _formats(error_model)):
@@ -142,13 +145,12 @@ def _matrices(
 
 
 def _grids(
-    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel, model: Model, field: Sequence[list[Option]]
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the grid path: for a turned mask, and where nothing else fits."""
     sampling = replace(
         model.sampling, method="grid", diffraction=True, spherical=True, binning=True
     )
-    field = _field(error_model, model, errors)
     # Narrow apertures need finer samples from the start.
     least = max(1.0, FEWEST_CELLS / cells_in_aperture(model.camera))
     for factor in _OVERSAMPLINGS:
@@ -230,7 +232,7 @@ def _field(
 def _formats(error_model: ErrorModel) -> list[Option]:
     """Number formats, by what rounding costs in accuracy."""
     options = [
-        Option(partial(Model.with_sampling, dtype=dtype), ROUNDING[dtype])
+        Option(partial(Model.with_sampling, dtype=dtype), error_model.rounding(dtype))
         for dtype in (torch.float32, torch.float64)
     ]
     return _worth_it(options, error_model.tolerance)
