@@ -26,6 +26,7 @@ __all__ = [
     "cholesky",
     "detached",
     "device",
+    "ends",
     "joined",
     "namespace",
     "needs_gradient",
@@ -56,6 +57,15 @@ def detached(array: Array) -> Array:
 def needs_gradient(array: Array) -> bool:
     """Whether torch records what is made of it."""
     return is_torch_array(array) and bool(array.requires_grad)
+
+
+def ends(array: Array) -> tuple[float, float]:
+    """Smallest and largest number of a real array that is not empty; NaN, both, if one is NaN."""
+    if is_torch_array(array):  # in one pass
+        low, high = array.detach().aminmax()
+    else:
+        low, high = array.min(), array.max()
+    return float(low), float(high)
 
 
 def overwrite(*arrays: Array) -> None:

@@ -16,6 +16,7 @@ from veilcam_optics.arrays import (
     as_type,
     cholesky,
     detached,
+    ends,
     joined,
     needs_gradient,
     overwrite,
@@ -131,3 +132,11 @@ def test_only_one_part_is_held_at_a_time() -> None:
 
     assert joined(parts(), 8).all()
     assert len(held) == 4
+
+
+def test_the_ends_of_an_array() -> None:
+    values = np.array([[0.5, -2.0], [7.0, 1.0]])
+    assert ends(values) == ends(torch.tensor(values, requires_grad=True)) == (-2.0, 7.0)
+    values[1, 1] = np.nan
+    assert np.isnan(ends(values)).all()
+    assert np.isnan(ends(torch.tensor(values))).all()

@@ -2,7 +2,7 @@
 
 from types import EllipsisType
 
-from veilcam_optics.arrays import Array, detached, namespace
+from veilcam_optics.arrays import Array, ends, namespace
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError, require, require_shape
 
@@ -39,13 +39,13 @@ def _check_values(argument: str, values: Array, what: str) -> None:
     require(real, f"{argument}.dtype", values.dtype, "", "float32 or float64")
     if 0 in values.shape:
         return
-    numbers = detached(values)
-    # Both ends are NaN where one value is: then neither comparison holds.
-    if float(xp.min(numbers)) >= -_ROUNDING and float(xp.max(numbers)) <= 1 + _ROUNDING:
+    low, high = ends(values)
+    # Both are NaN where one value is: then neither comparison holds.
+    if low >= -_ROUNDING and high <= 1 + _ROUNDING:
         return
-    if not bool(xp.all(xp.isfinite(numbers))):
+    if not bool(xp.all(xp.isfinite(values))):
         raise OpticsError(f"{argument} hold NaN or infinity: use finite numbers in [0, 1]")
-    outside = int(xp.sum((numbers < -_ROUNDING) | (numbers > 1 + _ROUNDING)))
+    outside = int(xp.sum((values < -_ROUNDING) | (values > 1 + _ROUNDING)))
     raise OpticsError(
         f"{argument} hold {outside} values outside [0, 1]: use {what} without a unit, 0 to 1"
     )

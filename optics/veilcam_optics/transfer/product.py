@@ -58,7 +58,6 @@ class Stack(Generic[Array]):
         Returns:
             (row pairs, offsets ``x``), or (row pairs, masks * offsets ``x``).
         """
-        xp = namespace(weights)
         columns = self.columns[..., x]
         groups, across, offsets = columns.shape
         pairs = self.first.shape[0]
@@ -69,8 +68,8 @@ class Stack(Generic[Array]):
         else:
             products = one[..., :across] * weights[self.second][..., self.offset :]
         # A mask more is so many rows more of the same products: nothing is laid out anew.
-        stacked = xp.reshape(products, (groups, pairs // groups * masks, across))
-        spread: Array = xp.reshape(stacked @ columns, (pairs, masks * offsets))
+        stacked = products.reshape((groups, pairs // groups * masks, across))
+        spread: Array = (stacked @ columns).reshape((pairs, masks * offsets))
         return spread
 
 
