@@ -103,7 +103,7 @@ class Whitening(Generic[Array]):
         directions: Array = white / length
         return as_type(directions, "float32")
 
-    def restore(self, directions: Tensor) -> Tensor:
+    def restore(self, directions: Array) -> Array:
         """Measurements that give these directions, with the length that is expected of one.
 
         What whoever has mask and key makes of a white embedding: all but its length comes back,
@@ -115,10 +115,10 @@ class Whitening(Generic[Array]):
         Returns:
             (batch, E) float32.
         """
-        white = directions.double() * len(self._mean) ** 0.5
+        white = as_type(directions, "float64") * self._mean.shape[0] ** 0.5
         scaled = (white @ self._rotation) @ self._factor.T
-        restored: Tensor = (self._mean + scaled * self._deviation).float()
-        return restored
+        restored: Array = self._mean + scaled * self._deviation
+        return as_type(restored, "float32")
 
     def erase(self) -> None:
         """Overwrite all that is the mask's, as well as Python lets us; the decoder stays."""
