@@ -5,7 +5,7 @@ centre falls on the panel; every open cell of it sends on a wave of Rayleigh and
 kind (Goodman, Introduction to Fourier Optics, 3rd ed., equation 3-41). No angle is taken for small.
 The irradiance is the flux through the sensor's plane, Im(U* dU/dz) / k; a scene pixel sends light
 by Lambert's law. A scene pixel is ``sources x sources`` points, each of whose light is moved over
-its own part of the pixel's geometric image.
+its own part of the pixel's geometric image, as bright as that part is on average.
 """
 
 from __future__ import annotations
@@ -152,6 +152,7 @@ def transfer(
             )
             binned = _binned(light, beam, flux, (seen_y, seen_x))
             share = beam.share if light.shares is None else beam.share * light.shares[beam.channel]
+            share = share * _evened(light, point, beam.scene_distance)
             found[:, index] += (share * binned).reshape(len(amplitudes), -1)
     return found / (y.scene_pixels * x.scene_pixels * light.sources**2)
 
@@ -164,6 +165,21 @@ def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
         for axis, at in ((light.y, row), (light.x, column))
     )
     return [(float(down), float(across)) for down in y for across in x]
+
+
+def _evened(light: Light, point: tuple[float, float], distance: float) -> float:
+    """Mean brightness of the part of a scene pixel around a point, over the point's own.
+
+    A wide part sends less by Lambert's law, twice the distance and the slant of the mask: cos^4.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    y, x = (
+        (at + axis.scene_pixel / light.sources / 2 * nodes) / distance
+        for at, axis in zip(point, (light.y, light.x), strict=True)
+    )
+    bright = (1 + y[:, None] ** 2 + x**2) ** -2.0
+    here = (1 + (point[0] ** 2 + point[1] ** 2) / distance**2) ** -2
+    return float(weights @ bright @ weights) / 4 / here
 
 
 def _flux(

@@ -67,6 +67,22 @@ def test_a_scene_at_an_angle_is_fainter_by_the_fourth_power_of_its_cosine() -> N
     assert found[0] / found[1] == pytest.approx(math.cos(math.atan(0.25)) ** 4, rel=2e-2)
 
 
+@pytest.mark.slow
+def test_a_wide_scene_pixel_is_as_bright_as_all_of_it() -> None:
+    """A point in its middle stands for a pixel of 45 degrees as 25 points do, where all is seen."""
+    wide = Axis(1, 30e-6, 1, 1, 3e-6, 1, 1, 0.8)
+    found = [
+        transfer(
+            Light(wide, wide, 5e-6, (Beam(0, WAVELENGTH, 1.0, 1.0),), sources=points),
+            np.ones((1, 3, 1, 1)),
+        ).item()
+        for points in (1, 5)
+    ]
+    # The mean of cos^4 over tangents up to 0.4; the middle alone would be brighter by a fifth.
+    assert found[0] == pytest.approx(found[1], rel=2e-2)
+    assert found[0] < 0.9
+
+
 def test_finer_cells_change_nothing() -> None:
     axis = Axis(3, 12e-6, 3, 5, 40e-6, 4, 2, 1e-3)
     turned = Light(axis, axis, 1e-3, (Beam(0, WAVELENGTH, 0.3, 1.0),), rotation=0.02)
