@@ -27,7 +27,14 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.attacks.convex import ConvexAttack, tune
-from veilcam_training.attacks.generator import Trial
+from veilcam_training.attacks.generator import (
+    LIGHT,
+    PAPER,
+    Design,
+    FittedGenerator,
+    PlaintextPairs,
+    Trial,
+)
 from veilcam_training.data import Images
 from veilcam_training.seeding import stream
 
@@ -133,6 +140,34 @@ def test_generator_cells_are_computed_once(
     assert figures_of(figures) == first
     with pytest.raises(typer.BadParameter, match="other cells"):
         run(design="paper")
+
+
+@pytest.mark.slow
+def test_the_design_that_is_asked_for_is_fitted(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generator, "LEAST_HELD", 2)
+    asked: list[Design] = []
+
+    def fit(
+        learned: PlaintextPairs, check: PlaintextPairs, design: Design, tried: list[Trial]
+    ) -> FittedGenerator:
+        asked.append(design)
+        assert (len(learned.embeddings), len(check.embeddings)) == (20, 2)
+        return FittedGenerator(lambda seen: torch.zeros(len(seen), *SCENE.shape), 0.0, tried[0], 1)
+
+    monkeypatch.setattr(generator, "best_generator", fit)
+    names: list[generator.DesignName] = ["light", "paper"]
+    for design in names:
+        generator.command(
+            data=data,
+            work=tmp_path / design,
+            count=5,
+            kind=["10random"],
+            pairs=[20],
+            design=design,
+        )
+    assert asked == [LIGHT, PAPER]
 
 
 def test_trials_are_many_where_they_are_cheap_and_the_papers_where_asked_for() -> None:

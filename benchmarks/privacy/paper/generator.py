@@ -52,6 +52,7 @@ PAIRS = (100, 1000, 10_000)
 LEAST_HELD = 30
 """Pairs to choose by, at least; a tenth of those that are learned from."""
 DesignName = Literal["light", "paper"]
+DESIGNS = {"light": LIGHT, "paper": PAPER}
 
 
 def trials(pairs: int, design: DesignName) -> list[Trial]:
@@ -95,8 +96,8 @@ def command(
             for number in numbers:
                 name = f"{each.name}_{number}"
                 progress.update(task, description=name)
-                tried = trials(number, design)
-                found[name] = cells.get(name, partial(attack, attacked, each, number, truth, tried))
+                cell = partial(attack, attacked, each, number, truth, design)
+                found[name] = cells.get(name, cell)
                 progress.advance(task)
     guess = psnr(mean_picture(opened).expand_as(truth), truth).tolist()
     tell(found, kinds, numbers, guess)
@@ -159,14 +160,13 @@ def apart(images: Images, number: int, held: int) -> tuple[Tensor, Tensor]:
 
 
 def attack(
-    attacked: Attacked, kind: Kind, number: int, truth: Tensor, tried: list[Trial]
+    attacked: Attacked, kind: Kind, number: int, truth: Tensor, design: DesignName
 ) -> Values:
     """One cell."""
     embeddings, _, scenes = attacked.pairs(kind, number)
     learned = PlaintextPairs(embeddings[:number], scenes[:number])
     check = PlaintextPairs(embeddings[number:], scenes[number:])
-    design = PAPER if tried[0].optimiser == "sgd" else LIGHT
-    fitted = best_generator(learned, check, design, tried)
+    fitted = best_generator(learned, check, DESIGNS[design], trials(number, design))
     noise = stream(1, "pairs", "test", kind.name)
     seen = embedded(attacked.operator, attacked.masks(kind), truth, noise)
     found = likeness(fitted.estimate(seen), truth)

@@ -101,10 +101,8 @@ class BinnedConvolution:
     def matrix(self, rows: slice = slice(None)) -> Tensor:
         """D H itself, (scene pixels, embedding pixels), for some ``rows`` of the embedding."""
         (high, wide), (down, along) = self.kernel.stride(), self.binning
-        pixels = self.kernel.as_strided(
-            (*self.scene, *self.embedding),
-            (self.side * high, self.side * wide, down * high, along * wide),
-        )
+        strides = (self.side * high, self.side * wide, down * high, along * wide)
+        pixels = self.kernel.as_strided((*self.scene, *self.embedding), strides)
         return pixels[:, :, rows].reshape(self.scene[0] * self.scene[1], -1)
 
     def gram(self, progress: Progress | None = None) -> Tensor:
@@ -142,8 +140,8 @@ class Normal:
         # The thinner of the two is the cheaper: A for small embeddings, its Gram matrix for others.
         pixels = camera.scene[0] * camera.scene[1]
         numbers = camera.embedding[0] * camera.embedding[1]
-        self._factor = camera.matrix().contiguous() if 2 * numbers <= pixels else None
-        self._gram = camera.gram(progress) if self._factor is None else None
+        self._thin = 2 * numbers <= pixels
+        self._matrix = camera.matrix().contiguous() if self._thin else camera.gram(progress)
         self.of_white = camera.adjoint(torch.ones(1, *camera.embedding)).clamp_min(0)
         """A^T 1, (1, rows, columns): the share of each scene pixel in all that is measured."""
         self.bound = self._bound()
@@ -151,12 +149,9 @@ class Normal:
 
     def __call__(self, scenes: Tensor) -> Tensor:
         """A^T A scenes, (count, rows, columns)."""
-        flat = scenes.flatten(1)
-        if self._gram is not None:
-            product = flat @ self._gram
-        else:
-            assert self._factor is not None  # noqa: S101 - one of the two is there
-            product = (flat @ self._factor) @ self._factor.T
+        product = scenes.flatten(1) @ self._matrix
+        if self._thin:
+            product = product @ self._matrix.T
         return product.reshape(scenes.shape)
 
     def _bound(self) -> float:
@@ -202,8 +197,8 @@ class ConvexAttack:
         self, normal: Normal, embeddings: Tensor, progress: Progress | None = None
     ) -> Recovery:
         """Recover the scenes of embeddings (count, rows, columns); estimates are in [0, 1]."""
-        steps = descend(normal, embeddings, self.variation, (self.iterations,), progress)
-        (found,) = steps
+        stops = (self.iterations,)
+        (found,) = descend(normal, embeddings, self.variation, stops, progress)
         return Recovery((self.brightness * found.scenes).clamp(0, 1), found.gap)
 
 
@@ -319,8 +314,7 @@ def duality_gap(
     variation = (weight[:, 0, 0] * differences(scenes).square().sum(0).sqrt().sum((1, 2))).double()
     inner = (scenes.double() * (product - slope).double()).sum((1, 2))
     light = (scenes * share).double().sum((1, 2))
-    bound = inner + variation + shift * light + shift.square() * numbers / 2
-    return bound.clamp_min(0)
+    return (inner + variation + shift * light + shift.square() * numbers / 2).clamp_min(0)
 
 
 def tune(
@@ -342,17 +336,15 @@ def tune(
         stops: iterations to try, rising.
         progress: told of the weights that are done, and of all.
     """
-    best: ConvexAttack | None = None
+    require(bool(variations and stops), "there is nothing to try: use variations and stops")
+    tried: list[ConvexAttack] = []
     for number, variation in enumerate(variations):
         found = descend(normal, embeddings, variation, stops)
         for iterations, each in zip(stops, found, strict=True):
             scale = float((each.scenes * truth).sum() / each.scenes.square().sum().clamp_min(1e-12))
             error = ((scale * each.scenes).clamp(0, 1) - truth).square().mean((1, 2))
             quality = float(-10 * error.clamp_min(1e-12).log10().mean())
-            if best is None or quality > best.psnr:
-                best = ConvexAttack(variation, iterations, scale, quality)
+            tried.append(ConvexAttack(variation, iterations, scale, quality))
         if progress is not None:
             progress(number + 1, len(variations))
-    require(best is not None, "variations and stops hold nothing to try: use one of each")
-    assert best is not None  # noqa: S101 - for the type checker
-    return best
+    return max(tried, key=lambda each: each.psnr)
