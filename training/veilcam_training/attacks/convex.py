@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, pad
+from torch.nn.functional import avg_pool2d
 
 from veilcam_optics.propagation.sampling import fast_length
 from veilcam_training.attacks.networks import Progress
@@ -30,7 +30,7 @@ ROUNDING = 1e-5
 """Float32 errors that the bound on the step allows for, relative."""
 INNER_STEPS = 10
 """Of the dual problem of total variation, in each gradient step; they go on where they ended."""
-CLOSING_STEPS = 200
+CLOSING_STEPS = 100
 """Of it, before a gap is told: the bound is as good as the dual variables are."""
 
 VARIATIONS = (0.0, 1e-4, 3e-4, 1e-3, 1e-2)
@@ -101,10 +101,8 @@ class BinnedConvolution:
     def matrix(self, rows: slice = slice(None)) -> Tensor:
         """D H itself, (scene pixels, embedding pixels), for some ``rows`` of the embedding."""
         (high, wide), (down, along) = self.kernel.stride(), self.binning
-        pixels = self.kernel.as_strided(
-            (*self.scene, *self.embedding),
-            (self.side * high, self.side * wide, down * high, along * wide),
-        )
+        strides = (self.side * high, self.side * wide, down * high, along * wide)
+        pixels = self.kernel.as_strided((*self.scene, *self.embedding), strides)
         return pixels[:, :, rows].reshape(self.scene[0] * self.scene[1], -1)
 
     def gram(self, progress: Progress | None = None) -> Tensor:
@@ -142,8 +140,8 @@ class Normal:
         # The thinner of the two is the cheaper: A for small embeddings, its Gram matrix for others.
         pixels = camera.scene[0] * camera.scene[1]
         numbers = camera.embedding[0] * camera.embedding[1]
-        self._factor = camera.matrix().contiguous() if 2 * numbers <= pixels else None
-        self._gram = camera.gram(progress) if self._factor is None else None
+        self._thin = 2 * numbers <= pixels
+        self._matrix = camera.matrix().contiguous() if self._thin else camera.gram(progress)
         self.of_white = camera.adjoint(torch.ones(1, *camera.embedding)).clamp_min(0)
         """A^T 1, (1, rows, columns): the share of each scene pixel in all that is measured."""
         self.bound = self._bound()
@@ -151,12 +149,9 @@ class Normal:
 
     def __call__(self, scenes: Tensor) -> Tensor:
         """A^T A scenes, (count, rows, columns)."""
-        flat = scenes.flatten(1)
-        if self._gram is not None:
-            product = flat @ self._gram
-        else:
-            assert self._factor is not None  # noqa: S101 - one of the two is there
-            product = (flat @ self._factor) @ self._factor.T
+        product = scenes.flatten(1) @ self._matrix
+        if self._thin:
+            product = product @ self._matrix.T
         return product.reshape(scenes.shape)
 
     def _bound(self) -> float:
@@ -202,8 +197,8 @@ class ConvexAttack:
         self, normal: Normal, embeddings: Tensor, progress: Progress | None = None
     ) -> Recovery:
         """Recover the scenes of embeddings (count, rows, columns); estimates are in [0, 1]."""
-        steps = descend(normal, embeddings, self.variation, (self.iterations,), progress)
-        (found,) = steps
+        stops = (self.iterations,)
+        (found,) = descend(normal, embeddings, self.variation, stops, progress)
         return Recovery((self.brightness * found.scenes).clamp(0, 1), found.gap)
 
 
@@ -213,6 +208,8 @@ def descend(
     variation: float,
     stops: Sequence[int],
     progress: Progress | None = None,
+    *,
+    inner: int = INNER_STEPS,
 ) -> Iterator[Recovery]:
     """FISTA, restarted where it overshoots (O'Donoghue and Candes 2015); what it has at each stop.
 
@@ -222,6 +219,8 @@ def descend(
         variation: see :class:`ConvexAttack`.
         stops: counts of iterations, rising.
         progress: told of the iterations that are done, and of all.
+        inner: steps of the dual problem of total variation, in each of these; the gap closes no
+            further than they are exact.
     """
     # In units of each picture's own light, so that settings hold for all of them.
     power = embeddings.square().sum((1, 2), keepdim=True).clamp_min(torch.finfo().tiny)
@@ -233,7 +232,7 @@ def descend(
     for count in range(1, stops[-1] + 1):
         stepped = ahead - (normal(ahead) - slope) / normal.bound
         if variation:
-            new, dual = denoise(stepped, weight / normal.bound, dual, INNER_STEPS)
+            new, dual = denoise(stepped, weight / normal.bound, dual, inner)
         else:
             new = stepped.clamp_min(0)
         overshot = ((ahead - new) * (new - scenes)).sum((1, 2), keepdim=True) > 0
@@ -268,27 +267,31 @@ def denoise(scenes: Tensor, weight: Tensor, dual: Tensor, steps: int) -> tuple[T
     step = 1 / (8 * weight.clamp_min(torch.finfo().tiny))
     ahead, momentum = dual, 1.0
     for _ in range(steps):
-        moved = ahead + step * differences((scenes - weight * divergence(ahead)).clamp_min(0))
-        new = moved / moved.square().sum(0).sqrt().clamp_min(1)
+        shown = torch.addcmul(scenes, weight, divergence(ahead), value=-1).clamp_min_(0)
+        moved = torch.addcmul(ahead, step, differences(shown))
+        new = moved.div_(torch.hypot(moved[0], moved[1]).clamp_min_(1))
         following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = new + (momentum - 1) / following * (new - dual)
+        ahead = torch.lerp(new, dual, (1 - momentum) / following)
         dual, momentum = new, following
     return (scenes - weight * divergence(dual)).clamp_min(0), dual
 
 
 def differences(scenes: Tensor) -> Tensor:
     """Forward differences (2, count, rows, columns) along y and x, 0 at the far edges."""
-    down = pad(scenes.diff(dim=-2), (0, 0, 0, 1))
-    along = pad(scenes.diff(dim=-1), (0, 1))
-    return torch.stack([down, along])
+    found = scenes.new_zeros(2, *scenes.shape)
+    torch.sub(scenes[:, 1:], scenes[:, :-1], out=found[0, :, :-1])
+    torch.sub(scenes[:, :, 1:], scenes[:, :, :-1], out=found[1, :, :, :-1])
+    return found
 
 
 def divergence(dual: Tensor) -> Tensor:
     """The transpose of :func:`differences`."""
-    down, along = dual[0, :, :-1], dual[1, :, :, :-1]
-    return (
-        pad(down, (0, 0, 1, 0)) - pad(down, (0, 0, 0, 1)) + pad(along, (1, 0)) - pad(along, (0, 1))
-    )
+    found = torch.zeros_like(dual[0])
+    found[:, 1:] += dual[0, :, :-1]
+    found[:, :-1] -= dual[0, :, :-1]
+    found[:, :, 1:] += dual[1, :, :, :-1]
+    found[:, :, :-1] -= dual[1, :, :, :-1]
+    return found
 
 
 def duality_gap(
@@ -311,8 +314,7 @@ def duality_gap(
     variation = (weight[:, 0, 0] * differences(scenes).square().sum(0).sqrt().sum((1, 2))).double()
     inner = (scenes.double() * (product - slope).double()).sum((1, 2))
     light = (scenes * share).double().sum((1, 2))
-    bound = inner + variation + shift * light + shift.square() * numbers / 2
-    return bound.clamp_min(0)
+    return (inner + variation + shift * light + shift.square() * numbers / 2).clamp_min(0)
 
 
 def tune(
@@ -334,17 +336,15 @@ def tune(
         stops: iterations to try, rising.
         progress: told of the weights that are done, and of all.
     """
-    best: ConvexAttack | None = None
+    require(bool(variations and stops), "there is nothing to try: use variations and stops")
+    tried: list[ConvexAttack] = []
     for number, variation in enumerate(variations):
         found = descend(normal, embeddings, variation, stops)
         for iterations, each in zip(stops, found, strict=True):
             scale = float((each.scenes * truth).sum() / each.scenes.square().sum().clamp_min(1e-12))
             error = ((scale * each.scenes).clamp(0, 1) - truth).square().mean((1, 2))
             quality = float(-10 * error.clamp_min(1e-12).log10().mean())
-            if best is None or quality > best.psnr:
-                best = ConvexAttack(variation, iterations, scale, quality)
+            tried.append(ConvexAttack(variation, iterations, scale, quality))
         if progress is not None:
             progress(number + 1, len(variations))
-    require(best is not None, "variations and stops hold nothing to try: use one of each")
-    assert best is not None  # noqa: S101 - for the type checker
-    return best
+    return max(tried, key=lambda each: each.psnr)

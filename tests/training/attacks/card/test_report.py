@@ -19,7 +19,8 @@ from tests.training.attacks.card.conftest import (
 
 from veilcam_training.attacks.card import rows
 from veilcam_training.attacks.card.report import Work, figures_of, judge, make_card
-from veilcam_training.attacks.card.rows import ROWS, Found
+from veilcam_training.attacks.card.rows import ROWS
+from veilcam_training.attacks.card.shots import Found
 from veilcam_training.attacks.card.study import FULL, QUICK, Study
 from veilcam_training.attacks.card.threats import CLAIMED, THREATS
 from veilcam_training.attacks.intervals import Gain

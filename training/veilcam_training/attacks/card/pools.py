@@ -41,6 +41,7 @@ class Pool:
         listed: decoded with what a leaked list has that fits best, likewise.
         scores: of the bundle's own classifier, (masks, captures, labels); of none, where there is
             no classifier of these masks.
+        places: int64 (masks,): among stored masks; -1 for one that never comes again.
     """
 
     chosen: Tensor
@@ -50,6 +51,7 @@ class Pool:
     wrong: Tensor
     listed: Tensor
     scores: Tensor
+    places: Tensor
 
     @property
     def masks(self) -> int:
@@ -116,7 +118,7 @@ def _part(subject: Subject, images: Images, *, own: bool, random: torch.Generato
         others = (each for each in reversed(recent) if each.place != mask.place or mask.place < 0)
         other = next(others, stranger)
         seen = _watch(subject, victim, mask, scenes, other=other, listed=listed)
-        rows.append((chosen, images.labels[chosen], *seen))
+        rows.append((chosen, images.labels[chosen], *seen, torch.tensor(mask.place)))
         # Two that differ: whichever mask comes next, one of them is another.
         if not recent or mask.place < 0 or recent[-1].place != mask.place:
             recent.append(mask)

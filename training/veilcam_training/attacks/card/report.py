@@ -11,7 +11,8 @@ from pydantic import ValidationError
 
 from veilcam_optics.files import write_whole
 from veilcam_training.attacks.card.faces import face_notes, load_faces
-from veilcam_training.attacks.card.rows import ROWS, Found
+from veilcam_training.attacks.card.rows import ROWS
+from veilcam_training.attacks.card.shots import Found
 from veilcam_training.attacks.card.study import Plan, Study, Tell, parted
 from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.attacks.card.threats import (

@@ -5,41 +5,28 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
-from pydantic import BaseModel
 from torch import Tensor
 
 from veilcam_training.attacks.card.pools import CAPTURES
-from veilcam_training.attacks.card.study import Shots, Study, by_pairs
+from veilcam_training.attacks.card.shots import Found, known_pairs, of_masks, recovered
+from veilcam_training.attacks.card.study import Study, by_pairs
 from veilcam_training.attacks.card.threats import KNOWN
+from veilcam_training.attacks.clustering import adjusted_rand_index
 from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
-from veilcam_training.attacks.known_pairs import KernelRidge, hits, readers
-from veilcam_training.attacks.leaked import estimates
 from veilcam_training.attacks.linkage import link_area, links
 from veilcam_training.attacks.mask_recovery import (
-    Evidence,
-    KnownPictures,
     MeanCapture,
-    recover_mask,
 )
 from veilcam_training.attacks.metrics import mean_picture_advantage, psnr, ssim
 from veilcam_training.attacks.networks import Seen, by_network, judged, linear, perceptron
+from veilcam_training.attacks.sorting import by_directions
 from veilcam_training.seeding import stream
 
 FOLDS = 2
-FEW = 4
-"""Known pictures that a mask is looked for with."""
-
-
-class Found(BaseModel, frozen=True, extra="forbid"):
-    """What attacks of one threat found; a file of the work folder."""
-
-    threat: str
-    attack: str
-    gain: Gain
-    masks: int
-    others: dict[str, float]
-    """Figures of all attacks that were tried."""
-    notes: tuple[str, ...] = ()
+SORTED = 20
+"""Masks whose captures are sorted."""
+FLOOR = 1e-2
+"""Singular values count from this share of the largest on: 40 dB, the noise of a measurement."""
 
 
 def with_the_key(study: Study) -> Found:
@@ -62,10 +49,11 @@ def ciphertext_only(study: Study) -> Found:
         seen.labels.flatten(),
     )
     found = _read(study, "T1", contest.name, contest.scores, contest.shares)
+    found = found.model_copy(update={"notes": _sorted_by_mask(study)})
     if not study.plan.recovered or study.subject.form != "raw":
         return found
     by_mean = {
-        "mask by gradient from the mean of captures": _recovered(
+        "mask by gradient from the mean of captures": recovered(
             study,
             lambda shots: MeanCapture(
                 study.subject.decoding,
@@ -74,9 +62,22 @@ def ciphertext_only(study: Study) -> Found:
             ),
         )
     }
-    other = _of_masks(study, "T1", by_mean, f"{study.plan.known} captures of a mask, none known")
+    other = of_masks(study, "T1", by_mean, f"{study.plan.known} captures of a mask, none known")
     worse = other if other.gain.value > found.gain.value else found
-    return worse.model_copy(update={"others": found.others | other.others})
+    return worse.model_copy(update={"others": found.others | other.others, "notes": found.notes})
+
+
+def _sorted_by_mask(study: Study) -> tuple[str, ...]:
+    """A note: how well captures are grouped by mask without the names of their epochs."""
+    some = study.seen.take(torch.arange(SORTED))
+    fresh = torch.arange(SORTED) + len(some.places)
+    _, masks = torch.unique(torch.where(some.places < 0, fresh, some.places), return_inverse=True)
+    count = int(masks.max()) + 1
+    if count == 1:
+        return ()
+    groups = by_directions(some.released.flatten(0, 1), count, stream(study.seed, "sorted"))
+    index = adjusted_rand_index(groups, masks.repeat_interleave(CAPTURES))
+    return (f"Sorted by mask without the names of epochs: adjusted Rand index {index:.2f}.",)
 
 
 def wrong_key(study: Study) -> Found:
@@ -116,7 +117,7 @@ def this_mask(study: Study) -> Found:
     """T4: labelled captures of the very mask, as many as its budget leaves."""
     known = KNOWN[study.subject.form]
     if known:
-        return _known_pairs(study, "T4", known)
+        return known_pairs(study, "T4", known)
     seen = study.seen
     scores = torch.zeros(seen.labels.numel(), study.classes)
     gain = _points(study, scores)
@@ -157,6 +158,8 @@ def full_leak(study: Study) -> Found:
     notes = (
         f"PSNR {float(psnr(estimate, truth).mean()):.1f} dB and SSIM "
         f"{float(ssim(estimate, truth).mean()):.2f}, data range 1; {read:.1f} % of the digits.",
+        f"The transfer matrix of a mask has {_directions(study)} singular values above 1 % of its "
+        f"largest, of {min(study.subject.bundle.embedding.size, truth[0].numel())}.",
     )
     return Found(
         threat="T6",
@@ -168,9 +171,16 @@ def full_leak(study: Study) -> Found:
     )
 
 
+def _directions(study: Study) -> int:
+    """Of one mask, its columns less their means: in how many directions scenes differ behind it."""
+    transfer = study.subject.camera(own=False, generator=stream(study.seed, "T")).mask().transfer
+    values = torch.linalg.svdvals((transfer - transfer.mean(0)).double())
+    return int((values > FLOOR * values[0]).sum())
+
+
 def many_shots(study: Study) -> Found:
     """T7: hundreds of labelled captures of the very mask."""
-    return _known_pairs(study, "T7", study.plan.known)
+    return known_pairs(study, "T7", study.plan.known)
 
 
 def scores_of_answers(study: Study) -> Found:
@@ -282,53 +292,3 @@ def _folds(study: Study) -> Tensor:
     pairs = study.seen.masks // 2
     order = np.random.default_rng(study.seed).permutation(pairs)
     return torch.from_numpy(order % FOLDS).repeat_interleave(2)
-
-
-def _known_pairs(study: Study, threat: str, known: int) -> Found:
-    """Readers of labelled captures; which of them is used is chosen behind a third of the masks."""
-    masks = [each.captures.of_first(known) for each in study.long]
-    tried = readers()
-    if not study.plan.recovered:  # light attackers
-        tried = {name: each for name, each in tried.items() if isinstance(each, KernelRidge)}
-    given = {name: hits(each, masks, study.classes) for name, each in tried.items()}
-    if study.plan.recovered and study.subject.form == "raw":
-        few = min(known, FEW)
-        given[f"mask by gradient from {few} known pictures"] = _recovered(
-            study,
-            lambda shots: KnownPictures(
-                study.subject.decoding,
-                shots.scenes[:few],
-                shots.captures.known.vectors[:few],
-            ),
-        )
-    return _of_masks(study, threat, given, f"{known} captures known")
-
-
-def _of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) -> Found:
-    """The best behind the first third of its masks, judged behind the others."""
-    tuned = {name: max(1, len(each) // 3) for name, each in given.items()}
-    name = max(given, key=lambda each: float(given[each][: tuned[each]].double().mean()))
-    gains = {
-        each: accuracy_gain(found[tuned[each] :].numpy(), study.classes, 0.0)
-        for each, found in given.items()
-    }
-    return Found(
-        threat=threat,
-        attack=f"{name}; {note}",
-        gain=gains[name],
-        masks=len(given[name]) - tuned[name],
-        others={each: gain.value for each, gain in gains.items()},
-    )
-
-
-def _recovered(study: Study, evidence: Callable[[Shots], Evidence]) -> Tensor:
-    """What is read behind masks that were found by gradient, bool (masks, captures)."""
-    decoding, random = study.subject.decoding, stream(study.seed, "recovered")
-    shape, right = study.subject.bundle.camera.mask_shape, []
-    for shots in study.long[: study.plan.recovered]:
-        found = recover_mask(evidence(shots), shape, generator=random)
-        asked = shots.captures.asked
-        decoded = estimates(decoding, found.weights, asked.vectors)
-        right.append(judged(study.read.answer, decoded.flatten(1)).argmax(1) == asked.labels)
-        study.tell("masks by gradient", len(right), study.plan.recovered)
-    return torch.stack(right)

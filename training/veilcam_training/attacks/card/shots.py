@@ -1,0 +1,80 @@
+"""Attackers of one mask behind which many captures were taken, and what a row is kept as."""
+
+from collections.abc import Callable, Mapping
+
+import torch
+from pydantic import BaseModel
+from torch import Tensor
+
+from veilcam_training.attacks.card.study import Shots, Study
+from veilcam_training.attacks.intervals import Gain, accuracy_gain
+from veilcam_training.attacks.known_pairs import KernelRidge, hits, readers
+from veilcam_training.attacks.leaked import estimates
+from veilcam_training.attacks.mask_recovery import Evidence, KnownPictures, recover_mask
+from veilcam_training.attacks.networks import judged
+from veilcam_training.seeding import stream
+
+FEW = 4
+"""Known pictures that a mask is looked for with."""
+
+
+class Found(BaseModel, frozen=True, extra="forbid"):
+    """What attacks of one threat found; a file of the work folder."""
+
+    threat: str
+    attack: str
+    gain: Gain
+    masks: int
+    others: dict[str, float]
+    """Figures of all attacks that were tried."""
+    notes: tuple[str, ...] = ()
+
+
+def known_pairs(study: Study, threat: str, known: int) -> Found:
+    """Readers of labelled captures; which of them is used is chosen behind a third of the masks."""
+    masks = [each.captures.of_first(known) for each in study.long]
+    tried = readers()
+    if not study.plan.recovered:  # light attackers
+        tried = {name: each for name, each in tried.items() if isinstance(each, KernelRidge)}
+    given = {name: hits(each, masks, study.classes) for name, each in tried.items()}
+    if study.plan.recovered and study.subject.form == "raw":
+        few = min(known, FEW)
+        given[f"mask by gradient from {few} known pictures"] = recovered(
+            study,
+            lambda shots: KnownPictures(
+                study.subject.decoding,
+                shots.scenes[:few],
+                shots.captures.known.vectors[:few],
+            ),
+        )
+    return of_masks(study, threat, given, f"{known} captures known")
+
+
+def of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) -> Found:
+    """The best behind the first third of its masks, judged behind the others."""
+    tuned = {name: max(1, len(each) // 3) for name, each in given.items()}
+    name = max(given, key=lambda each: float(given[each][: tuned[each]].double().mean()))
+    gains = {
+        each: accuracy_gain(found[tuned[each] :].numpy(), study.classes, 0.0)
+        for each, found in given.items()
+    }
+    return Found(
+        threat=threat,
+        attack=f"{name}; {note}",
+        gain=gains[name],
+        masks=len(given[name]) - tuned[name],
+        others={each: gain.value for each, gain in gains.items()},
+    )
+
+
+def recovered(study: Study, evidence: Callable[[Shots], Evidence]) -> Tensor:
+    """What is read behind masks that were found by gradient, bool (masks, captures)."""
+    decoding, random = study.subject.decoding, stream(study.seed, "recovered")
+    shape, right = study.subject.bundle.camera.mask_shape, []
+    for shots in study.long[: study.plan.recovered]:
+        found = recover_mask(evidence(shots), shape, generator=random)
+        asked = shots.captures.asked
+        decoded = estimates(decoding, found.weights, asked.vectors)
+        right.append(judged(study.read.answer, decoded.flatten(1)).argmax(1) == asked.labels)
+        study.tell("masks by gradient", len(right), study.plan.recovered)
+    return torch.stack(right)
