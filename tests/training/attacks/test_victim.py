@@ -16,6 +16,7 @@ from veilcam_training.attacks.victim import (
     FORMS,
     FreshMasks,
     MaskSource,
+    Prepared,
     ReleaseRule,
     StoredMasks,
     Victim,
@@ -89,6 +90,26 @@ def test_fresh_masks_never_come_again_and_stored_ones_do(light: TransferOperator
     # The name tells the epoch, never the mask.
     assert [mask.epoch for mask in shown] == list(range(1, 21))
     assert len({mask.key for mask in shown}) == 20
+
+
+def test_stored_masks_are_prepared_once_for_all_cameras_that_share_them(
+    light: TransferOperator,
+) -> None:
+    stored = StoredMasks.random(CAMERA, 2, torch.Generator().manual_seed(1))
+    shared: dict[int, Prepared] = {}
+    cameras = [
+        Victim(light, stored, raw, generator=torch.Generator().manual_seed(seed), prepared=shared)
+        for seed in (1, 2)
+    ]
+    one, other = (camera.leak(1) for camera in cameras)
+    assert len(one) == len(other) == len(shared) == 2
+    for mine, theirs in zip(one, other, strict=True):
+        assert mine.transfer is theirs.transfer
+        assert mine.key != theirs.key
+    # What never comes again is kept by nobody.
+    fresh = Victim(light, _fresh(), raw, generator=torch.Generator(), prepared=shared)
+    assert len(fresh.leak(3)) == 3
+    assert len(shared) == 2
 
 
 def test_a_release_of_ones_own_is_taken(light: TransferOperator) -> None:

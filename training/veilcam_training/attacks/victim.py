@@ -109,6 +109,10 @@ ReleaseRule = Callable[[VictimMask, Tensor], Tensor]
 """From a mask and measurements (count, E) to what leaves, (count, numbers)."""
 
 
+Prepared = tuple[Tensor, Decoder | None]
+"""Transfer matrix of the light behind a mask, and its decoder."""
+
+
 def raw(mask: VictimMask, measurements: Tensor) -> Tensor:
     """Measurements as they were read."""
     del mask
@@ -184,6 +188,8 @@ class Victim:
         decoding: what the camera knows of scenes, to whiten with; None: nothing.
         snr_db: signal-to-noise ratio of a measurement [dB].
         generator: of masks, keys and noise.
+        prepared: transfer and decoder of stored masks by their place: cameras with the same masks
+            share what one of them has prepared. None: nothing is shared.
     """
 
     def __init__(
@@ -195,11 +201,12 @@ class Victim:
         decoding: SceneDecoding | None = None,
         snr_db: float = SNR_DB,
         generator: torch.Generator,
+        prepared: dict[int, Prepared] | None = None,
     ) -> None:
         self.light, self.source, self.release = light, source, release
         self.decoding, self.snr_db = decoding, snr_db
         self._generator, self._epochs = generator, 0
-        self._met: dict[int, tuple[Tensor, Decoder | None]] = {}
+        self._prepared = {} if prepared is None else prepared
 
     def mask(self) -> VictimMask:
         """The mask of the next epoch."""
@@ -214,9 +221,9 @@ class Victim:
     @torch.no_grad()
     def _epoch(self, place: int, weights: Tensor) -> VictimMask:
         self._epochs += 1
-        known = self._met.get(place) or self._prepare(weights)
+        known = self._prepared.get(place) or self._prepare(weights)
         if place >= 0:  # it comes again
-            self._met[place] = known
+            self._prepared[place] = known
         return VictimMask(self._epochs, place, weights, *known, _key(self._generator))
 
     def _prepare(self, weights: Tensor) -> tuple[Tensor, Decoder | None]:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from veilcam_training.attacks.victim import (
     FORMS,
     FreshMasks,
     MaskSource,
+    Prepared,
     ReleaseRule,
     StoredMasks,
     Victim,
@@ -77,6 +78,8 @@ class Subject:
     opening: Opening
     reading: Reading | None
     """None where masks have no classifier of the bundle."""
+    prepared: dict[int, Prepared] = field(default_factory=dict, repr=False)
+    """Stored masks that were met."""
 
     def camera(self, *, own: bool, generator: torch.Generator) -> Victim:
         """The camera itself, or one of an attacker's own."""
@@ -86,6 +89,7 @@ class Subject:
             self.release,
             decoding=self.decoding,
             generator=generator,
+            prepared=None if own else self.prepared,
         )
 
 
