@@ -270,6 +270,8 @@ def bundle_in_words(installed: InstalledBundle) -> str:
     if held is not None and held.version:
         content += f", version {held.version}"
         content += f" signed by {held.signed_by}" if held.signed_by else " not signed"
+    if held is not None and held.card is not None:
+        content += f", privacy card: {held.card.outcome}" + (" (quick)" if held.card.quick else "")
     own = "  configured" if installed.configured else ""
     return f"{star} {installed.digest[:12]}  {installed.size / 1e6:7.1f} MB  {content}{own}"
 

@@ -2,9 +2,41 @@
 
 from __future__ import annotations
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, Answer
+from datetime import datetime
+
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer
 
 BUNDLE_MEDIA_TYPE = "application/vnd.veilcam.bundle"
+
+
+class CardFinding(Answer):
+    """One row of a privacy card."""
+
+    threat: str
+    """``T0`` to ``T9``: see docs/privacy-card.md."""
+    outcome: str
+    """``PASS``, ``FAIL`` or ``NOT CLAIMED``."""
+    figure: float
+    """What the worst attacker reached."""
+    end: float
+    """Of the figure's one-sided interval."""
+    unit: str
+
+
+class CardSummary(Answer):
+    """What attacks on a bundle found, as whoever made it says."""
+
+    outcome: str
+    """``PASS``: all that is claimed held; ``FAIL``; ``NOT CLAIMED``: nothing is claimed; ``VOID``:
+    the attacks failed even with the key, so that no row says anything."""
+    mode: str
+    """The masks that were attacked: ``fresh``, ``random``, or ``pairs`` and their number."""
+    form: str
+    """In which embeddings left the attacked camera."""
+    quick: bool
+    """Few masks and light attackers."""
+    made_at: datetime
+    rows: tuple[CardFinding, ...]
 
 
 class BundleInfo(Answer):
@@ -23,6 +55,8 @@ class BundleInfo(Answer):
     """Of its owner's choice, from 1 on; 0 for one that has none."""
     signed_by: str | None = None
     """First digits of the SHA-256 of its owner's key; None for one that is not signed."""
+    card: CardSummary | None = None
+    """Its privacy card; None where it has none, or one of other masks."""
 
 
 class InstalledBundle(Answer):
@@ -55,6 +89,17 @@ EXAMPLE_BUNDLE = BundleInfo(
     pairs=6,
     version=4,
     signed_by="3a6eb0790f39",
+    card=CardSummary(
+        outcome="PASS",
+        mode="pairs6",
+        form="sealed",
+        quick=False,
+        made_at=EXAMPLE_TIME,
+        rows=(
+            CardFinding(threat="T0", outcome="PASS", figure=94.1, end=92.8, unit="%"),
+            CardFinding(threat="T1", outcome="PASS", figure=0.2, end=0.8, unit="points"),
+        ),
+    ),
 )
 _BUNDLE = InstalledBundle(
     digest=EXAMPLE_DIGEST, size=48_213, active=True, configured=False, bundle=EXAMPLE_BUNDLE

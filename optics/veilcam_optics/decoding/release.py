@@ -87,6 +87,23 @@ class Whitening:
         directions: Tensor = (white / length).float()
         return directions
 
+    def restore(self, directions: Tensor) -> Tensor:
+        """Measurements that give these directions, with the length that is expected of one.
+
+        What whoever has mask and key makes of a white embedding: all but its length comes back,
+        and that is nearly the same for all scenes.
+
+        Args:
+            directions: (batch, E).
+
+        Returns:
+            (batch, E) float32.
+        """
+        white = directions.double() * len(self._mean) ** 0.5
+        scaled = (white @ self._rotation) @ self._factor.T
+        restored: Tensor = (self._mean + scaled * self._deviation).float()
+        return restored
+
     def erase(self) -> None:
         """Overwrite all that is the mask's, as well as Python lets us; the decoder stays."""
         overwrite(self._factor, self._rotation, self._mean, self._deviation)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from veilcam_client.wire.bundles import BundleInfo
+from veilcam_client.wire.bundles import BundleInfo, CardFinding, CardSummary
 from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_client.wire.status import Device
@@ -30,7 +30,7 @@ from veilcam_server.masks.source import MaskSource, Terms
 from veilcam_server.sealing.receivers import ReceiverStore
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report
-from veilcam_training.bundle import Bundle, BundleError, read_bundle
+from veilcam_training.bundle import Bundle, BundleError, PrivacyCard, read_bundle
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,24 @@ def bundle_info(bundle: Bundle) -> BundleInfo:
         pairs=len(bundle.pairs),
         version=bundle.version,
         signed_by=None if bundle.owner is None else bundle.owner.short,
+        card=None if bundle.card is None else _summary(bundle.card),
+    )
+
+
+def _summary(card: PrivacyCard) -> CardSummary:
+    rows = tuple(
+        CardFinding(
+            threat=row.threat, outcome=row.outcome, figure=row.figure, end=row.end, unit=row.unit
+        )
+        for row in card.rows
+    )
+    return CardSummary(
+        outcome=card.outcome,
+        mode=card.mode,
+        form=card.form,
+        quick=card.quick,
+        made_at=card.made_at,
+        rows=rows,
     )
 
 

@@ -92,8 +92,12 @@ def test_allow_older_without_activate_would_do_nothing(daemon: Daemon, tmp_path:
 
 
 def test_version_and_owner_in_words() -> None:
-    held = EXAMPLE_BUNDLE
+    held = EXAMPLE_BUNDLE.model_copy(update={"card": None})
+    card = EXAMPLE_BUNDLE.card
+    assert card is not None
     for change, words in (
+        ({"card": card}, "signed by 3a6eb0790f39, privacy card: PASS"),
+        ({"card": card.model_copy(update={"quick": True})}, "privacy card: PASS (quick)"),
         ({}, "6 masks, version 4 signed by 3a6eb0790f39"),
         ({"signed_by": None}, "6 masks, version 4 not signed"),
         ({"signed_by": None, "version": 0}, "6 masks"),

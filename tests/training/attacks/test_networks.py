@@ -11,7 +11,7 @@ import torch
 from scipy.stats import binom
 
 from veilcam_training.attacks.intervals import Gain, holm
-from veilcam_training.attacks.keyless import FOLDS, Asked, Kind, dealt, gain, gains, worst_upper
+from veilcam_training.attacks.keyless import FOLDS, Asked, Kind, dealt, gain, worst_upper
 from veilcam_training.attacks.networks import (
     FAMILIES,
     TRIALS,
@@ -135,16 +135,24 @@ def test_every_mask_is_judged_once_by_whoever_never_learned_from_it() -> None:
     assert not torch.equal(parts[0][0], next(dealt(50, 4))[0])
 
 
-@pytest.mark.slow
 def test_the_worst_upper_end_is_that_of_the_row_nearest_to_its_bar() -> None:
-    told: list[tuple[int, int]] = []
-    asked = {"digits": noise("class", 1), "link": noise("linkage", 2)}
-
-    found = gains(asked, epochs=1, seed=1, progress=lambda *each: told.append(each))
-    assert list(found) == [f"{name} by {family}" for name in asked for family in FAMILIES]
-    assert told == [(done, 6) for done in range(1, 7)]
     verdicts = holm(
         {"a": Gain(0.4, 0.01, 1.0, 100, 10.4), "b": Gain(0.015, 0.0001, 0.02, 100, 0.515)}
     )
     assert worst_upper(verdicts) == pytest.approx(verdicts["b"].upper / 0.02)
     assert 0.75 < worst_upper(verdicts) < 1
+
+
+def test_whoever_waits_is_told_of_every_fold() -> None:
+    told: list[tuple[int, int]] = []
+    kinds: tuple[Kind, ...] = ("class", "linkage")
+    for kind in kinds:
+        found = gain(
+            noise(kind, 1),
+            "products",
+            epochs=1,
+            seed=1,
+            progress=lambda *each: told.append(each),
+        )
+        assert found.count > 0
+    assert told == 2 * [(fold, FOLDS) for fold in range(1, FOLDS + 1)]

@@ -25,7 +25,6 @@ from veilcam_training.attacks.intervals import (
 )
 from veilcam_training.attacks.linkage import blocks_of, links
 from veilcam_training.attacks.networks import (
-    FAMILIES,
     TRIALS,
     Attacker,
     Family,
@@ -126,19 +125,6 @@ def gain(
     if asked.kind == "presence":
         return presence_gain(scores, asked.labels, folds)
     return accuracy_gain((scores.argmax(2) == asked.labels).numpy(), asked.classes)
-
-
-def gains(
-    questions: Mapping[str, Asked], *, epochs: int, seed: int, progress: Progress | None = None
-) -> dict[str, Gain]:
-    """What every family gains on every question, by ``"QUESTION by FAMILY"``."""
-    found: dict[str, Gain] = {}
-    for name, asked in questions.items():
-        for family in FAMILIES:
-            found[f"{name} by {family}"] = gain(asked, family, epochs=epochs, seed=seed)
-            if progress is not None:
-                progress(len(found), len(questions) * len(FAMILIES))
-    return found
 
 
 def worst_upper(verdicts: Mapping[str, Verdict]) -> float:

@@ -9,10 +9,12 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import torch
+from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from torch import Tensor
 
@@ -91,6 +93,17 @@ class VictimMask:
     numbers: Iterator[int] = field(default_factory=itertools.count, repr=False, compare=False)
     """Of captures in this epoch that are yet to be sealed: none is sealed under a number twice."""
 
+    @cached_property
+    def whitening(self) -> Whitening:
+        """What makes white embeddings of measurements.
+
+        Raises:
+            TrainingError: a camera without scene statistics cannot whiten.
+        """
+        if self.decoder is None:
+            raise TrainingError("a camera without scene statistics cannot whiten: use raw, sealed")
+        return Whitening(self.decoder, self.key)
+
 
 ReleaseRule = Callable[[VictimMask, Tensor], Tensor]
 """From a mask and measurements (count, E) to what leaves, (count, numbers)."""
@@ -103,14 +116,8 @@ def raw(mask: VictimMask, measurements: Tensor) -> Tensor:
 
 
 def white(mask: VictimMask, measurements: Tensor) -> Tensor:
-    """Directions alone, of length 1, turned by the key of the mask.
-
-    Raises:
-        TrainingError: a camera without scene statistics cannot whiten.
-    """
-    if mask.decoder is None:
-        raise TrainingError("a camera without scene statistics cannot whiten: use raw or sealed")
-    return Whitening(mask.decoder, mask.key).whiten(measurements)
+    """Directions alone, of length 1, turned by the key of the mask."""
+    return mask.whitening.whiten(measurements)
 
 
 def sealed(mask: VictimMask, measurements: Tensor) -> Tensor:
@@ -121,11 +128,35 @@ def sealed(mask: VictimMask, measurements: Tensor) -> Tensor:
     """
     cipher, rows = ChaCha20Poly1305(mask.key), []
     for measurement in measurements.float().cpu().numpy():
-        nonce = next(mask.numbers).to_bytes(12, "little")
-        block = cipher.encrypt(nonce, measurement.tobytes(), None)
+        block = cipher.encrypt(_nonce(next(mask.numbers)), measurement.tobytes(), None)
         rows.append(np.frombuffer(block, np.uint8))
     values = torch.from_numpy(np.stack(rows).astype(np.float32))
-    return (values - 127.5) / math.sqrt((256**2 - 1) / 12)
+    return (values - _BYTE_MEAN) / _BYTE_DEVIATION
+
+
+def unsealed(mask: VictimMask, released: Tensor) -> Tensor | None:
+    """Measurements of the first captures of an epoch, or None: another key opens nothing.
+
+    Args:
+        mask: whose key is tried.
+        released: what :func:`sealed` gave of the first captures, in their order.
+    """
+    cipher, rows = ChaCha20Poly1305(mask.key), []
+    blocks = (released * _BYTE_DEVIATION + _BYTE_MEAN).round().to(torch.uint8).numpy()
+    try:
+        for number, block in enumerate(blocks):
+            opened = cipher.decrypt(_nonce(number), block.tobytes(), None)
+            rows.append(np.frombuffer(opened, np.float32))
+    except InvalidTag:
+        return None
+    return torch.from_numpy(np.stack(rows))
+
+
+_BYTE_MEAN, _BYTE_DEVIATION = 127.5, math.sqrt((256**2 - 1) / 12)
+
+
+def _nonce(number: int) -> bytes:
+    return number.to_bytes(12, "little")
 
 
 FORMS: dict[str, ReleaseRule] = {"raw": raw, "white": white, "sealed": sealed}
@@ -168,20 +199,29 @@ class Victim:
         self.light, self.source, self.release = light, source, release
         self.decoding, self.snr_db = decoding, snr_db
         self._generator, self._epochs = generator, 0
+        self._met: dict[int, tuple[Tensor, Decoder | None]] = {}
 
-    @torch.no_grad()
     def mask(self) -> VictimMask:
         """The mask of the next epoch."""
-        place, weights = self.source(self._generator)
+        return self._epoch(*self.source(self._generator))
+
+    def leak(self, count: int) -> tuple[VictimMask, ...]:
+        """A list as it may leak: all stored masks, or those of the next ``count`` epochs."""
+        if isinstance(self.source, StoredMasks):
+            return tuple(self._epoch(*each) for each in enumerate(self.source.weights))
+        return tuple(self.mask() for _ in range(count))
+
+    @torch.no_grad()
+    def _epoch(self, place: int, weights: Tensor) -> VictimMask:
         self._epochs += 1
-        return VictimMask(
-            self._epochs,
-            place,
-            weights,
-            self.light(weights),
-            None if self.decoding is None else self.decoding.prepare(weights),
-            _key(self._generator),
-        )
+        known = self._met.get(place) or self._prepare(weights)
+        if place >= 0:  # it comes again
+            self._met[place] = known
+        return VictimMask(self._epochs, place, weights, *known, _key(self._generator))
+
+    def _prepare(self, weights: Tensor) -> tuple[Tensor, Decoder | None]:
+        decoder = None if self.decoding is None else self.decoding.prepare(weights)
+        return self.light(weights), decoder
 
     @torch.no_grad()
     def measure(self, mask: VictimMask, scenes: Tensor) -> Tensor:

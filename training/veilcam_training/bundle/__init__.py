@@ -1,6 +1,7 @@
 """Bundles: what training hands to a camera. This is all of training that the server imports."""
 
-from veilcam_training.bundle.archive import read_bundle, sign_bundle, write_bundle
+from veilcam_training.bundle.archive import add_card, read_bundle, sign_bundle, write_bundle
+from veilcam_training.bundle.card import CardRow, Finding, Outcome, PrivacyCard
 from veilcam_training.bundle.classifier import build_classifier, build_untrained
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
@@ -12,11 +13,16 @@ __all__ = [
     "Accuracy",
     "Bundle",
     "BundleError",
+    "CardRow",
     "Feature",
+    "Finding",
     "Fresh",
     "LayerRecord",
+    "Outcome",
     "OwnerKey",
     "Pair",
+    "PrivacyCard",
+    "add_card",
     "build_classifier",
     "build_untrained",
     "classifier_inputs",

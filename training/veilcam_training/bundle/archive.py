@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import io
+import json
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from veilcam_optics.files import write_whole
+from veilcam_training.bundle.card import CARD, PrivacyCard, dump_card, load_card, subject_of
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.manifest import (
     FreshManifest,
@@ -41,6 +43,7 @@ MAX_PART = {
     MASKS: 256 * MEBIBYTE,
     WEIGHTS: 1024 * MEBIBYTE,
     SCENES: 256 * MEBIBYTE,
+    CARD: MEBIBYTE,
 }
 """Largest size of each part after decompression [bytes]."""
 FREE, RATIO = 16 * MEBIBYTE, 4
@@ -87,6 +90,8 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         raise BundleError("a signature cannot be written again: write the bundle with owner=None")
     check_bundle(bundle)
     parts, fresh = dump_parts(bundle), bundle.fresh
+    if bundle.card is not None:
+        parts[CARD] = dump_card(bundle.card)
     manifest = Manifest(
         task=bundle.task,
         labels=bundle.labels,
@@ -130,6 +135,36 @@ def sign_bundle(path: Path, version: int, key: Ed25519PrivateKey | None) -> None
     read_bundle(path)
     parts = _unpack(_content(path))
     parts[OWNER] = dump_owner(version, parts[MANIFEST], key)
+    _replace(path, parts)
+
+
+def add_card(path: Path, card: PrivacyCard) -> None:
+    """Lay a card into a bundle, in place of one that it has; all else stays as it was written.
+
+    Args:
+        path: of the file, which is replaced whole. A version without a signature stays.
+        card: of this bundle.
+
+    Raises:
+        BundleError: the file is no whole bundle, the card is of another one, the bundle is signed
+            (a signature holds for what was signed alone), or the disk refuses.
+    """
+    bundle = read_bundle(path)
+    require(card.subject == bundle.subject, f"{path} is not what this card is of: attack it again")
+    require(
+        bundle.owner is None,
+        f"{path} is signed: give the card to the file before its owner signs it",
+    )
+    parts = _unpack(_content(path)) | {CARD: dump_card(card)}
+    manifest = json.loads(parts[MANIFEST])
+    manifest["parts"][CARD] = _sha256(parts[CARD])
+    parts[MANIFEST] = json.dumps(manifest, indent=1).encode()
+    if bundle.version:
+        parts[OWNER] = dump_owner(bundle.version, parts[MANIFEST], None)
+    _replace(path, parts)
+
+
+def _replace(path: Path, parts: Mapping[str, bytes]) -> None:
     try:
         write_whole(path, _pack(parts), private=True)
     except OSError as error:
@@ -175,12 +210,13 @@ def _read(path: Path) -> Bundle:
     parts = _unpack(data)
     manifest = load_manifest(parts[MANIFEST])
     wanted = set(PARTS[manifest.mode])
+    carded = wanted | {CARD} if CARD in parts or CARD in manifest.parts else wanted
     require(
-        manifest.parts.keys() == wanted,
+        manifest.parts.keys() == carded,
         "bundle.json lacks the digest of a part: export the bundle again",
     )
     require(
-        parts.keys() - {MANIFEST, OWNER} == wanted,
+        parts.keys() - {MANIFEST, OWNER} == carded,
         f"mode {manifest.mode!r} has the parts {', '.join(sorted(wanted))} only",
     )
     for name, digest in manifest.parts.items():
@@ -188,6 +224,7 @@ def _read(path: Path) -> Bundle:
             _sha256(parts[name]) == digest,
             f"{name} is not what bundle.json says (damaged or tampered with)",
         )
+    subject = subject_of(parts[MANIFEST])
     version, owner = load_owner(parts[OWNER], parts[MANIFEST]) if OWNER in parts else (0, None)
     bundle = Bundle(
         task=manifest.task,
@@ -203,9 +240,10 @@ def _read(path: Path) -> Bundle:
         channels=manifest.channels,
         version=version,
         owner=owner,
+        card=load_card(parts[CARD], subject) if CARD in parts else None,
     )
     check_bundle(bundle)
-    return dataclasses.replace(bundle, digest=_sha256(data))
+    return dataclasses.replace(bundle, digest=_sha256(data), subject=subject)
 
 
 def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:

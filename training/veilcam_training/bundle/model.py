@@ -11,6 +11,7 @@ import torch
 from pydantic import JsonValue
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_training.bundle.card import PrivacyCard
 from veilcam_training.bundle.classifier import (
     build_untrained,
     check_weights,
@@ -83,6 +84,10 @@ class Bundle:
     """Who signed the file that it was read from."""
     digest: str = ""
     """SHA-256 of the file that it was read from, hexadecimal."""
+    subject: str = ""
+    """What it is called by a card, which leaves out the card itself; see :mod:`.card`."""
+    card: PrivacyCard | None = None
+    """What attacks on it found, if the file holds that, and if it is of these masks."""
 
     @property
     def inputs(self) -> int:

@@ -11,6 +11,7 @@ from rich.table import Table
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError
 from veilcam_training.bundle import BundleError, write_bundle
+from veilcam_training.cli.attack import app as attack_app
 from veilcam_training.cli.bundle import app as bundle_app
 from veilcam_training.cli.fresh import fit_fresh_command, frame_command
 from veilcam_training.cli.options import (
@@ -206,6 +207,7 @@ app.command("report")(report_command)
 app.command("fit-fresh")(fit_fresh_command)
 app.command("frame")(frame_command)
 app.add_typer(bundle_app, name="bundle")
+app.add_typer(attack_app, name="attack")
 
 
 @app.command("download")

@@ -1,0 +1,65 @@
+"""Captures of fresh masks are collected in every form, and every row is attacked once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.privacy import fresh_worst
+from benchmarks.privacy.fresh_worst import FORM_NAMES, Collector, measure
+from benchmarks.privacy.keys.scenes import load_scenes
+
+from veilcam_optics.camera.geometry import Embedding
+from veilcam_server.demo_data import FRESH
+from veilcam_training.attacks.intervals import Gain
+from veilcam_training.attacks.keyless import Asked
+from veilcam_training.bundle import read_bundle
+
+
+def test_a_chunk_holds_what_leaves_in_every_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fresh_worst, "CHUNK", 4)
+    bundle = read_bundle(FRESH)
+    scenes = load_scenes(bundle.scene.shape, None, None)
+    collector = Collector(bundle, Embedding(3, 4), scenes, 1)
+    made = collector.chunk(0)
+    assert {name.split()[0] for name in made} == {*FORM_NAMES, "label"}
+    assert made["white digit"].shape == (4, 2, 12)
+    # Ciphertext of twelve numbers of four bytes, and a tag of sixteen.
+    assert made["sealed presence"].shape == (4, 2, 64)
+    np.testing.assert_allclose(np.linalg.norm(made["white kind"], axis=2), 1, atol=1e-6)
+    again = collector.chunk(0)
+    assert all(np.array_equal(made[name], again[name]) for name in made)
+    assert not np.array_equal(collector.chunk(1)["white digit"], made["white digit"])
+
+
+@pytest.mark.slow
+def test_every_row_is_attacked_once_and_the_worst_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fresh_worst, "CHUNK", 30)
+    scenes = load_scenes(read_bundle(FRESH).scene.shape, None, None)
+    monkeypatch.setattr(fresh_worst, "load_scenes", lambda *_: scenes)
+    tried: list[tuple[str, str]] = []
+
+    def counted(asked: Asked, family: str, **_: object) -> Gain:
+        tried.append((asked.kind, family))
+        assert len(asked.vectors) == 60
+        return Gain(0.3 if asked.kind == "class" else 0.015, 1e-6, *_bar(asked))
+
+    def _bar(asked: Asked) -> tuple[float, int, float]:
+        return (1.0 if asked.kind == "class" else 0.02), 100, 0.5
+
+    monkeypatch.setattr(fresh_worst, "gain", counted)
+    figures = tmp_path / "figures.json"
+    for _ in range(2):
+        measure(data=tmp_path, work=tmp_path / "work", masks=60, figures=figures)
+    # Two forms, four questions without faces, three families: each once.
+    assert len(tried) == 24
+    record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
+    assert record == {
+        "fresh_worst_advantage_upper": pytest.approx(0.75, abs=0.001),
+        "fresh_worst_masks": 60,
+        "fresh_worst_rows": 24,
+    }

@@ -1,0 +1,211 @@
+"""Convex recovery: its operator, its certificates, and that it wins where something is told."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from veilcam_training.attacks.convex import (
+    BinnedConvolution,
+    ConvexAttack,
+    Normal,
+    denoise,
+    descend,
+    differences,
+    divergence,
+    psf_samples,
+    tune,
+)
+from veilcam_training.attacks.metrics import psnr
+from veilcam_training.errors import TrainingError
+
+SCENE, EMBEDDING, SIDE, BINNING = (8, 6), (10, 9), 2, (3, 2)
+
+
+def random_psf(generator: torch.Generator, embedding: tuple[int, int] = EMBEDDING) -> Tensor:
+    """Of few bright samples, as a sparse mask has."""
+    samples = psf_samples(SCENE, embedding, side=SIDE, binning=BINNING)
+    return torch.rand(samples, generator=generator) ** 8
+
+
+def camera(seed: int, embedding: tuple[int, int] = EMBEDDING) -> BinnedConvolution:
+    psf = random_psf(torch.Generator().manual_seed(seed), embedding)
+    return BinnedConvolution(psf, SCENE, embedding, side=SIDE, binning=BINNING)
+
+
+def pictures(count: int, seed: int) -> Tensor:
+    """Black, with one bright rectangle each."""
+    generator = torch.Generator().manual_seed(seed)
+    scenes = torch.zeros(count, *SCENE)
+    for scene in scenes:
+        top, left = (int(torch.randint(4, (), generator=generator)) for _ in range(2))
+        scene[top : top + 4, left : left + 3] = 1
+    return scenes
+
+
+@pytest.mark.slow
+def test_it_is_a_convolution_of_the_inverted_scene_and_an_average() -> None:
+    psf = random_psf(torch.Generator().manual_seed(1))
+    taken = BinnedConvolution(psf, SCENE, EMBEDDING, side=SIDE, binning=BINNING)
+    scene = torch.rand(1, *SCENE, generator=torch.Generator().manual_seed(2))
+    # Every scene pixel is SIDE samples wide and lies upside down; sensor samples add up.
+    plane = scene[0].flip(0, 1).repeat_interleave(SIDE, 0).repeat_interleave(SIDE, 1)
+    rows, columns = (EMBEDDING[axis] * BINNING[axis] for axis in range(2))
+    image = torch.zeros(rows, columns)
+    for u in range(rows):
+        for v in range(columns):
+            # The sensor sample at u gets light of plane[t] through psf[u - t + R - 1].
+            window = psf[u : u + plane.shape[0], v : v + plane.shape[1]].flip(0, 1)
+            image[u, v] = (plane * window).sum()
+    binned = image.reshape(EMBEDDING[0], BINNING[0], EMBEDDING[1], BINNING[1]).mean((1, 3))
+    expected = binned / plane.numel()  # an all-white scene without a mask is 1
+    torch.testing.assert_close(taken.forward(scene)[0], expected)
+    torch.testing.assert_close(scene.flatten(1) @ taken.matrix(), expected.reshape(1, -1))
+
+
+def test_adjoint_and_gram_are_those_of_the_matrix() -> None:
+    taken, generator = camera(1), torch.Generator().manual_seed(3)
+    matrix = taken.matrix()
+    scenes = torch.rand(17, *SCENE, generator=generator)
+    embeddings = torch.rand(17, *EMBEDDING, generator=generator)
+    one = (taken.forward(scenes) * embeddings).sum()
+    other = (scenes * taken.adjoint(embeddings)).sum()
+    assert float(one) == pytest.approx(float(other), rel=1e-5)  # float32, 1,500 terms
+    seen: list[tuple[int, int]] = []
+    torch.testing.assert_close(taken.gram(lambda *told: seen.append(told)), matrix @ matrix.T)
+    assert seen[-1] == (EMBEDDING[0], EMBEDDING[0])
+    assert taken.adjoint(embeddings[:0]).shape == (0, *SCENE)
+
+
+def test_refusals_say_what_would_do() -> None:
+    psf = random_psf(torch.Generator().manual_seed(1))
+    with pytest.raises(TrainingError, match="psf has shape"):
+        BinnedConvolution(psf[1:], SCENE, EMBEDDING, side=SIDE, binning=BINNING)
+    with pytest.raises(TrainingError, match="negative or NaN"):
+        BinnedConvolution(psf - 1, SCENE, EMBEDDING, side=SIDE, binning=BINNING)
+    normal = Normal(camera(1))
+    with pytest.raises(TrainingError, match="nothing to try"):
+        tune(normal, torch.ones(1, *EMBEDDING), torch.ones(1, *SCENE), variations=())
+
+
+@pytest.mark.parametrize("embedding", [(2, 3), EMBEDDING])
+def test_the_step_is_short_enough_and_hardly_shorter(embedding: tuple[int, int]) -> None:
+    """Both ways to hold A^T A; eigenvalues in float64 are the truth."""
+    normal = Normal(camera(1, embedding))
+    matrix = normal.camera.matrix().double()
+    largest = float(torch.linalg.eigvalsh(matrix @ matrix.T).max())
+    assert largest <= normal.bound <= 1.05 * largest
+    scenes = pictures(3, 1)
+    # Sums of 90 products in float32.
+    expected = (scenes.flatten(1).double() @ matrix @ matrix.T).reshape(scenes.shape)
+    torch.testing.assert_close(normal(scenes).double(), expected, rtol=1e-4, atol=1e-9)
+
+
+def test_the_bound_holds_where_no_light_reaches() -> None:
+    psf = random_psf(torch.Generator().manual_seed(1))
+    psf[:31] = 0  # all that the first row of the scene sends through
+    normal = Normal(BinnedConvolution(psf, SCENE, EMBEDDING, side=SIDE, binning=BINNING))
+    matrix = normal.camera.matrix().double()
+    assert float(matrix.sum(1).min()) == 0
+    assert float(torch.linalg.eigvalsh(matrix @ matrix.T).max()) <= normal.bound
+    (found,) = descend(normal, normal.camera.forward(pictures(1, 1)), 1e-3, (20,))
+    assert bool(torch.isfinite(found.scenes).all())
+
+
+def objective(normal: Normal, embeddings: Tensor, scenes: Tensor, variation: float) -> Tensor:
+    """As the module says it, in float64; a share of that of a black scene."""
+    matrix = normal.camera.matrix().double()
+    slope = (embeddings.flatten(1).double() @ matrix.T).amax(1)
+    residual = embeddings.flatten(1).double() - scenes.flatten(1).double() @ matrix
+    lengths = differences(scenes.double()).square().sum(0).sqrt().sum((1, 2))
+    value = residual.square().sum(1) / 2 + variation * slope * lengths
+    return value / (embeddings.double().square().sum((1, 2)) / 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variation", [0.0, 1e-2])
+def test_it_converges_and_the_gap_bounds_how_far_it_is(variation: float) -> None:
+    normal = Normal(camera(1))
+    embeddings = normal.camera.forward(pictures(2, 1))
+    noise = torch.randn(embeddings.shape, generator=torch.Generator().manual_seed(4))
+    embeddings = embeddings + 0.05 * embeddings.mean() * noise
+    found = list(descend(normal, embeddings, variation, (5, 50, 1000)))
+    values = [objective(normal, embeddings, each.scenes, variation) for each in found]
+    for value, each in zip(values, found, strict=True):
+        # Both are of float32 numbers of size 1.
+        assert bool((value - values[-1] <= each.gap.double() + 1e-5).all())
+        assert bool((each.scenes >= 0).all())
+    # An accelerated method's error falls as 1 / n^2: from 5 to 1,000 steps far more than tenfold.
+    assert bool((found[-1].gap < found[0].gap / 10).all())
+    assert bool((found[-1].gap < 1e-3).all())
+
+
+def test_without_noise_every_scene_is_found() -> None:
+    """90 numbers of 48 pixels: nothing is lost, so the attack has to win."""
+    normal, scenes = Normal(camera(1)), pictures(4, 1)
+    found = ConvexAttack(iterations=2000)(normal, normal.camera.forward(scenes))
+    assert float(psnr(found.scenes, scenes).min()) > 25
+
+
+def test_differences_and_divergence_are_adjoint_and_denoising_is_the_proximal_step() -> None:
+    generator = torch.Generator().manual_seed(5)
+    scenes = torch.rand(2, *SCENE, generator=generator)
+    dual = torch.rand(2, 2, *SCENE, generator=generator)
+    one, other = (differences(scenes) * dual).sum(), (scenes * divergence(dual)).sum()
+    assert float(one) == pytest.approx(float(other), rel=1e-5)
+    # So strong that only a flat scene is left: the mean, as the variation of it is nothing.
+    weight = torch.full((2, 1, 1), 10.0)
+    flat, _ = denoise(scenes, weight, torch.zeros_like(dual), 2000)
+    expected = scenes.mean((1, 2), keepdim=True).expand_as(flat)
+    torch.testing.assert_close(flat, expected, atol=1e-2, rtol=0)
+    same, _ = denoise(scenes - 0.5, torch.zeros(2, 1, 1), torch.zeros_like(dual), 3)
+    torch.testing.assert_close(same, (scenes - 0.5).clamp_min(0))
+
+
+@pytest.mark.slow
+def test_tuning_finds_what_a_camera_calls_for_and_progress_is_told() -> None:
+    normal, scenes = Normal(camera(1)), pictures(8, 1)
+    # An exposure that the attacker does not know: half of the light.
+    embeddings = 0.5 * normal.camera.forward(scenes)
+    told: list[tuple[int, int]] = []
+    attack = tune(
+        normal,
+        embeddings,
+        scenes,
+        variations=(0.0, 0.5),
+        stops=(1, 500),
+        progress=lambda *each: told.append(each),
+    )
+    assert told == [(1, 2), (2, 2)]
+    # One step, or so much variation, leaves a blur.
+    assert (attack.variation, attack.iterations) == (0.0, 500)
+    assert attack.brightness == pytest.approx(2, rel=0.05)
+    steps: list[tuple[int, int]] = []
+    found = attack(normal, embeddings[:2], lambda *each: steps.append(each))
+    assert steps[-1] == (500, 500)
+    assert found.scenes.shape == (2, *SCENE)
+    assert float(psnr(found.scenes, scenes[:2]).min()) > 20
+    assert not math.isnan(attack.psnr)
+
+
+@pytest.mark.slow
+def test_a_psf_that_nothing_depends_on_tells_nothing() -> None:
+    """A constant PSF passes the scene's light alone: no attack may beat the best flat picture.
+
+    Rectangles all have the same light, so that every capture is the same; what is estimated of 400
+    pictures is one picture, and the best of those is their mean.
+    """
+    psf = torch.ones(psf_samples(SCENE, EMBEDDING, side=SIDE, binning=BINNING))
+    normal = Normal(BinnedConvolution(psf, SCENE, EMBEDDING, side=SIDE, binning=BINNING))
+    own, other = pictures(40, 1), pictures(400, 2)
+    seen = normal.camera.forward(torch.cat([own, other]))
+    noise = torch.randn(seen.shape, generator=torch.Generator().manual_seed(3))
+    seen = seen * (1 + 0.01 * noise)
+    attack = tune(normal, seen[:40], own, stops=(3, 30))
+    error = (attack(normal, seen[40:]).scenes - other).square().mean()
+    # The mean of these very pictures has the least error that one picture can have.
+    least = (other.mean(0) - other).square().mean()
+    assert float(error) >= float(least)

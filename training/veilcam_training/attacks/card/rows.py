@@ -1,0 +1,334 @@
+"""The ten rows: what the worst attacker of each threat gains."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+from pydantic import BaseModel
+from torch import Tensor
+
+from veilcam_training.attacks.card.pools import CAPTURES
+from veilcam_training.attacks.card.study import Shots, Study, by_pairs
+from veilcam_training.attacks.card.threats import KNOWN
+from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
+from veilcam_training.attacks.known_pairs import KernelRidge, hits, readers
+from veilcam_training.attacks.leaked import estimates
+from veilcam_training.attacks.linkage import link_area, links
+from veilcam_training.attacks.mask_recovery import (
+    Evidence,
+    KnownPictures,
+    MeanCapture,
+    recover_mask,
+)
+from veilcam_training.attacks.metrics import mean_picture_advantage, psnr, ssim
+from veilcam_training.attacks.networks import Seen, by_network, judged, linear, perceptron
+from veilcam_training.seeding import stream
+
+FOLDS = 2
+FEW = 4
+"""Known pictures that a mask is looked for with."""
+
+
+class Found(BaseModel, frozen=True, extra="forbid"):
+    """What attacks of one threat found; a file of the work folder."""
+
+    threat: str
+    attack: str
+    gain: Gain
+    masks: int
+    others: dict[str, float]
+    """Figures of all attacks that were tried."""
+    notes: tuple[str, ...] = ()
+
+
+def with_the_key(study: Study) -> Found:
+    """T0: the attackers of every other row, given the key."""
+    found, seen = study.read, study.seen
+    gain = _points(study, found.scores)
+    # The share itself, and not what it is above chance.
+    share = Gain(gain.shown, gain.error, 0.0, gain.count, gain.shown)
+    others = {name: 100 * value for name, value in found.shares.items()}
+    return Found(threat="T0", attack=found.name, gain=share, masks=seen.masks, others=others)
+
+
+def ciphertext_only(study: Study) -> Found:
+    """T1: what leaves, by attackers who learned from cameras of their own."""
+    own, seen = study.own, study.seen
+    contest = study.contest(
+        study.of_release(),
+        (own.released, own.labels),
+        seen.released.flatten(0, 1),
+        seen.labels.flatten(),
+    )
+    found = _read(study, "T1", contest.name, contest.scores, contest.shares)
+    if not study.plan.recovered or study.subject.form != "raw":
+        return found
+    by_mean = {
+        "mask by gradient from the mean of captures": _recovered(
+            study,
+            lambda shots: MeanCapture(
+                study.subject.decoding,
+                shots.captures.known.vectors.mean(0),
+                len(shots.captures.known.labels),
+            ),
+        )
+    }
+    other = _of_masks(study, "T1", by_mean, f"{study.plan.known} captures of a mask, none known")
+    worse = other if other.gain.value > found.gain.value else found
+    return worse.model_copy(update={"others": found.others | other.others})
+
+
+def wrong_key(study: Study) -> Found:
+    """T2: decoded with the key of another mask, by attackers who learned from such pictures."""
+    own, seen = study.own, study.seen
+    found = study.contest(
+        study.of_pictures(),
+        (own.wrong.flatten(2), own.labels),
+        seen.wrong.flatten(2).flatten(0, 1),
+        seen.labels.flatten(),
+    )
+    return _read(study, "T2", found.name, found.scores, found.shares)
+
+
+def other_epochs(study: Study) -> Found:
+    """T3: labelled captures of this camera's other epochs; every epoch is judged once."""
+    seen = study.seen
+    folds = _folds(study)
+    scores = torch.zeros(seen.labels.numel(), study.classes)
+    names, shares = [], dict[str, float]()
+    for fold in range(FOLDS):
+        judging, knowing = folds == fold, folds != fold
+        found = study.contest(
+            study.of_release(),
+            (seen.released[knowing], seen.labels[knowing]),
+            seen.released[judging].flatten(0, 1),
+            seen.labels[judging].flatten(),
+        )
+        scores[judging.repeat_interleave(CAPTURES)] = found.scores.float()
+        names.append(found.name)
+        for name, share in found.shares.items():
+            shares[name] = shares.get(name, 0.0) + share / FOLDS
+    return _read(study, "T3", " / ".join(dict.fromkeys(names)), scores, shares)
+
+
+def this_mask(study: Study) -> Found:
+    """T4: labelled captures of the very mask, as many as its budget leaves."""
+    known = KNOWN[study.subject.form]
+    if known:
+        return _known_pairs(study, "T4", known)
+    seen = study.seen
+    scores = torch.zeros(seen.labels.numel(), study.classes)
+    gain = _points(study, scores)
+    return Found(
+        threat="T4",
+        attack="one answer for all",
+        gain=gain,
+        masks=seen.masks,
+        others={"one answer for all": gain.value},
+        notes=(
+            "One capture leaves behind a mask, so none beside it is known: what is left is T3.",
+        ),
+    )
+
+
+def leaked_list(study: Study) -> Found:
+    """T5: decoded with what a leaked list has that fits best."""
+    own, seen = study.own, study.seen
+    found = study.contest(
+        study.of_pictures(),
+        (own.right.flatten(2), own.labels),
+        seen.listed.flatten(2).flatten(0, 1),
+        seen.labels.flatten(),
+    )
+    return _read(study, "T5", found.name, found.scores, found.shares)
+
+
+def full_leak(study: Study) -> Found:
+    """T6: decoded with mask and key, in dB over the mean picture."""
+    seen = study.seen
+    truth = study.ours.scenes(seen.chosen.flatten())
+    estimate, mean = seen.right.flatten(0, 1), study.theirs.scenes().mean(0)
+    nearer = mean_picture_advantage(estimate, truth, mean)
+    blocks = by_pairs(nearer).double().mean(1).numpy()
+    value = float(blocks.mean())
+    error = float(blocks.std(ddof=1)) / math.sqrt(len(blocks))
+    read = 100 * float((study.read.scores.argmax(1) == seen.labels.flatten()).double().mean())
+    notes = (
+        f"PSNR {float(psnr(estimate, truth).mean()):.1f} dB and SSIM "
+        f"{float(ssim(estimate, truth).mean()):.2f}, data range 1; {read:.1f} % of the digits.",
+    )
+    return Found(
+        threat="T6",
+        attack="linear decoding with the key",
+        gain=Gain(value, error, 0.0, len(nearer), value),
+        masks=seen.masks,
+        others={"linear decoding with the key": value},
+        notes=notes,
+    )
+
+
+def many_shots(study: Study) -> Found:
+    """T7: hundreds of labelled captures of the very mask."""
+    return _known_pairs(study, "T7", study.plan.known)
+
+
+def scores_of_answers(study: Study) -> Found:
+    """T8: whether there is much ink, from scores; the median is that of each class."""
+    seen = study.seen
+    scores = seen.scores
+    source = "scores of the bundle's classifier"
+    if not scores.shape[-1]:
+        scores = study.read.scores.reshape(*seen.labels.shape, -1)
+        source = "scores of whoever reads with the key"
+    ink = study.ours.scenes(seen.chosen.flatten()).mean((1, 2)).reshape(seen.labels.shape)
+    every = study.theirs.scenes().mean((1, 2))
+    middle = torch.stack(
+        [every[study.theirs.labels == label].median() for label in range(study.classes)]
+    )
+    much = (ink > middle[seen.labels]).long()
+    folds, builds = _folds(study), {"linear": linear, "perceptron": perceptron}
+    given = {name: torch.zeros(much.shape, dtype=torch.float64) for name in builds}
+    areas: dict[str, float] = {}
+    for fold in range(FOLDS):
+        judging, knowing = folds == fold, (folds != fold).nonzero().flatten()
+        check, kept = knowing[: len(knowing) // 5], knowing[len(knowing) // 5 :]
+        for name, build in builds.items():
+            answer = by_network(
+                Seen(scores[kept].flatten(0, 1), much[kept].flatten()),
+                Seen(scores[check].flatten(0, 1), much[check].flatten()),
+                2,
+                build=build,
+                trial=study.plan.trials[0],
+                epochs=study.plan.epochs,
+            )
+            logits = judged(answer, scores[judging].flatten(0, 1)).double()
+            given[name][judging] = (logits[:, 1] - logits[:, 0]).reshape(-1, CAPTURES)
+    spread = folds[:, None].expand_as(much).flatten().numpy()
+    gains = {
+        name: area_gain(each.flatten().numpy(), (much == 1).flatten().numpy(), spread)
+        for name, each in given.items()
+    }
+    areas = {name: gain.value for name, gain in gains.items()}
+    name = max(areas, key=lambda each: areas[each])
+    return Found(
+        threat="T8",
+        attack=f"{name}, on {source}",
+        gain=gains[name],
+        masks=seen.masks,
+        others=areas,
+        notes=("The worst of two attackers as they were judged: nothing is claimed here.",),
+    )
+
+
+def linkage(study: Study) -> Found:
+    """T9: whether what left behind two masks shows the same scene."""
+    own, seen = study.own, study.seen
+    first, second = own.released[::2], own.released[1::2]
+    held = max(2, round(0.2 * len(first)))
+    learned, check = (first[:-held], second[:-held]), (first[-held:], second[-held:])
+    asked = seen.released[::2], seen.released[1::2]
+    tried = {}
+    for family in ("length", "products", "networks"):
+        link = links(family, learned, check, trials=study.plan.trials, epochs=study.plan.epochs)
+        with torch.no_grad():
+            scores = link(*asked).double()
+        tried[family] = (abs(link_area(link, *check) - 0.5), linkage_gain(scores.numpy()))
+    name = max(tried, key=lambda each: tried[each][0])
+    return Found(
+        threat="T9",
+        attack=name,
+        gain=tried[name][1],
+        masks=seen.masks,
+        others={each: gain.value for each, (_, gain) in tried.items()},
+    )
+
+
+ROWS: Mapping[str, Callable[[Study], Found]] = {
+    "T0": with_the_key,
+    "T1": ciphertext_only,
+    "T2": wrong_key,
+    "T3": other_epochs,
+    "T4": this_mask,
+    "T5": leaked_list,
+    "T6": full_leak,
+    "T7": many_shots,
+    "T8": scores_of_answers,
+    "T9": linkage,
+}
+
+
+def _read(
+    study: Study, threat: str, attack: str, scores: Tensor, shares: Mapping[str, float]
+) -> Found:
+    chance = 100 / study.classes
+    return Found(
+        threat=threat,
+        attack=attack,
+        gain=_points(study, scores),
+        masks=study.seen.masks,
+        others={name: 100 * share - chance for name, share in shares.items()},
+    )
+
+
+def _points(study: Study, scores: Tensor) -> Gain:
+    """Of scores of all captures that were seen."""
+    right = by_pairs(scores.argmax(1) == study.seen.labels.flatten()).numpy()
+    return accuracy_gain(right, study.classes, 0.0)
+
+
+def _folds(study: Study) -> Tensor:
+    """The fold of each mask; two that saw the same scenes are in one."""
+    pairs = study.seen.masks // 2
+    order = np.random.default_rng(study.seed).permutation(pairs)
+    return torch.from_numpy(order % FOLDS).repeat_interleave(2)
+
+
+def _known_pairs(study: Study, threat: str, known: int) -> Found:
+    """Readers of labelled captures; which of them is used is chosen behind a third of the masks."""
+    masks = [each.captures.of_first(known) for each in study.long]
+    tried = readers()
+    if not study.plan.recovered:  # light attackers
+        tried = {name: each for name, each in tried.items() if isinstance(each, KernelRidge)}
+    given = {name: hits(each, masks, study.classes) for name, each in tried.items()}
+    if study.plan.recovered and study.subject.form == "raw":
+        few = min(known, FEW)
+        given[f"mask by gradient from {few} known pictures"] = _recovered(
+            study,
+            lambda shots: KnownPictures(
+                study.subject.decoding,
+                shots.scenes[:few],
+                shots.captures.known.vectors[:few],
+            ),
+        )
+    return _of_masks(study, threat, given, f"{known} captures known")
+
+
+def _of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) -> Found:
+    """The best behind the first third of its masks, judged behind the others."""
+    tuned = {name: max(1, len(each) // 3) for name, each in given.items()}
+    name = max(given, key=lambda each: float(given[each][: tuned[each]].double().mean()))
+    gains = {
+        each: accuracy_gain(found[tuned[each] :].numpy(), study.classes, 0.0)
+        for each, found in given.items()
+    }
+    return Found(
+        threat=threat,
+        attack=f"{name}; {note}",
+        gain=gains[name],
+        masks=len(given[name]) - tuned[name],
+        others={each: gain.value for each, gain in gains.items()},
+    )
+
+
+def _recovered(study: Study, evidence: Callable[[Shots], Evidence]) -> Tensor:
+    """What is read behind masks that were found by gradient, bool (masks, captures)."""
+    decoding, random = study.subject.decoding, stream(study.seed, "recovered")
+    shape, right = study.subject.bundle.camera.mask_shape, []
+    for shots in study.long[: study.plan.recovered]:
+        found = recover_mask(evidence(shots), shape, generator=random)
+        asked = shots.captures.asked
+        decoded = estimates(decoding, found.weights, asked.vectors)
+        right.append(judged(study.read.answer, decoded.flatten(1)).argmax(1) == asked.labels)
+        study.tell("masks by gradient", len(right), study.plan.recovered)
+    return torch.stack(right)

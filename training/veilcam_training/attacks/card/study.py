@@ -1,0 +1,270 @@
+"""What all rows of a card share: a subject, pictures, and captures that are collected once."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from veilcam_training.attacks.card.pools import CAPTURES, Pool, collect, draw
+from veilcam_training.attacks.card.subject import Subject
+from veilcam_training.attacks.known_pairs import Mask
+from veilcam_training.attacks.networks import (
+    TRIALS,
+    Attacker,
+    Scores,
+    Seen,
+    Trial,
+    by_length,
+    by_means,
+    by_neighbours,
+    by_network,
+    convolutions,
+    judged,
+    linear,
+    perceptron,
+)
+from veilcam_training.data import Images
+from veilcam_training.errors import require
+from veilcam_training.seeding import stream
+
+HELD = 0.2
+"""Share of what is learned from that the worst attacker is chosen by."""
+ATTACKERS = 0.6
+"""Share of the pictures that attackers know; the camera sees the others."""
+
+ASKED = 100
+"""Captures that are to be read, behind each mask of many."""
+LEAST = 100
+"""Pictures of either part."""
+
+Tell = Callable[[str, int, int], None]
+"""Takes what is done, and how much of how much of it is."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is attacked, and how hard."""
+
+    own: int
+    """Masks of attackers' own cameras, to learn from."""
+    seen: int
+    """Masks of the camera itself, to be judged by."""
+    long: int
+    """Masks behind which many captures are taken: a third to tune by, the others to be judged."""
+    known: int
+    """Labelled captures of each of those."""
+    epochs: int
+    """Most that a network is fitted for."""
+    trials: tuple[Trial, ...]
+    recovered: int
+    """Masks that are looked for by gradient, of those behind which many captures are taken."""
+    quick: bool = False
+    """Whether thresholds are those of few captures."""
+
+
+QUICK = Plan(
+    own=100,
+    seen=240,
+    long=9,
+    known=400,
+    epochs=25,
+    trials=TRIALS[1:2],
+    recovered=0,
+    quick=True,
+)
+"""2,400 captures: a gain of 0 is proven to be below three points."""
+FULL = Plan(own=800, seen=2400, long=60, known=1000, epochs=15, trials=TRIALS, recovered=6)
+"""24,000 captures: a gain of 0 is proven to be below one point."""
+
+
+def parted(images: Images, seed: int) -> tuple[Images, Images]:
+    """Pictures that attackers know, and those that the camera sees.
+
+    Raises:
+        TrainingError: too few, or of one class alone.
+    """
+    known = round(ATTACKERS * len(images))
+    require(
+        min(known, len(images) - known) >= LEAST and len(torch.unique(images.labels)) > 1,
+        f"{len(images)} pictures are too few: give {2 * LEAST} or more, of two classes or more",
+    )
+    order = torch.randperm(len(images), generator=stream(seed, "pictures"))
+    return images.take(order[:known]), images.take(order[known:])
+
+
+@dataclass(frozen=True)
+class Shots:
+    """Many captures behind one mask, and the pictures of those that are known."""
+
+    captures: Mask
+    scenes: Tensor
+    """(known, rows, columns)."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Several attackers on one question: who was best where it does not count, and all of them."""
+
+    name: str
+    answer: Scores
+    """Of the chosen one."""
+    scores: Tensor
+    """That it gave, (count, classes)."""
+    shares: dict[str, float]
+    """Of the judged captures that each had right."""
+
+
+class Study:
+    """Pools and pictures of one card.
+
+    Args:
+        subject: what is attacked.
+        images: gray, of the shape of the subject's scenes.
+        plan: how much, how hard.
+        seed: of everything.
+        folder: for pools; None keeps nothing.
+        tell: is told of progress.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        images: Images,
+        plan: Plan,
+        *,
+        seed: int,
+        folder: Path | None,
+        tell: Tell,
+    ) -> None:
+        self.subject, self.plan, self.seed = subject, plan, seed
+        self.theirs, self.ours = parted(images, seed)
+        self._folder, self.tell = folder, tell
+
+    @property
+    def classes(self) -> int:
+        """How many answers there are."""
+        return len(self.subject.bundle.labels)
+
+    @cached_property
+    def own(self) -> Pool:
+        """Captures of attackers' own cameras."""
+        return self._pool(self.theirs, self.plan.own, own=True)
+
+    @cached_property
+    def seen(self) -> Pool:
+        """Captures of the camera itself."""
+        return self._pool(self.ours, self.plan.seen, own=False)
+
+    def _pool(self, images: Images, masks: int, *, own: bool) -> Pool:
+        name = "masks of attackers' own" if own else "masks of the camera"
+        tell = partial(self.tell, name)
+        where = self._folder
+        return collect(
+            self.subject, images, masks=masks, own=own, seed=self.seed, folder=where, progress=tell
+        )
+
+    @cached_property
+    def long(self) -> list[Shots]:
+        """Many captures behind each of a few masks."""
+        random, found = stream(self.seed, "long"), []
+        victim = self.subject.camera(own=False, generator=random)
+        for number in range(self.plan.long):
+            chosen = draw(self.ours, self.plan.known + ASKED, random)
+            scenes = self.ours.scenes(chosen)
+            whole = Seen(victim.capture(victim.mask(), scenes), self.ours.labels[chosen])
+            known, asked = torch.arange(len(chosen)).tensor_split([self.plan.known])
+            captures = Mask(whole.take(known), whole.take(asked))
+            found.append(Shots(captures, scenes[: self.plan.known]))
+            self.tell("masks of many captures", number + 1, self.plan.long)
+        return found
+
+    def contest(
+        self,
+        attackers: dict[str, Attacker],
+        learned: tuple[Tensor, Tensor],
+        asked: Tensor,
+        truth: Tensor,
+    ) -> Contest:
+        """Let all learn; whoever is best on captures set apart is the one that counts.
+
+        Args:
+            attackers: by name.
+            learned: vectors (masks, captures, numbers) and labels (masks, captures), of which the
+                last masks are set apart.
+            asked: vectors (count, numbers).
+            truth: of those, int64 (count,).
+        """
+        vectors, labels = learned
+        held = max(2, round(HELD * len(vectors)) // 2 * 2)
+        kept, check = (
+            Seen(vectors[part].flatten(0, 1), labels[part].flatten())
+            for part in (slice(None, -held), slice(-held, None))
+        )
+        shares, tried = dict[str, float](), []
+        for name, attacker in attackers.items():
+            found = attacker(kept, check, self.classes)
+            right = float((judged(found, check.vectors).argmax(1) == check.labels).double().mean())
+            scores = judged(found, asked)
+            shares[name] = float((scores.argmax(1) == truth).double().mean())
+            tried.append((right, name, found, scores))
+        _, chosen, answer, given = max(tried, key=lambda each: each[0])
+        return Contest(chosen, answer, given, shares)
+
+    def of_release(self) -> dict[str, Attacker]:
+        """Attackers of what leaves."""
+        embedding = self.subject.bundle.embedding
+        shape = None if self.subject.form == "sealed" else embedding.shape
+        return {
+            "length": partial(by_length, bins=32),
+            **_products(),
+            **self._networks(shape),
+        }
+
+    def of_pictures(self) -> dict[str, Attacker]:
+        """Attackers of what was decoded."""
+        return {"class means": by_means, **self._networks(self.subject.bundle.scene.shape)}
+
+    def _networks(self, shape: tuple[int, int] | None) -> dict[str, Attacker]:
+        builds = {"linear": linear, "perceptron": perceptron}
+        if shape is not None:
+            builds["convolutions"] = partial(convolutions, shape)
+        many = len(self.plan.trials) > 1
+        return {
+            f"{name}, start {trial.seed}" if many else name: partial(
+                by_network, build=build, trial=trial, epochs=self.plan.epochs
+            )
+            for name, build in builds.items()
+            for trial in self.plan.trials
+        }
+
+    @cached_property
+    def read(self) -> Contest:
+        """Captures decoded with the key, read by attackers of their own making."""
+        return self.contest(
+            self.of_pictures(),
+            (self.own.right.flatten(2), self.own.labels),
+            self.seen.right.flatten(2).flatten(0, 1),
+            self.seen.labels.flatten(),
+        )
+
+
+def _products() -> dict[str, Attacker]:
+    neighbours: Sequence[tuple[str, bool, int]] = (
+        ("inner products", False, 10),
+        ("distances", True, 10),
+    )
+    return {
+        "class means": by_means,
+        **{
+            f"nearest by {name}": partial(by_neighbours, count=count, distances=distances)
+            for name, distances, count in neighbours
+        },
+    }
+
+
+def by_pairs(values: Tensor) -> Tensor:
+    """Of captures (masks x captures,) those of two masks that saw the same scenes in one row."""
+    return values.reshape(-1, 2 * CAPTURES)

@@ -1,0 +1,350 @@
+"""Convex recovery of scenes from embeddings behind a known point spread function.
+
+For a picture ``y`` of a scene ``x`` it solves
+
+    minimise  1/2 |y - D H x|^2 + weight TV(x)   over  x >= 0,
+
+``H`` the convolution with the point spread function (PSF), ``D`` the sensor's binning, ``TV`` the
+isotropic total variation: the attack of E. Bezzam, M. Vetterli and M. Simeoni (2022), by
+accelerated projected gradient (FISTA; Beck and Teboulle 2009) with a step that is proven short
+enough, and a duality gap that says how far from the minimum it ended.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, pad
+
+from veilcam_optics.propagation.sampling import fast_length
+from veilcam_training.attacks.networks import Progress
+from veilcam_training.errors import require
+
+PICTURES_AT_ONCE = 8
+COLUMNS_AT_ONCE = 8192
+PANELS = 4
+POWER_STEPS = 100
+ROUNDING = 1e-5
+"""Float32 errors that the bound on the step allows for, relative."""
+INNER_STEPS = 10
+"""Of the dual problem of total variation, in each gradient step; they go on where they ended."""
+CLOSING_STEPS = 200
+"""Of it, before a gap is told: the bound is as good as the dual variables are."""
+
+VARIATIONS = (0.0, 1e-4, 3e-4, 1e-3, 1e-2)
+STOPS = (10, 30, 100, 300)
+"""What :func:`tune` tries: beyond them nothing was better, at any size or PSF."""
+
+Shape = tuple[int, int]
+
+
+class BinnedConvolution:
+    """D H: a scene convolved with a PSF, and averaged over the pixels of an embedding.
+
+    A scene pixel is ``side`` samples of the PSF wide on the sensor, an embedding pixel ``binning``
+    samples; both are centred on the axis, and the image is inverted. Nothing is rounded: the two
+    boxes are added up in the PSF, so that one Fourier transform is a whole measurement.
+
+    Args:
+        psf: (rows, columns), not negative: ``binning * embedding + side * scene - 1`` samples, all
+            offsets that occur. See :func:`psf_samples`.
+        scene: its shape in pixels.
+        embedding: its shape in pixels.
+        side: samples along a scene pixel.
+        binning: samples along an embedding pixel, (along y, along x).
+
+    Raises:
+        TrainingError: a PSF of another shape, or one that is negative somewhere.
+    """
+
+    def __init__(
+        self, psf: Tensor, scene: Shape, embedding: Shape, *, side: int, binning: Shape
+    ) -> None:
+        wanted = psf_samples(scene, embedding, side=side, binning=binning)
+        require(
+            tuple(psf.shape) == wanted,
+            f"psf has shape {tuple(psf.shape)}: use {wanted}, all offsets that occur",
+        )
+        require(bool((psf >= 0).all()), "psf is negative or NaN somewhere: use an irradiance")
+        self.scene, self.embedding, self.side, self.binning = scene, embedding, side, binning
+        pixels = scene[0] * scene[1]
+        # In units of what an all-white scene sends without a mask, as all embeddings are.
+        averaged = avg_pool2d(psf.double()[None], side, 1)
+        self.kernel = (avg_pool2d(averaged, binning, 1)[0] / pixels).float().contiguous()
+        """Response of an embedding pixel to a scene pixel, by their distance in samples."""
+        self._lengths = tuple(fast_length(count) for count in self.kernel.shape)
+        self._spectrum = torch.fft.rfft2(self.kernel, s=self._lengths)
+
+    def forward(self, scenes: Tensor) -> Tensor:
+        """Embeddings (count, rows, columns) of scenes (count, rows, columns)."""
+        return self._correlated(scenes, (self.side, self.side), self.binning, self.embedding)
+
+    def adjoint(self, embeddings: Tensor) -> Tensor:
+        """Scenes (count, rows, columns), of embeddings: the transpose of :meth:`forward`."""
+        return self._correlated(embeddings, self.binning, (self.side, self.side), self.scene)
+
+    def _correlated(self, values: Tensor, placed: Shape, read: Shape, shape: Shape) -> Tensor:
+        """Values put ``placed`` samples apart, correlated with the kernel, read ``read`` apart."""
+        parts = [values.new_zeros(0, *shape)]
+        for some in torch.split(values, PICTURES_AT_ONCE) if len(values) else ():
+            plane = some.new_zeros(len(some), *self._lengths)
+            rows, columns = some.shape[-2:]
+            plane[:, : rows * placed[0] : placed[0], : columns * placed[1] : placed[1]] = some
+            product = torch.fft.rfft2(plane).conj() * self._spectrum
+            seen = torch.fft.irfft2(product, s=self._lengths)
+            seen = seen[:, : shape[0] * read[0] : read[0], : shape[1] * read[1] : read[1]]
+            parts.append(seen.clone())
+        return torch.cat(parts)
+
+    def matrix(self, rows: slice = slice(None)) -> Tensor:
+        """D H itself, (scene pixels, embedding pixels), for some ``rows`` of the embedding."""
+        (high, wide), (down, along) = self.kernel.stride(), self.binning
+        pixels = self.kernel.as_strided(
+            (*self.scene, *self.embedding),
+            (self.side * high, self.side * wide, down * high, along * wide),
+        )
+        return pixels[:, :, rows].reshape(self.scene[0] * self.scene[1], -1)
+
+    def gram(self, progress: Progress | None = None) -> Tensor:
+        """D H with its transpose, (scene pixels, scene pixels)."""
+        pixels = self.scene[0] * self.scene[1]
+        total = self.kernel.new_zeros(pixels, pixels)
+        step = max(1, COLUMNS_AT_ONCE // self.embedding[1])
+        panel = math.ceil(pixels / PANELS)
+        for first in range(0, self.embedding[0], step):
+            some = self.matrix(slice(first, first + step))
+            for start in range(0, pixels, panel):  # the lower half: it is symmetric
+                end = min(start + panel, pixels)
+                total[start:end, :end].addmm_(some[start:end], some[:end].T)
+            if progress is not None:
+                progress(min(first + step, self.embedding[0]), self.embedding[0])
+        return total.tril() + total.tril(-1).T
+
+
+def psf_samples(scene: Shape, embedding: Shape, *, side: int, binning: Shape) -> Shape:
+    """How many samples (rows, columns) a PSF needs for all offsets that occur."""
+    rows, columns = (binning[axis] * embedding[axis] + side * scene[axis] - 1 for axis in range(2))
+    return rows, columns
+
+
+class Normal:
+    """``A^T A`` of a measurement, and all else that an attacker needs of it.
+
+    Args:
+        camera: A, that is D H.
+        progress: told of the parts that are done, and of all.
+    """
+
+    def __init__(self, camera: BinnedConvolution, progress: Progress | None = None) -> None:
+        self.camera = camera
+        # The thinner of the two is the cheaper: A for small embeddings, its Gram matrix for others.
+        pixels = camera.scene[0] * camera.scene[1]
+        numbers = camera.embedding[0] * camera.embedding[1]
+        self._factor = camera.matrix().contiguous() if 2 * numbers <= pixels else None
+        self._gram = camera.gram(progress) if self._factor is None else None
+        self.of_white = camera.adjoint(torch.ones(1, *camera.embedding)).clamp_min(0)
+        """A^T 1, (1, rows, columns): the share of each scene pixel in all that is measured."""
+        self.bound = self._bound()
+        """An upper bound on the largest eigenvalue of A^T A: 1 / bound is a certified step."""
+
+    def __call__(self, scenes: Tensor) -> Tensor:
+        """A^T A scenes, (count, rows, columns)."""
+        flat = scenes.flatten(1)
+        if self._gram is not None:
+            product = flat @ self._gram
+        else:
+            assert self._factor is not None  # noqa: S101 - one of the two is there
+            product = (flat @ self._factor) @ self._factor.T
+        return product.reshape(scenes.shape)
+
+    def _bound(self) -> float:
+        """By Collatz and Wielandt: for a matrix and a vector v with no negative number.
+
+        The largest eigenvalue is at most ``max_i (A^T A v)_i / v_i``, for every v > 0; steps of the
+        power method make that bound tight, and it holds wherever they stop.
+        """
+        vector = torch.ones(1, *self.camera.scene)
+        bound = math.inf
+        for _ in range(POWER_STEPS):
+            product = self(vector)
+            bound = min(bound, float((product / vector).max()))
+            # What no light reaches stays positive, or the bound would not hold.
+            vector = (product / product.max()).clamp_min(1e-3)
+        return bound * (1 + ROUNDING)
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Scenes, and how far they are from the minimum."""
+
+    scenes: Tensor
+    """(count, rows, columns), not negative, in the unit of the scenes that were seen."""
+    gap: Tensor
+    """(count,): at most so much above the minimum the objective is, as a share of what it is for a
+    black scene, ``|y|^2 / 2``."""
+
+
+@dataclass(frozen=True)
+class ConvexAttack:
+    """Settings, as an attacker tunes them on pictures of its own."""
+
+    variation: float = 0.0
+    """Weight of the total variation, as a share of the largest slope at a black scene."""
+    iterations: int = 300
+    brightness: float = 1.0
+    """What recovered scenes are multiplied by."""
+    psnr: float = field(default=math.nan, compare=False)
+    """Of the pictures that it was tuned on [dB]."""
+
+    def __call__(
+        self, normal: Normal, embeddings: Tensor, progress: Progress | None = None
+    ) -> Recovery:
+        """Recover the scenes of embeddings (count, rows, columns); estimates are in [0, 1]."""
+        steps = descend(normal, embeddings, self.variation, (self.iterations,), progress)
+        (found,) = steps
+        return Recovery((self.brightness * found.scenes).clamp(0, 1), found.gap)
+
+
+def descend(
+    normal: Normal,
+    embeddings: Tensor,
+    variation: float,
+    stops: Sequence[int],
+    progress: Progress | None = None,
+) -> Iterator[Recovery]:
+    """FISTA, restarted where it overshoots (O'Donoghue and Candes 2015); what it has at each stop.
+
+    Args:
+        normal: of the camera that the attacker takes to have been there.
+        embeddings: (count, rows, columns).
+        variation: see :class:`ConvexAttack`.
+        stops: counts of iterations, rising.
+        progress: told of the iterations that are done, and of all.
+    """
+    # In units of each picture's own light, so that settings hold for all of them.
+    power = embeddings.square().sum((1, 2), keepdim=True).clamp_min(torch.finfo().tiny)
+    slope = normal.camera.adjoint(embeddings)
+    weight = variation * slope.amax((1, 2), keepdim=True).clamp_min(0)
+    scenes = ahead = torch.zeros_like(slope)
+    dual = torch.zeros(2, *slope.shape)
+    momentum = torch.ones(len(slope), 1, 1)
+    for count in range(1, stops[-1] + 1):
+        stepped = ahead - (normal(ahead) - slope) / normal.bound
+        if variation:
+            new, dual = denoise(stepped, weight / normal.bound, dual, INNER_STEPS)
+        else:
+            new = stepped.clamp_min(0)
+        overshot = ((ahead - new) * (new - scenes)).sum((1, 2), keepdim=True) > 0
+        momentum = torch.where(overshot, 1.0, momentum)
+        following = (1 + (1 + 4 * momentum.square()).sqrt()) / 2
+        ahead = new + torch.where(overshot, 0.0, (momentum - 1) / following) * (new - scenes)
+        scenes, momentum = new, following
+        if progress is not None:
+            progress(count, stops[-1])
+        if count in stops:
+            stepped = scenes - (normal(scenes) - slope) / normal.bound
+            _, closing = denoise(stepped, weight / normal.bound, dual, CLOSING_STEPS)
+            gap = duality_gap(normal, scenes, slope, weight, closing)
+            yield Recovery(scenes, gap / (power[:, 0, 0] / 2))
+
+
+def denoise(scenes: Tensor, weight: Tensor, dual: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Proximal step of total variation over scenes that are not negative.
+
+    The fast gradient projection of Beck and Teboulle ("Fast gradient-based algorithms for
+    constrained total variation image denoising", 2009), from ``dual`` on.
+
+    Args:
+        scenes: (count, rows, columns).
+        weight: (count, 1, 1), of the variation beside half the squared distance.
+        dual: (2, count, rows, columns), vectors of length 1 at most.
+        steps: of the gradient projection.
+
+    Returns:
+        The scenes, and the dual variables that they belong to.
+    """
+    step = 1 / (8 * weight.clamp_min(torch.finfo().tiny))
+    ahead, momentum = dual, 1.0
+    for _ in range(steps):
+        moved = ahead + step * differences((scenes - weight * divergence(ahead)).clamp_min(0))
+        new = moved / moved.square().sum(0).sqrt().clamp_min(1)
+        following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = new + (momentum - 1) / following * (new - dual)
+        dual, momentum = new, following
+    return (scenes - weight * divergence(dual)).clamp_min(0), dual
+
+
+def differences(scenes: Tensor) -> Tensor:
+    """Forward differences (2, count, rows, columns) along y and x, 0 at the far edges."""
+    down = pad(scenes.diff(dim=-2), (0, 0, 0, 1))
+    along = pad(scenes.diff(dim=-1), (0, 1))
+    return torch.stack([down, along])
+
+
+def divergence(dual: Tensor) -> Tensor:
+    """The transpose of :func:`differences`."""
+    down, along = dual[0, :, :-1], dual[1, :, :, :-1]
+    return (
+        pad(down, (0, 0, 1, 0)) - pad(down, (0, 0, 0, 1)) + pad(along, (1, 0)) - pad(along, (0, 1))
+    )
+
+
+def duality_gap(
+    normal: Normal, scenes: Tensor, slope: Tensor, weight: Tensor, dual: Tensor
+) -> Tensor:
+    """At most so much the objective is above its minimum, (count,): an upper bound.
+
+    Any t with ``A^T t <= weight D^T p`` and ``|p| <= 1`` bounds the minimum from below by
+    ``(|y|^2 - |y - t|^2) / 2``. The residual is such a t once enough light, the same
+    on every embedding pixel, is taken from it: no entry of A is negative.
+    """
+    product = normal(scenes)
+    pull = weight * divergence(dual)
+    share = normal.of_white
+    # What no light reaches has no share, and must not divide.
+    lit = share > ROUNDING * share.max()
+    excess = torch.where(lit, (slope - product - pull) / share.clamp_min(torch.finfo().tiny), 0)
+    shift = excess.amax((1, 2)).clamp_min(0)
+    numbers = normal.camera.embedding[0] * normal.camera.embedding[1]
+    variation = (weight[:, 0, 0] * differences(scenes).square().sum(0).sqrt().sum((1, 2))).double()
+    inner = (scenes.double() * (product - slope).double()).sum((1, 2))
+    light = (scenes * share).double().sum((1, 2))
+    bound = inner + variation + shift * light + shift.square() * numbers / 2
+    return bound.clamp_min(0)
+
+
+def tune(
+    normal: Normal,
+    embeddings: Tensor,
+    truth: Tensor,
+    *,
+    variations: Sequence[float] = VARIATIONS,
+    stops: Sequence[int] = STOPS,
+    progress: Progress | None = None,
+) -> ConvexAttack:
+    """The settings that recover these pictures best; they are for no other use.
+
+    Args:
+        normal: of the camera that the attacker takes to have been there.
+        embeddings: (count, rows, columns).
+        truth: what was before the camera, (count, rows, columns), in [0, 1].
+        variations: weights to try.
+        stops: iterations to try, rising.
+        progress: told of the weights that are done, and of all.
+    """
+    best: ConvexAttack | None = None
+    for number, variation in enumerate(variations):
+        found = descend(normal, embeddings, variation, stops)
+        for iterations, each in zip(stops, found, strict=True):
+            scale = float((each.scenes * truth).sum() / each.scenes.square().sum().clamp_min(1e-12))
+            error = ((scale * each.scenes).clamp(0, 1) - truth).square().mean((1, 2))
+            quality = float(-10 * error.clamp_min(1e-12).log10().mean())
+            if best is None or quality > best.psnr:
+                best = ConvexAttack(variation, iterations, scale, quality)
+        if progress is not None:
+            progress(number + 1, len(variations))
+    require(best is not None, "variations and stops hold nothing to try: use one of each")
+    assert best is not None  # noqa: S101 - for the type checker
+    return best
