@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
+import math
 import os
 import zipfile
 from collections.abc import Callable
@@ -23,6 +25,7 @@ from veilcam_training.bundle import (
     Bundle,
     BundleError,
     Pair,
+    TransferError,
     archive,
     build_classifier,
     build_untrained,
@@ -58,7 +61,8 @@ def make_pair(seed: int) -> Pair:
         for name, tensor in build_untrained(layers).state_dict().items()
     }
     levels = torch.randint(0, 64, Camera().mask_shape, generator=generator, dtype=torch.uint8)
-    return Pair(levels=levels.numpy(), layers=layers, weights=weights)
+    error = TransferError(1e-3 * seed, 5e-4 * seed, 2e-3 * seed, 0.9)
+    return Pair(levels=levels.numpy(), layers=layers, weights=weights, transfer_error=error)
 
 
 def make_bundle() -> Bundle:
@@ -91,6 +95,7 @@ def test_it_comes_back_as_it_was_written(path: Path) -> None:
     for before, after in zip(written.pairs, read.pairs, strict=True):
         np.testing.assert_array_equal(before.levels, after.levels)
         assert before.layers == after.layers
+        assert before.transfer_error == after.transfer_error
         assert before.weights.keys() == after.weights.keys()
         for name, tensor in before.weights.items():
             torch.testing.assert_close(tensor, after.weights[name], rtol=0, atol=0)
@@ -102,6 +107,33 @@ def test_the_same_bundle_gives_the_same_bytes_readable_by_the_owner_alone(path: 
     assert path.read_bytes() == first
     assert path.stat().st_mode & 0o077 == 0
     assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_the_error_of_a_bundle_is_its_worst_pair_s() -> None:
+    bundle = make_bundle()
+    assert bundle.transfer_error == bundle.pairs[1].transfer_error
+    assert str(bundle.transfer_error) == "0.002 (0.001 to 0.004 with a confidence of 90 %)"
+    unknown = dataclasses.replace(bundle.pairs[0], transfer_error=None)
+    mixed = dataclasses.replace(bundle, pairs=(unknown, bundle.pairs[1]))
+    assert mixed.transfer_error is None
+
+
+def test_a_bundle_whose_errors_are_unknown_is_as_it_was_before_they_were_measured(
+    path: Path,
+) -> None:
+    bundle = make_bundle()
+    pairs = tuple(dataclasses.replace(pair, transfer_error=None) for pair in bundle.pairs)
+    write_bundle(path, dataclasses.replace(bundle, pairs=pairs))
+    assert [set(pair) for pair in json.loads(unpack(path)["bundle.json"])["pairs"]] == [
+        {"layers"},
+        {"layers"},
+    ]
+    assert [pair.transfer_error for pair in read_bundle(path).pairs] == [None, None]
+
+
+def test_an_endless_error_is_none() -> None:
+    with pytest.raises(BundleError, match="transfer_error"):
+        TransferError(0.1, 0.05, math.inf, 0.9)
 
 
 def test_classifier_is_the_module_that_was_trained() -> None:
@@ -236,6 +268,10 @@ def test_a_part_that_is_no_safetensors(path: Path) -> None:
         (lambda m: m.update(pairs=[]), "0 pairs|one mask for each of 0"),
         (lambda m: m["parts"].pop("masks.safetensors"), "lacks the digest"),
         (lambda m: m["accuracy"].update(value=93.0), "accuracy.value"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(low=2.0), "transfer_error"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(high=1e-4), "transfer_error"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(confidence=90.0), "transfer_error"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(mask=[1]), "transfer_error"),
         (lambda m: m["pairs"][0]["layers"][1].update(kind="pickle"), "pickle"),
         (lambda m: m["pairs"][0]["layers"][2].update(outputs=10**9), "outputs"),
         (lambda m: m["pairs"][0]["layers"][2].update(outputs=11), "11,"),

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from veilcam_server.demo_data import BUNDLE
-from veilcam_training.bundle import BundleError, OwnerKey, read_bundle
+from veilcam_training.bundle import (
+    BundleError,
+    OwnerKey,
+    TransferError,
+    read_bundle,
+    write_bundle,
+)
 from veilcam_training.cli.main import app
 
 
@@ -46,3 +53,25 @@ def test_what_cannot_be_signed_is_said(tmp_path: Path) -> None:
         run("keygen", key)
     with pytest.raises(SystemExit):
         run("sign", file, "--key", key, "--version", "0")
+
+
+def test_a_bundle_is_shown(tmp_path: Path) -> None:
+    file, key = tmp_path / "a.veilcam", tmp_path / "owner.pem"
+    bundle = read_bundle(BUNDLE)
+    assert bundle.accuracy is not None
+    error = TransferError(6.2e-4, 4.1e-4, 9.3e-4, 0.9)
+    pairs = tuple(replace(pair, transfer_error=error) for pair in bundle.pairs)
+    write_bundle(file, replace(bundle, pairs=pairs))
+    said = run("show", file)
+    rows, columns = bundle.embedding.shape
+    assert f"{bundle.task}, {rows}x{columns}, mode pairs, {len(pairs)} masks" in said
+    assert f"version 0, {read_bundle(file).digest[:12]}\nnot signed\n" in said
+    assert f"accuracy {100 * bundle.accuracy.value:.2f} % on {bundle.accuracy.test_set}" in said
+    assert f"worst transfer against full reach: error {error}\n" in said
+    owner = run("keygen", key).splitlines()[-1]
+    run("sign", file, "--key", key, "--version", "3")
+    assert f"version 3, {read_bundle(file).digest[:12]}\n{owner}\n" in run("show", file)
+
+
+def test_of_an_older_bundle_the_error_is_not_known() -> None:
+    assert "worst transfer against full reach: not measured" in run("show", BUNDLE)

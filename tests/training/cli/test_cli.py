@@ -48,7 +48,8 @@ def test_keyring_end_to_end(
     out, work = tmp_path / "k.veilcam", tmp_path / "work"
     command = ("keyring", "--data", digit_folder, *FIT, "--pairs", 2, "--out", out, "--seed", 7)
     assert call(monkeypatch, *command, "--work", work) == 0
-    assert "2 pairs, mean accuracy" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2 pairs, mean accuracy" in printed
     assert len(list(work.iterdir())) == 2
     bundle = read_bundle(out)
     assert bundle.accuracy is not None
@@ -56,6 +57,8 @@ def test_keyring_end_to_end(
     assert bundle.provenance["settings"]["recipe"]["epochs"] == 6  # type: ignore[index, call-overload]
     seeds = {pair["seed"] for pair in bundle.provenance["pairs"]}  # type: ignore[union-attr, index, call-overload]
     assert len(seeds) == 2
+    assert all(pair.transfer_error is not None for pair in bundle.pairs)
+    assert f"worst transfer against full reach: error {bundle.transfer_error}" in printed
     assert 7 in seeds
     # Each pair works behind its own mask and not behind the other's.
     test, share = source.test(), {}
@@ -86,7 +89,10 @@ def test_fit_prints_and_writes(
     printed = capsys.readouterr().out
     assert "FC20" in printed
     assert f"wrote {out}" in printed.replace("\n", "")
-    assert read_bundle(out).task == "mnist"
+    bundle = read_bundle(out)
+    assert bundle.task == "mnist"
+    assert bundle.transfer_error is not None
+    assert f"transfer against full reach: error {bundle.transfer_error}" in printed
     assert torch.get_num_threads() == 1
 
 
@@ -105,6 +111,7 @@ def test_file_logs_and_other_options(
     printed = capsys.readouterr().out
     assert "lens" in printed
     assert "6x8" in printed
+    assert "full reach" not in printed
     curves = event_accumulator.EventAccumulator(str(logs))
     curves.Reload()
     assert len(curves.Scalars("accuracy/validation")) == 2

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,25 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.camera.geometry import Camera
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import PARAXIAL
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.effects import Model
+from veilcam_optics.errors import OpticsError
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
+from veilcam_training.encoders import FixedMask, LearnedMask, Mask, Setup
+from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.fit import FitResult, run_fit
+from veilcam_training.experiments import fit as fitting
+from veilcam_training.experiments.fit import FitResult, run_fit, transfer_error
 from veilcam_training.experiments.model import make_model
+from veilcam_training.seeding import stream
 from veilcam_training.trainer.callbacks import Epoch
 
 SMALL = Recipe(epochs=3, batch=90, rate=1e-2, mask_rate=5e-2)
@@ -101,6 +112,88 @@ def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResul
     for name, value in mistaken.fit.model.state_dict().items():
         assert torch.equal(value, weights[name])
     assert mistaken.accuracy.value != outcome.accuracy.value
+
+
+# --- how far its transfer is from full reach
+
+SMALL_CAMERA = Camera(
+    panel=Panel(32, 32, 8e-6, 8e-6, 7e-6, 7e-6, filter_cycle=()),
+    window=Window(8, 8, 0, 0),
+    sensor=Sensor(60, 80),
+    distance=1e-3,
+)
+"""Of fine sub-pixels, whose light interferes far beyond the nearest."""
+SMALL_SETUP = Setup(SMALL_CAMERA, Scene(3, 2, height=0.05), Embedding(4, 5))
+PANEL = PanelErrors(gamma=0.3, floor=0.1, shift=1e-5)
+
+
+@pytest.mark.parametrize("errors", [PanelErrors(), PANEL])
+@pytest.mark.parametrize("kind", [LearnedMask, FixedMask])
+def test_what_is_checked_is_what_training_used(
+    kind: type[Mask], errors: PanelErrors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, on an ideal panel."""
+    encoder = kind(SMALL_SETUP, stream(0, "encoder"), errors)
+    checked: list[torch.Tensor] = []
+
+    def check(operator: LightOperator, asked: Model, weights: torch.Tensor, **_: object) -> None:
+        assert asked.conditions == PARAXIAL
+        checked.append(operator(weights))
+        raise OpticsError
+
+    monkeypatch.setattr(fitting, "check", check)
+    assert transfer_error(encoder) is None  # a check that cannot be costs no fit
+    assert len(checked) == 1
+    assert torch.equal(checked[0], encoder.eval().transfer())
+
+
+def whole_error(encoder: Mask, scene: Scene) -> float:
+    """Every entry, every pair."""
+    camera, embedding = encoder.setup.camera, encoder.setup.embedding
+    weights = to_weights(encoder.levels(), camera.panel)
+    full = TransferOperator(
+        camera, scene, embedding, reach=Reach(8, 8), step=0.1e-6, dtype=torch.float64
+    )(weights.double())
+    return float((TransferOperator(camera, scene, embedding)(weights) - full).norm() / full.norm())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", [False, True])
+def test_a_transfer_s_error_is_that_of_all_pairs(*, colour: bool) -> None:
+    """One interval of ten may miss: what has to hold is three times as wide."""
+    setup = replace(SMALL_SETUP, colour=colour)
+    encoder = LearnedMask(setup, stream(0, "encoder"))
+    found, true = transfer_error(encoder), whole_error(encoder, setup.scene)
+    assert found is not None
+    assert found.low < found.value < found.high
+    assert abs(math.log(true / found.value)) < 3 * math.log(found.high / found.value)
+    assert true > 0.01, "training left something out"
+    told = [found.value, found.low, found.high]
+    assert told == [float(f"{value:.2g}") for value in told], "two digits leave"
+
+
+@pytest.mark.slow
+def test_the_worst_grid_counts() -> None:
+    finer = replace(SMALL_SETUP, finer=(Scene(3, 2, height=0.005),))
+    encoder = LearnedMask(finer, stream(0, "encoder"))
+    alone = LearnedMask(SMALL_SETUP, stream(0, "encoder"))
+    small = LearnedMask(replace(SMALL_SETUP, scene=finer.finer[0]), stream(0, "encoder"))
+    errors = transfer_error(alone), transfer_error(small)
+    assert None not in errors
+    assert errors[0] != errors[1]
+    assert transfer_error(encoder) == max(
+        (error for error in errors if error is not None), key=lambda error: error.value
+    )
+
+
+def test_points_have_no_full_field() -> None:
+    setup = replace(SMALL_SETUP, point_binning=True)
+    assert transfer_error(LearnedMask(setup, stream(0, "encoder"))) is None
+
+
+def test_without_a_panel_there_is_no_mask_to_check(source: Source) -> None:
+    one = SMALL.model_copy(update={"epochs": 1})
+    assert run_fit(settings(encoder="lens", recipe=one), source, Camera()).transfer_error is None
 
 
 # --- what a model is made of

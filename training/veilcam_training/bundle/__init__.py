@@ -6,7 +6,7 @@ from veilcam_training.bundle.classifier import build_classifier, build_untrained
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
 from veilcam_training.bundle.layers import LayerRecord
-from veilcam_training.bundle.model import Accuracy, Bundle, Pair
+from veilcam_training.bundle.model import Accuracy, Bundle, Pair, TransferError
 from veilcam_training.bundle.signature import OwnerKey, read_key, write_key
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "OwnerKey",
     "Pair",
     "PrivacyCard",
+    "TransferError",
     "add_card",
     "build_classifier",
     "build_untrained",

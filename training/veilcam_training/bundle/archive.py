@@ -100,7 +100,10 @@ def write_bundle(path: Path, bundle: Bundle) -> None:
         embedding=bundle.embedding,
         channels=bundle.channels,
         mode=bundle.mode,
-        pairs=tuple(PairManifest(layers=pair.layers) for pair in bundle.pairs),
+        pairs=tuple(
+            PairManifest(layers=pair.layers, transfer_error=pair.transfer_error)
+            for pair in bundle.pairs
+        ),
         fresh=None
         if fresh is None
         else FreshManifest(

@@ -11,7 +11,7 @@ from veilcam_optics.transfer.operator import Reach
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature
 from veilcam_training.bundle.layers import LayerRecord
-from veilcam_training.bundle.model import Accuracy
+from veilcam_training.bundle.model import Accuracy, TransferError
 
 FORMAT = "veilcam-bundle"
 VERSION = 1
@@ -23,6 +23,8 @@ class PairManifest(BaseModel, frozen=True, extra="forbid", strict=True):
     """The classifier of one pair; its arrays are in the other parts."""
 
     layers: tuple[LayerRecord, ...]
+    transfer_error: TransferError | None = Field(default=None, exclude_if=lambda it: it is None)
+    """Not in files of earlier versions."""
 
 
 class FreshManifest(BaseModel, frozen=True, extra="forbid", strict=True):

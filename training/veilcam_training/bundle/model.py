@@ -47,6 +47,36 @@ class Accuracy:
 
 
 @dataclass(frozen=True)
+class TransferError:
+    """Relative L2 error of one mask's transfer, estimated.
+
+    Attributes:
+        value: of the estimate.
+        low: lower end of its interval of confidence.
+        high: upper end.
+        confidence: of the interval, a share.
+    """
+
+    value: float
+    low: float
+    high: float
+    confidence: float
+
+    def __post_init__(self) -> None:
+        require(
+            0 <= self.low <= self.value <= self.high < math.inf and 0 < self.confidence < 1,
+            f"transfer_error = {self} is not valid: use 0 <= low <= value <= high "
+            "and a confidence between 0 and 1",
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"{self.value:.2g} ({self.low:.2g} to {self.high:.2g} with a confidence of "
+            f"{100 * self.confidence:.0f} %)"
+        )
+
+
+@dataclass(frozen=True)
 class Pair:
     """One mask and the classifier trained for it. Both are secret: neither is in the repr."""
 
@@ -55,6 +85,8 @@ class Pair:
     layers: tuple[LayerRecord, ...]
     weights: Mapping[str, torch.Tensor] = field(repr=False)
     """By the names of the built module's ``state_dict``."""
+    transfer_error: TransferError | None = None
+    """Of the transfer that the pair was trained with; None if it was not measured."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +125,14 @@ class Bundle:
     def inputs(self) -> int:
         """How many numbers a classifier takes."""
         return self.channels * self.embedding.size if self.fresh is None else self.fresh.inputs
+
+    @property
+    def transfer_error(self) -> TransferError | None:
+        """Of the pair where it is largest; None unless it was measured for every pair."""
+        known = [pair.transfer_error for pair in self.pairs if pair.transfer_error is not None]
+        if not known or len(known) < len(self.pairs):
+            return None
+        return max(known, key=lambda error: error.value)
 
 
 def check_bundle(bundle: Bundle) -> None:

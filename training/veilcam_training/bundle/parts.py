@@ -71,7 +71,7 @@ def load_pairs(pairs: tuple[PairManifest, ...], parts: Mapping[str, bytes]) -> t
         require(int(index) < count, f"{WEIGHTS} holds {key!r} but there are {count} pairs")
         sorted_weights[int(index)][name] = tensor
     return tuple(
-        Pair(levels=masks[f"pair.{index}.levels"], layers=pair.layers, weights=own)
+        Pair(masks[f"pair.{index}.levels"], pair.layers, own, pair.transfer_error)
         for index, (pair, own) in enumerate(zip(pairs, sorted_weights, strict=True))
     )
 

@@ -1,4 +1,4 @@
-"""``veilcam-train bundle``: versions and signatures of an owner."""
+"""``veilcam-train bundle``: what one is, and versions and signatures of an owner."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from veilcam_training.bundle import OwnerKey, read_bundle, read_key, sign_bundle
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Give bundles a version and a signature, for daemons that take their owner's alone.",
+    help="See what a bundle is; give it a version and a signature, for daemons that ask for one.",
 )
 console = Console(soft_wrap=True, highlight=False)
 
@@ -54,6 +54,29 @@ def give_version(file: File, *, version: Version) -> None:
     sign_bundle(file, version, None)
     bundle = read_bundle(file)
     console.print(f"{file} is version {bundle.version}, {bundle.digest[:12]}, not signed")
+
+
+@app.command("show")
+def show_command(
+    file: Annotated[Path, typer.Argument(help="A bundle, *.veilcam; it stays as it is.")],
+) -> None:
+    """Print what a bundle is; none of it is secret."""
+    bundle = read_bundle(file)
+    rows, columns = bundle.embedding.shape
+    pairs = f", {len(bundle.pairs)} masks" if bundle.pairs else ""
+    console.print(f"{bundle.task}, {rows}x{columns}, mode {bundle.mode}{pairs}", markup=False)
+    console.print(f"version {bundle.version}, {bundle.digest[:12]}")
+    if bundle.owner is None:
+        console.print("not signed")
+    else:
+        _show(bundle.owner)
+    if bundle.accuracy is not None:
+        named = f"{bundle.accuracy.test_set} ({bundle.accuracy.samples})"
+        console.print(f"accuracy {100 * bundle.accuracy.value:.2f} % on {named}", markup=False)
+    if bundle.mode == "pairs":
+        error = bundle.transfer_error
+        told = "not measured" if error is None else f"error {error}"
+        console.print(f"worst transfer against full reach: {told}")
 
 
 def _show(owner: OwnerKey) -> None:

@@ -194,6 +194,8 @@ def keyring_command(
             fitted=lambda *_: progress.advance(done),
         )
     write_bundle(out, bundle)
+    if bundle.transfer_error is not None:
+        console.print(f"worst transfer against full reach: error {bundle.transfer_error}")
     if bundle.accuracy is not None:
         console.print(
             f"{pairs} pairs, mean accuracy {100 * bundle.accuracy.value:.2f} % "
@@ -250,3 +252,5 @@ def _show(result: FitResult) -> None:
         f"{100 * result.accuracy.value:.2f} %",
     )
     console.print(table)
+    if result.transfer_error is not None:
+        console.print(f"transfer against full reach: error {result.transfer_error}")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.bundle import Bundle, Fresh, Pair
+from veilcam_training.bundle import Bundle, Fresh, Pair, TransferError
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import Mask
@@ -125,8 +125,12 @@ class _Fitter:
         return result
 
 
-def as_pair(model: LenslessClassifier) -> Pair:
+def as_pair(model: LenslessClassifier, error: TransferError | None = None) -> Pair:
     """Mask and classifier of a fitted model, for a bundle.
+
+    Args:
+        model: fitted.
+        error: of the transfer that it was fitted with.
 
     Raises:
         TrainingError: the encoder has no mask that a panel could show.
@@ -137,7 +141,7 @@ def as_pair(model: LenslessClassifier) -> Pair:
             "this encoder has no mask that a panel can show: "
             "use 'learned' or 'fixed_simulated', or leave out --out"
         )
-    return Pair(encoder.levels(), model.layers, _weights(model))
+    return Pair(encoder.levels(), model.layers, _weights(model), error)
 
 
 def _weights(model: LenslessClassifier) -> dict[str, Tensor]:
@@ -174,7 +178,7 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
         embedding=setup.embedding,
         channels=3 if setup.colour else 1,
         mode="pairs",
-        pairs=tuple(as_pair(result.fit.model) for result in results),
+        pairs=tuple(as_pair(result.fit.model, result.transfer_error) for result in results),
         provenance=record,
         accuracy=replace(first, value=mean(result.accuracy.value for result in results)),
     )
