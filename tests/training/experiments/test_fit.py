@@ -132,19 +132,21 @@ PANEL = PanelErrors(gamma=0.3, floor=0.1, shift=1e-5)
 def test_what_is_checked_is_what_training_used(
     kind: type[Mask], errors: PanelErrors, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To the bit, on an ideal panel."""
+    """To rounding, on an ideal panel: what is beyond the reach is a thousand times as much."""
     encoder = kind(SMALL_SETUP, stream(0, "encoder"), errors)
     checked: list[torch.Tensor] = []
+    pixels = torch.eye(6).reshape(6, 3, 2)
 
     def check(operator: LightOperator, asked: Model, weights: torch.Tensor, **_: object) -> None:
         assert asked.conditions == PARAXIAL
-        checked.append(operator(weights))
+        checked.append(operator.embed(pixels, weights).flatten(1))
         raise OpticsError
 
     monkeypatch.setattr(fitting, "check", check)
     assert transfer_error(encoder) is None  # a check that cannot be costs no fit
     assert len(checked) == 1
-    assert torch.equal(checked[0], encoder.eval().transfer())
+    trained = encoder.eval().transfer().detach()
+    assert (checked[0] - trained).norm() < 1e-5 * trained.norm()
 
 
 def whole_error(encoder: Mask, scene: Scene) -> float:

@@ -14,7 +14,7 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.imperfections import PARAXIAL
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import SceneStatistics
-from veilcam_optics.effects import Model
+from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan.check import check
 from veilcam_optics.simulation.operator import LightOperator
@@ -138,7 +138,11 @@ def transfer_error(encoder: Mask) -> TransferError | None:
     if setup.point_binning:
         return None
     weights = to_weights(encoder.levels(), setup.camera.panel)
-    models = [Model(setup.camera, scene, setup.embedding, PARAXIAL) for scene in setup.grids]
+    # A scene much larger than the images is trained on in parts: its whole matrix may be too large.
+    factors = Sampling(method="factors")
+    models = [
+        Model(setup.camera, scene, setup.embedding, PARAXIAL, factors) for scene in setup.grids
+    ]
     try:
         checks = [
             check(LightOperator(model), model, weights, entries=CHECKED_ENTRIES) for model in models
