@@ -133,6 +133,7 @@ def draw(cells: Cells, path: Path, seed: int) -> None:
         panel.plot([], [], "--x", color="#777777", markersize=4, label="nothing known of them")
         panel.axhline(100 / CLASSES, color="#777777", linestyle=":", label="chance")
         panel.set_xscale("symlog", linthresh=1)
+        panel.set_xlim(-0.2, 1.3 * counts[-1])
         panel.set_xticks(counts, [str(n) for n in counts])
         panel.set_xlabel("other captures of the mask that an attacker has")
         panel.set_title(f"{form}: {budget(cells, form, seed)} may leave behind a mask")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -156,41 +157,29 @@ class Study:
     def _seen(self, mask: VictimMask, scenes: Tensor, labels: Tensor) -> Seen:
         return Seen(self._victim.capture(mask, scenes), labels)
 
-    def keyless(self) -> Reader:
-        """A network fitted to captures behind other keys; it needs none that is known."""
+    def keyless(self) -> dict[str, Reader]:
+        """Networks fitted to captures behind other keys; they need none that is known."""
         masks, captures = self._plan.wide
         parts = []
         for _ in range(masks):
             drawn = self._training.draw(captures, self._random)
             parts.append(self._seen(self._victim.mask(), *drawn))
-        learned = Seen(
-            _scaled(torch.cat([each.vectors for each in parts])),
-            torch.cat([each.labels for each in parts]),
-        )
-        check = Seen(
-            _scaled(torch.cat([mask.asked.vectors for mask in self._check])),
-            torch.cat([mask.asked.labels for mask in self._check]),
-        )
-        builds: list[Build] = [partial(convolutions, self._shape, width=32), perceptron]
-        tried = [
-            partial(by_network, build=build, trial=TRIALS[0], epochs=EPOCHS) for build in builds
-        ]
-        scores = best_of(tried)(learned, check, CLASSES)
+        learned, check = _joined(parts), _joined([mask.asked for mask in self._check])
+        pictures: list[Build] = [partial(convolutions, self._shape, width=32), perceptron]
+        tried: dict[str, tuple[Callable[[Tensor], Tensor], list[Build]]] = {
+            "network behind other keys": (_scaled, pictures),
+            # How bright it is differs by mask, and by scene.
+            "perceptron behind other keys, with brightness": (_as_read, [perceptron]),
+        }
+        return {name: _fitted(*each, learned, check) for name, each in tried.items()}
 
-        def read(known: Seen, vectors: Tensor, classes: int) -> Tensor:
-            del known, classes
-            with torch.no_grad():
-                return scores(_scaled(vectors)).double()
-
-        return read
-
-    def attack(self, keyless: Reader, count: int) -> Point:
+    def attack(self, keyless: Mapping[str, Reader], count: int) -> Point:
         """The worst attacker that knows ``count`` captures."""
         own, check, test = (
             [mask.of_first(count) for mask in masks]
             for masks in (self._own, self._check, self._test)
         )
-        tried: dict[str, Reader] = {"network behind other keys": keyless}
+        tried = dict(keyless)
         if count > 0:
             tried |= readers()
             for ridge in RIDGES:
@@ -209,6 +198,26 @@ class Study:
             pairs.append([self._victim.capture(mask, shown) for _ in range(2)])
         first, second = (torch.stack([pair[side] for pair in pairs]) for side in range(2))
         return link_area(by_products, first, second)
+
+
+def _joined(parts: Sequence[Seen]) -> Seen:
+    vectors = torch.cat([each.vectors for each in parts])
+    return Seen(vectors, torch.cat([each.labels for each in parts]))
+
+
+def _fitted(
+    change: Callable[[Tensor], Tensor], builds: Sequence[Build], learned: Seen, check: Seen
+) -> Reader:
+    tried = [partial(by_network, build=build, trial=TRIALS[0], epochs=EPOCHS) for build in builds]
+    seen = [Seen(change(each.vectors), each.labels) for each in (learned, check)]
+    scores = best_of(tried)(seen[0], seen[1], CLASSES)
+
+    def read(known: Seen, vectors: Tensor, classes: int) -> Tensor:
+        del known, classes
+        with torch.no_grad():
+            return scores(change(vectors)).double()
+
+    return read
 
 
 def crowd(
@@ -255,3 +264,7 @@ def _scaled(vectors: Tensor) -> Tensor:
     """Less their own mean and of variance 1: brightness apart, which differs from mask to mask."""
     apart = vectors - vectors.mean(1, keepdim=True)
     return apart / apart.std(1, keepdim=True).clamp_min(torch.finfo(vectors.dtype).tiny)
+
+
+def _as_read(vectors: Tensor) -> Tensor:
+    return vectors

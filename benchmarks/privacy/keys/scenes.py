@@ -118,10 +118,10 @@ def load_scenes(shape: tuple[int, int], data: Path | None, faces: Path | None) -
         digits = Stock(images.pixels.numpy(), images.labels.numpy())
     if digits.pixels.shape[1:] != shape:
         raise typer.BadParameter(f"digits are {digits.pixels.shape[1:]}, scenes {shape}")
-    return Scenes(shape, digits, None if faces is None else _faces(faces, shape))
+    return Scenes(shape, digits, None if faces is None else load_faces(faces, shape))
 
 
-def _faces(folder: Path, shape: tuple[int, int]) -> Stock:
+def load_faces(folder: Path, shape: tuple[int, int]) -> Stock:
     """Drawn faces by skin: their middle square, as many pixels as a scene has."""
     path = find(folder / "faces.npz", advice="give the folder that holds it as --faces")
     try:

@@ -54,6 +54,40 @@ def by_lengths(first: Tensor, second: Tensor) -> Tensor:
     return -apart.abs()
 
 
+def by_known_lengths(learned: Blocks, *, width: float = 0.2) -> Link:
+    """How much likelier two lengths are of one scene than of two: a rare one says more.
+
+    Logarithms of two lengths of one scene differ normally; their density is that of the learned
+    ones, by normal kernels.
+
+    Args:
+        learned: pairs behind masks of the attacker's own.
+        width: of a kernel, in deviations of the logarithms.
+    """
+    one, other = (_log_lengths(each).flatten() for each in learned)
+    known = torch.cat([one, other])
+    apart = (one - other).std().clamp_min(1e-30)
+    unit = width * known.std().clamp_min(1e-30)
+
+    def link(first: Tensor, second: Tensor) -> Tensor:
+        left, right = _log_lengths(first)[:, :, None], _log_lengths(second)[:, None]
+        middles = (left + right) / 2
+        density = torch.stack(
+            [
+                (-((each.flatten()[:, None] - known) / unit).square() / 2).exp().mean(1)
+                for each in middles
+            ]
+        ).reshape(middles.shape)
+        return -((left - right) / apart).square() / 2 - density.clamp_min(1e-300).log()
+
+    return link
+
+
+def _log_lengths(vectors: Tensor) -> Tensor:
+    lengths: Tensor = vectors.double().norm(dim=2).clamp_min(1e-30).log()
+    return lengths
+
+
 def by_products(first: Tensor, second: Tensor) -> Tensor:
     """Inner products."""
     return first.double() @ second.double().transpose(1, 2)
@@ -71,6 +105,32 @@ def by_cosines(first: Tensor, second: Tensor, *, mean: Tensor) -> Tensor:
     one, other = (each / each.norm(dim=2, keepdim=True).clamp_min(1e-300) for each in apart)
     cosines: Tensor = one @ other.transpose(1, 2)
     return cosines
+
+
+def by_known_spread(learned: Blocks, *, ridge: float) -> Link:
+    """Cosines, with what sets two captures of the same apart divided out.
+
+    The covariance of differences between the two captures of a pair is whitened (within-class
+    covariance normalisation, Hatch and others 2006): directions in which masks differ count less.
+
+    Args:
+        learned: pairs behind masks of the attacker's own.
+        ridge: beside the covariance, in units of its mean variance.
+    """
+    one, other = (normalize(each.double().flatten(0, 1)) for each in learned)
+    apart = one - other
+    values, vectors = torch.linalg.eigh(apart.T @ apart / (2 * len(apart)))
+    smallest = (ridge * values.mean()).clamp_min(1e-30)
+    whitening = (vectors * (values.clamp_min(0) + smallest).rsqrt()) @ vectors.T
+
+    def link(first: Tensor, second: Tensor) -> Tensor:
+        left, right = (
+            normalize(normalize(each.double(), dim=2) @ whitening, dim=2)
+            for each in (first, second)
+        )
+        return left @ right.transpose(1, 2)
+
+    return link
 
 
 def by_distances(first: Tensor, second: Tensor) -> Tensor:
@@ -241,9 +301,11 @@ def links(
 ) -> Link:
     """The member of a family that links most of ``check``, whichever way round."""
     if family == "length":
-        return by_lengths
+        by_length = [by_lengths, by_known_lengths(learned)]
+        return max(by_length, key=lambda link: abs(link_area(link, *check) - 0.5))
     mean = torch.cat(learned).flatten(0, 1).mean(0)
     tried: list[Link] = [by_products, by_distances, partial(by_cosines, mean=mean)]
+    tried += [by_known_spread(learned, ridge=ridge) for ridge in (1e-3, 1e-1)]
     if family == "networks":
         tried = [by_network(learned, check, trial=trial, epochs=epochs) for trial in trials]
         tried += [

@@ -79,6 +79,31 @@ def by_length(learned: Seen, check: Seen, classes: int, *, bins: int) -> Scores:
     return lambda vectors: table[torch.bucketize(_length(vectors), edges)]
 
 
+def by_length_density(learned: Seen, check: Seen, classes: int, *, width: float) -> Scores:
+    """Bayes' rule on the density of lengths in each class, by normal kernels (Parzen 1962).
+
+    Args:
+        learned: whose lengths and answers are known.
+        check: unused.
+        classes: how many answers there are.
+        width: of a kernel on their logarithms, in deviations of all of these.
+    """
+    del check
+
+    def logarithms(vectors: Tensor) -> Tensor:
+        return _length(vectors).clamp_min(1e-30).log()
+
+    lengths = logarithms(learned.vectors)
+    unit = width * lengths.std().clamp_min(1e-30)
+    members = one_hot(learned.labels, classes).double()
+
+    def scores(vectors: Tensor) -> Tensor:
+        apart = (logarithms(vectors)[:, None] - lengths) / unit
+        return (-apart.square() / 2).exp() @ members
+
+    return scores
+
+
 def _length(vectors: Tensor) -> Tensor:
     lengths: Tensor = torch.linalg.vector_norm(vectors.double(), dim=1)
     return lengths
@@ -225,7 +250,9 @@ def attackers(family: Family, shape: tuple[int, int] | None, epochs: int) -> lis
         epochs: most that a network is fitted for.
     """
     if family == "length":
-        return [partial(by_length, bins=bins) for bins in (8, 32, 128)]
+        histograms: list[Attacker] = [partial(by_length, bins=bins) for bins in (8, 32, 128)]
+        widths = (0.1, 0.3)
+        return [*histograms, *(partial(by_length_density, width=width) for width in widths)]
     if family == "products":
         neighbours: list[Attacker] = [
             partial(by_neighbours, count=count, distances=distances)

@@ -1,0 +1,116 @@
+"""The camera of the demonstration bundles, 24 x 32, and what is shown to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+import typer
+from benchmarks.privacy.keys.options import fresh_bundle
+from benchmarks.privacy.keys.scenes import Scenes, Stock, load_faces, load_scenes
+from torch import Tensor, nn
+
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.decoding import SceneDecoding, fit_statistics
+from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_server.demo_data import BUNDLE, FRESH
+from veilcam_training.attacks.leaked import doubting, read_behind
+from veilcam_training.attacks.networks import judged
+from veilcam_training.attacks.victim import FreshMasks, MaskSource, ReleaseRule, StoredMasks, Victim
+from veilcam_training.bundle import build_classifier, read_bundle
+from veilcam_training.data import Images, open_source
+from veilcam_training.seeding import stream
+
+DOUBT = 0.01
+"""Relative error that is expected of a mask that was found."""
+
+
+class Setting:
+    """Pictures and cameras that all rows share.
+
+    Args:
+        data: folder of MNIST's files.
+        faces: folder that holds ``faces.npz``; None: without faces.
+    """
+
+    def __init__(self, data: Path, faces: Path | None) -> None:
+        bundle = fresh_bundle(FRESH)
+        fresh = bundle.fresh
+        assert fresh is not None, "a bundle of mode fresh"
+        self.camera, self.distribution = bundle.camera, fresh.distribution
+        self.decoding = fresh.frame(bundle.camera, bundle.scene, bundle.embedding).decoding()
+        self.light = TransferOperator(
+            bundle.camera, bundle.scene, bundle.embedding, reach=Reach(6, 1)
+        )
+        """Interferes further than the operator of ``decoding`` says."""
+        source = open_source("mnist", data)
+        self.training, self.test = source.training(), source.test()
+        self.scenes: Scenes = load_scenes(bundle.scene.shape, data, faces)
+        self.faces: Stock | None = None if faces is None else load_faces(faces, bundle.scene.shape)
+        self._classifier: nn.Module = build_classifier(fresh.layers, fresh.weights)
+
+    def learned_masks(self) -> tuple[Tensor, ...]:
+        """Of the pairs that come along."""
+        pairs = read_bundle(BUNDLE).pairs
+        return tuple(to_weights(pair.levels, self.camera.panel) for pair in pairs)
+
+    def victim(
+        self,
+        release: ReleaseRule,
+        seed: int,
+        *,
+        stored: Tensor | None = None,
+        decoding: SceneDecoding | None = None,
+        purpose: str = "victim",
+    ) -> Victim:
+        """A camera with fresh masks, or with one that is stored.
+
+        Args:
+            release: how embeddings leave.
+            seed: of masks, keys and noise.
+            stored: its one mask; None: fresh masks.
+            decoding: what it knows of scenes; digits by default.
+            purpose: cameras of another one have other masks.
+        """
+        source: MaskSource = FreshMasks(self.camera, self.distribution)
+        return Victim(
+            self.light,
+            source if stored is None else StoredMasks([stored]),
+            release,
+            decoding=decoding or self.decoding,
+            generator=stream(seed, purpose),
+        )
+
+    def face_decoding(self) -> SceneDecoding:
+        """What a camera that is to read faces knows of scenes.
+
+        Raises:
+            typer.BadParameter: there are no faces.
+        """
+        if self.faces is None:
+            raise typer.BadParameter("there are no faces: give --faces")
+        pixels = torch.from_numpy(self.faces.pixels).float() / 255
+        statistics = fit_statistics([pixels], self.decoding.statistics.rank)
+        return SceneDecoding(self.decoding.operator, statistics, self.decoding.noise)
+
+    def digits(self, part: Images, count: int, *purpose: str | int) -> tuple[Tensor, Tensor]:
+        """Scenes (count, rows, columns), all different, and which digit they show."""
+        order = torch.randperm(len(part), generator=stream(0, "digits", *purpose))[:count]
+        return part.scenes(order), part.labels[order]
+
+    def accuracy(self, weights: Tensor, measurements: Tensor, labels: Tensor) -> float:
+        """Digits read [%] by whoever takes ``weights`` for the mask, with a network for all masks.
+
+        Args:
+            weights: found or known.
+            measurements: (count, E).
+            labels: (count,).
+        """
+        decoding = doubting(self.decoding, DOUBT)
+        read = read_behind(decoding, weights, measurements)
+        return percent(judged(self._classifier, read).argmax(1) == labels)
+
+
+def percent(hits: Tensor) -> float:
+    """Share of hits."""
+    return 100 * float(hits.double().mean())
