@@ -38,6 +38,7 @@ help:
 	@echo "make check    lint, types, layers and the fast tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
+	@echo "make oracle   1,000 random plans against exact light: an hour or two; goes on where it stopped"
 	@echo "make siege    attackers and faults against a simulated daemon: up to an hour; before a release"
 	@echo "make test-processors   the numerical tests with SSE and with AVX2, on one thread and on two"
 	@echo "make suite-SSE, suite-AVX2   all tests with the instructions of older processors"
@@ -103,6 +104,11 @@ fast: $(INSTALLED)
 
 pytest: $(INSTALLED)
 	$(WAITING) -m "not system"
+
+# Plans against exact light. Not part of test, which takes forty; it goes on where it stopped.
+.PHONY: oracle
+oracle: $(INSTALLED)
+	$(BIN)/python -m tests.oracle.run --jobs 1000 --chart build/oracle.png
 
 # The instructions of older processors; those of newer ones cannot be asked for. Threads that wait
 # sleep, so that two of them get on on a busy machine.

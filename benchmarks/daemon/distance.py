@@ -17,7 +17,7 @@ from benchmarks.figures import FiguresOption, record
 
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.camera.imperfections import NOMINAL
+from veilcam_optics.camera.imperfections import NOMINAL, PARAXIAL
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import plan
 from veilcam_optics.simulation.operator import LightOperator
@@ -54,7 +54,7 @@ def main(
     torch.set_num_threads(1)
     camera, scene, embedding = GEOMETRY.camera, GEOMETRY.scene, GEOMETRY.embedding
     weights = torch.from_numpy(np.random.default_rng(1).random((6, *camera.mask_shape)))
-    coarse = plan(camera, scene, embedding, TOLERANCE, batch=1, method="grid").model
+    coarse = plan(camera, scene, embedding, TOLERANCE, PARAXIAL, batch=1, method="grid").model
     values = {}
     for finer in FINER:
         sampling = replace(

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions, half_field
+from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, half_field
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.operator import Reach
@@ -90,8 +90,8 @@ def draw(generator: random.Random) -> Case:
 def _some_conditions(generator: random.Random, camera: Camera, scene: Scene) -> Conditions:
     """None in every other case, else one to three of them."""
     if generator.random() < 0.5:
-        return IDEAL
-    conditions = IDEAL
+        return PARAXIAL
+    conditions = PARAXIAL
     changes: list[Callable[[Conditions], Conditions]] = [
         lambda c: replace(c, bandwidth=(generator.uniform(5e-9, 60e-9),) * 3),
         lambda c: replace(c, depth_range=generator.uniform(0.01, 0.4) * scene.distance),
@@ -188,7 +188,7 @@ def spread(values: list[Tensor], truths: list[Tensor]) -> float:
 
 def against_integration(case: Case) -> float:
     """Relative L2 between the truth and direct integration of the whole field."""
-    ideal = replace(case, conditions=IDEAL)
+    ideal = replace(case, conditions=PARAXIAL)
     weights = some_masks(ideal, 1)
     truth = matrices(LightOperator(true_model(ideal, Reach())), weights)
     whole = max(

@@ -271,7 +271,7 @@ def dials(
             contents.scene,
             contents.embedding,
             reach=reach,
-            dtype=precision.products,
+            dtype=getattr(torch, precision.products),
         )
         times, accuracies = [], []
         ranks = [rank for rank in (32, 64, 128, 256, 384) if rank <= fresh.statistics.rank]

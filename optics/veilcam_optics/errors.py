@@ -4,6 +4,7 @@ Every message names the argument, its value, its unit and what would be valid.
 """
 
 import math
+import os
 from collections.abc import Collection
 from types import EllipsisType
 from typing import Protocol
@@ -11,6 +12,9 @@ from typing import Protocol
 
 class OpticsError(ValueError):
     """Input that no camera can have; the message says what would be valid."""
+
+
+_COMPLEX_BYTES = 16
 
 
 class _HasShape(Protocol):
@@ -28,6 +32,14 @@ def require(condition: bool, argument: str, value: object, unit: str, valid: str
     """Raise :class:`OpticsError` of one argument, as :func:`invalid` words it, unless it is met."""
     if not condition:
         raise invalid(argument, value, unit, valid)
+
+
+def require_memory(argument: str, value: object, unit: str, numbers: float, valid: str) -> None:
+    """Raise :class:`OpticsError` if so many complex128 ``numbers`` exceed this machine's memory."""
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    asked = numbers * _COMPLEX_BYTES
+    size = f"{asked:.2g} bytes of this machine's {there:.2g}"
+    require(asked <= there, argument, value, unit, f"{valid}: this asks for {size}")
 
 
 def require_positive(argument: str, value: float, unit: str) -> None:

@@ -60,12 +60,12 @@ def dot(left: Tensor, right: Tensor) -> float:
 
 
 def linearity(operator: Operator) -> float:
-    """A(2x - 3y) against 2 A x - 3 A y."""
+    """A(0.3x + 0.6y) against 0.3 A x + 0.6 A y: an offset would show, and scenes stay scenes."""
     setting = Setting()
     bound = operator.bind(setting)
     x, y = bound.sample(setting, 1), bound.sample(setting, 2)
-    wanted = 2 * apply_one(operator, bound, x) - 3 * apply_one(operator, bound, y)
-    return relative(apply_one(operator, bound, 2 * x - 3 * y), wanted)
+    wanted = 0.3 * apply_one(operator, bound, x) + 0.6 * apply_one(operator, bound, y)
+    return relative(apply_one(operator, bound, 0.3 * x + 0.6 * y), wanted)
 
 
 def adjoint(operator: Operator) -> float:

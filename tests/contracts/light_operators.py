@@ -43,7 +43,7 @@ def _model(setting: Setting, method: Method, *, field: bool, rotation: float = 0
             layers=1 if field else 2,
             zones=2 if field else 1,
             step=setting.pitch / 10,
-            oversampling=0.7,
+            oversampling=1.1,
             dtype=setting.dtype,
         ),
     )

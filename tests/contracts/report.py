@@ -86,7 +86,7 @@ DEFECTS: Mapping[str, tuple[str, ...]] = {
     ),
     "weights outside [0, 1] get no gradient": (
         "optics/test_incumbent_defects.py::test_weights_outside_the_range_are_refused_and_not_left_to_die",
-        "contracts/test_defects.py::test_weights_outside_the_range_do_not_die",
+        "contracts/test_defects.py::test_weights_at_the_ends_do_not_die",
     ),
     "more signal to noise than asked for": (
         "optics/test_incumbent_defects.py::test_noise_asked_for_is_noise_delivered",

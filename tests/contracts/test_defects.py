@@ -100,10 +100,13 @@ def test_a_dim_mask_stays_dim() -> None:
     assert set(half.flatten().tolist()) == {32}
 
 
-@pytest.mark.parametrize("value", [-0.5, 1.5])
-def test_weights_outside_the_range_do_not_die(value: float) -> None:
-    """Clipped inside, they would get no gradient and never come back."""
+@pytest.mark.parametrize(("value", "outside"), [(1e-6, -0.5), (1.0, 1.5)])
+def test_weights_at_the_ends_do_not_die(value: float, outside: float) -> None:
+    """Clipped inside, they would get no gradient and never come back; outside is refused."""
     weights = some_weights()
+    weights[2, 1] = outside
+    with pytest.raises(OpticsError, match=r"weights hold 1 values outside \[0, 1\]"):
+        operator()(weights)
     weights[2, 1] = value
     weights.requires_grad_()
     (gradient,) = torch.autograd.grad(operator()(weights).square().sum(), weights)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
+from veilcam_optics.camera.imperfections import IDEAL, PARAXIAL, Conditions, Imperfections
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.sensor.noise import shot_noise
@@ -46,7 +46,8 @@ def some_scenes(scene: Scene, dtype: torch.dtype) -> Tensor:
     return torch.rand(5, *scene.shape, generator=generator, dtype=torch.float64).to(dtype)
 
 
-def made(camera: Camera, tolerance: float, conditions: Conditions = IDEAL) -> Plan:
+def made(camera: Camera, tolerance: float, conditions: Conditions = PARAXIAL) -> Plan:
+    """By default of a paraxial scene: plain operators and the reference know no other."""
     return plan(camera, scene_for(camera), Embedding(4, 5), tolerance, conditions, batch=5)
 
 
@@ -134,7 +135,7 @@ def test_gradient_through_a_plan() -> None:
 @pytest.mark.slow
 def test_noise_of_a_plan_is_noise_after_the_optics() -> None:
     camera = CAMERAS["small"]
-    chosen = made(camera, 1e-4, Conditions(snr_db=30.0))
+    chosen = made(camera, 1e-4, replace(PARAXIAL, snr_db=30.0))
     bare = made(camera, 1e-4)
     dtype = chosen.model.sampling.dtype
     assert bare.model.sampling.dtype == dtype

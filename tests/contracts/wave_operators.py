@@ -32,7 +32,7 @@ def _grid_light(setting: Setting, *, filters: bool) -> GridLight:
     return GridLight(
         setting.camera(filters=filters, leakage=0.1),
         setting.scene(),
-        0.7,
+        1.1,
         dtype=setting.dtype,
         device=setting.device,
     )

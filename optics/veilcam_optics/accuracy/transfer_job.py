@@ -10,6 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.camera.imperfections import PARAXIAL
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
@@ -141,7 +142,8 @@ class TransferJob:
             )
 
     def _prepare_plan(self, tolerance: float) -> Prepared:
-        chosen = plan(self.camera, self.scene, self.embedding, tolerance)
+        # The reference has no field angle.
+        chosen = plan(self.camera, self.scene, self.embedding, tolerance, PARAXIAL)
         operator = chosen.operator
         weights = self.weights.to(chosen.model.sampling.dtype)
         if operator.has_transfer:

@@ -4,11 +4,25 @@ Axis order is (rows, columns) everywhere. Rows run along the panel's fine axis, 
 the sensor's short side. The origin of every plane is the optical axis.
 """
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
+from typing import Self
 
-from veilcam_optics.errors import require, require_count, require_positive, require_within
+from veilcam_optics.errors import (
+    require,
+    require_count,
+    require_memory,
+    require_positive,
+    require_within,
+)
 
 CHANNELS = ("R", "G", "B")
+
+WAVELENGTHS = (1e-8, 1e-3)
+"""What is called light, from extreme ultraviolet to far infrared (ISO 20473), in metres."""
+
+LENGTHS = (1e-8, 0.1)
+"""Sides of sub-pixels and pixels that can be made [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +52,7 @@ class Panel:
         require_count("panel.columns", self.columns)
         require_count("panel.levels", self.levels, least=2)
         for name in ("pitch_y", "pitch_x", "aperture_y", "aperture_x"):
-            require_positive(f"panel.{name}", getattr(self, name), "m")
+            require_within(f"panel.{name}", getattr(self, name), "m", *LENGTHS)
         for axis in ("y", "x"):
             aperture, pitch = getattr(self, f"aperture_{axis}"), getattr(self, f"pitch_{axis}")
             require(
@@ -68,6 +82,21 @@ class Panel:
             "3 x 3 amplitudes from 0 to 1",
         )
 
+    @property
+    def fill_factor(self) -> float:
+        """Share of the panel's area that is open."""
+        return self.aperture_y * self.aperture_x / (self.pitch_y * self.pitch_x)
+
+    def with_fill_factor(self, share: float) -> Self:
+        """The same panel with apertures as wide for their pitch along both axes.
+
+        Args:
+            share: of the panel's area that is open, above 0 and at most 1.
+        """
+        require(0 < share <= 1, "panel.fill_factor", share, "", "a share above 0, at most 1")
+        side = math.sqrt(share)
+        return replace(self, aperture_y=side * self.pitch_y, aperture_x=side * self.pitch_x)
+
 
 @dataclass(frozen=True, slots=True)
 class Window:
@@ -84,6 +113,7 @@ class Window:
         require_count("window.columns", self.columns)
         require_count("window.first_row", self.first_row, least=0)
         require_count("window.first_column", self.first_column, least=0)
+        _require_held("window", self.rows, self.columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +131,11 @@ class Sensor:
         require_count("sensor.rows", self.rows)
         require_count("sensor.columns", self.columns)
         require_count("sensor.bit_depth", self.bit_depth)
-        require_positive("sensor.pixel", self.pixel, "m")
+        require_within("sensor.pixel", self.pixel, "m", *LENGTHS)
         require(
-            min(self.channel_weights) >= 0 and abs(sum(self.channel_weights) - 1) <= 1e-9,
+            len(self.channel_weights) == len(CHANNELS)
+            and min(self.channel_weights) >= 0
+            and abs(sum(self.channel_weights) - 1) <= 1e-9,
             "sensor.channel_weights",
             self.channel_weights,
             "",
@@ -134,7 +166,7 @@ class Camera:
     def __post_init__(self) -> None:
         require_positive("camera.distance", self.distance, "m")
         for name, wavelength in zip(CHANNELS, self.wavelengths, strict=True):
-            require_positive(f"camera.wavelengths[{name}]", wavelength, "m")
+            require_within(f"camera.wavelengths[{name}]", wavelength, "m", *WAVELENGTHS)
         require(
             self.window.first_row + self.window.rows <= self.panel.rows,
             "window.rows",
@@ -148,6 +180,19 @@ class Camera:
             self.window.columns,
             "columns",
             f"what fits {self.panel.columns} panel columns",
+        )
+
+    def monochrome(self, wavelength: float) -> Self:
+        """The same camera under light of one ``wavelength`` [m], without colours anywhere.
+
+        The panel has no filters, and a measurement is that of one channel: the others, of the same
+        wavelength, count nothing and cost nothing.
+        """
+        return replace(
+            self,
+            panel=replace(self.panel, filter_cycle=(), filter_leakage=0.0, filter_amplitudes=()),
+            sensor=replace(self.sensor, channel_weights=(0.0, 1.0, 0.0)),
+            wavelengths=(wavelength, wavelength, wavelength),
         )
 
     @property
@@ -210,6 +255,7 @@ class Scene:
         require_count("scene.columns", self.columns)
         require_positive("scene.height", self.height, "m")
         require_positive("scene.distance", self.distance, "m")
+        _require_held("scene", self.rows, self.columns)
 
     @property
     def pixel(self) -> float:
@@ -236,6 +282,7 @@ class Embedding:
     def __post_init__(self) -> None:
         require_count("embedding.rows", self.rows)
         require_count("embedding.columns", self.columns)
+        _require_held("embedding", self.rows, self.columns)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -246,3 +293,9 @@ class Embedding:
     def size(self) -> int:
         """How many numbers one embedding has."""
         return self.rows * self.columns
+
+
+def _require_held(argument: str, rows: int, columns: int) -> None:
+    """Refuse a grid of which not even one copy could be held."""
+    numbers = min(rows * columns, 10**30)  # what is larger may not be a float
+    require_memory(argument, f"{rows} x {columns}", "numbers", numbers, "fewer rows or columns")

@@ -12,6 +12,9 @@ from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
 from veilcam_optics.camera.masks import respond
 from veilcam_optics.errors import require, require_ratio, require_within
 
+MOST_OFF_AXIS = 1.4
+"""Largest angle of a scene's edge to the axis that is computed [rad]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Spreads:
@@ -164,7 +167,8 @@ class Conditions:
         depth_range: the scene's pixels lie evenly spread over this depth, centred on the scene's
             distance [m].
         off_axis: angle between the axis and the scene's upper edge up to which the point spread
-            function is let change and fade over the field [rad]; see :func:`half_field`.
+            function is let change and fade over the field [rad]; None: a plan takes the scene's
+            own, see :func:`half_field`, and a model that was not planned none. 0: a paraxial scene.
         imperfections: of the camera as it was built.
         levels: how many amplitudes the panel can show; 0 for any.
         bayer: every sensor pixel reads one colour (RGGB), and embedding pixels cut through them.
@@ -181,7 +185,7 @@ class Conditions:
 
     bandwidth: tuple[float, float, float] = (0.0, 0.0, 0.0)
     depth_range: float = 0.0
-    off_axis: float = 0.0
+    off_axis: float | None = None
     imperfections: Imperfections = NOMINAL
     levels: int = 0
     bayer: bool = False
@@ -205,7 +209,7 @@ class Conditions:
             ("adc_range", ""),
         ):
             require_within(f"conditions.{name}", getattr(self, name), unit, 0, math.inf)
-        require_within("conditions.off_axis", self.off_axis, "rad", 0, 1.4)
+        require_within("conditions.off_axis", self.off_axis or 0.0, "rad", 0, MOST_OFF_AXIS)
         for name, low, high in (("levels", 2, 65536), ("adc_bits", 1, 24)):
             value = getattr(self, name)
             require(
@@ -240,3 +244,6 @@ def half_field(scene: Scene) -> float:
 
 IDEAL = Conditions()
 """Nothing beyond the ideal."""
+
+PARAXIAL = Conditions(off_axis=0.0)
+"""As :data:`IDEAL`, of a scene that is taken for paraxial whatever its size."""

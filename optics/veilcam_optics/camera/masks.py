@@ -10,25 +10,12 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Panel
-from veilcam_optics.errors import OpticsError, require
+from veilcam_optics.errors import OpticsError
 
 
 def random_mask(camera: Camera, generator: torch.Generator) -> Tensor:
     """Independent uniform weights, float32, shape ``camera.mask_shape``."""
     return torch.rand(camera.mask_shape, generator=generator)
-
-
-def check_weights(weights: Tensor, camera: Camera) -> None:
-    """Raise :class:`OpticsError` unless ``weights`` is a mask for ``camera``.
-
-    The message never holds a weight: a mask is a secret.
-    """
-    shape = tuple(weights.shape)
-    require(
-        shape == camera.mask_shape, "weights.shape", shape, "", f"the window, {camera.mask_shape}"
-    )
-    if not bool(torch.isfinite(weights).all()):
-        raise OpticsError("weights hold NaN or infinity: use finite numbers in [0, 1]")
 
 
 def to_levels(weights: Tensor, panel: Panel) -> npt.NDArray[np.uint8]:

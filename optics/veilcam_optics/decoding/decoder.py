@@ -18,39 +18,56 @@ is below 1e-8. In float32 it is not small beside 1, which is why float32 is an o
 precision (products in float32, factors in float64) the default.
 """
 
+from __future__ import annotations
+
+import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING, Any, Generic, Protocol
 
-import torch
-from torch import Tensor
+from typing_extensions import TypeVar
 
+from veilcam_optics.arrays import (
+    Array,
+    as_type,
+    cholesky,
+    detached,
+    device,
+    namespace,
+    needs_gradient,
+    overwrite,
+    solve_triangular,
+    to_device,
+)
 from veilcam_optics.camera.geometry import Embedding, Scene
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError, require, require_choice
-from veilcam_optics.transfer.operator import TransferOperator
+
+if TYPE_CHECKING:
+    from veilcam_optics.transfer.operator import TransferOperator
 
 
 class Precision(Enum):
     """Type of the products with the transfer matrix, and type of the Cholesky factor."""
 
-    SINGLE = (torch.float32, torch.float32)
-    MIXED = (torch.float32, torch.float64)
-    DOUBLE = (torch.float64, torch.float64)
+    SINGLE = ("float32", "float32")
+    MIXED = ("float32", "float64")
+    DOUBLE = ("float64", "float64")
 
     @property
-    def products(self) -> torch.dtype:
+    def products(self) -> str:
         """Type of transfer matrix, measurements and estimates."""
         return self.value[0]
 
     @property
-    def factors(self) -> torch.dtype:
+    def factors(self) -> str:
         """Type of the matrix that is factored."""
         return self.value[1]
 
 
 @dataclass(frozen=True)
-class Decoder:
+class Decoder(Generic[Array]):
     """Decodes measurements behind one mask; as secret as the mask, so its repr holds nothing.
 
     Made by :meth:`SceneDecoding.prepare`.
@@ -58,19 +75,19 @@ class Decoder:
 
     scene: Scene
     embedding: Embedding
-    mean_measurement: Tensor = field(repr=False)
+    mean_measurement: Array = field(repr=False)
     """A mu: what the mean scene gives, (E,)."""
-    estimator: Tensor = field(repr=False)
+    estimator: Array = field(repr=False)
     """K, (rank, E)."""
-    noise: Tensor = field(repr=False)
+    noise: Array = field(repr=False)
     """Diagonal of N, (E,)."""
-    response: Tensor = field(repr=False)
+    response: Array = field(repr=False)
     """A B, (E, rank)."""
-    mean: Tensor = field(repr=False)
+    mean: Array = field(repr=False)
     """mu, (pixels,)."""
-    basis: Tensor = field(repr=False)
+    basis: Array = field(repr=False)
     """B, (pixels, rank)."""
-    deviation: Tensor = field(repr=False)
+    deviation: Array = field(repr=False)
     """Posterior standard deviation of each scene pixel, (rows, columns)."""
     remaining: float
     """Share of the scene's variance that a measurement leaves unknown, in [0, 1]."""
@@ -82,12 +99,13 @@ class Decoder:
         """
         overwrite(self.mean_measurement, self.estimator, self.noise, self.response, self.deviation)
 
-    def coordinates(self, measurements: Tensor) -> Tensor:
+    def coordinates(self, measurements: Array) -> Array:
         """Estimates as coordinates in the scene's basis, (batch, rank)."""
         flat = self.flatten(measurements)
-        return (flat - self.mean_measurement) @ self.estimator.T
+        coordinates: Array = (flat - self.mean_measurement) @ self.estimator.T
+        return coordinates
 
-    def __call__(self, measurements: Tensor) -> Tensor:
+    def __call__(self, measurements: Array) -> Array:
         """Estimate scenes.
 
         Args:
@@ -99,10 +117,11 @@ class Decoder:
         Raises:
             OpticsError: measurements of another shape.
         """
-        flat = torch.addmm(self.mean, self.coordinates(measurements), self.basis.T)
-        return flat.reshape(-1, *self.scene.shape)
+        flat = self.mean + self.coordinates(measurements) @ self.basis.T
+        scenes: Array = namespace(flat).reshape(flat, (flat.shape[0], *self.scene.shape))
+        return scenes
 
-    def flatten(self, measurements: Tensor) -> Tensor:
+    def flatten(self, measurements: Array) -> Array:
         """Measurements as (batch, embedding pixels) in the decoder's type; refuse another shape."""
         require(
             tuple(measurements.shape[1:]) in (self.embedding.shape, (self.embedding.size,)),
@@ -111,10 +130,105 @@ class Decoder:
             "",
             f"(batch, *{self.embedding.shape})",
         )
-        return measurements.flatten(1).to(self.mean_measurement.dtype)
+        xp = namespace(measurements)
+        flat = xp.reshape(measurements, (measurements.shape[0], self.embedding.size))
+        same: Array = xp.astype(flat, self.mean_measurement.dtype, copy=False)
+        return same
 
 
-class SceneDecoding:
+def prepare_decoder(
+    transfer: Array,
+    statistics: SceneStatistics[Array],
+    noise: MeasurementNoise = DEFAULT_NOISE,
+    *,
+    scene: Scene,
+    embedding: Embedding,
+    precision: Precision = Precision.MIXED,
+    gain: float | Array = 1.0,
+) -> Decoder[Array]:
+    """Decoder for a transfer matrix; differentiable in it where it is torch's.
+
+    Args:
+        transfer: (scene pixels, embedding pixels), of the type of ``precision.products``.
+        statistics: of the scenes, of the same type.
+        noise: to expect in measurements.
+        scene: whose pixels the matrix takes.
+        embedding: whose pixels it gives.
+        precision: a dial of accuracy against time.
+        gain: measurement per unit of irradiance, a number or one per embedding pixel (E,).
+
+    Raises:
+        OpticsError: a gain of another shape, or not finite; a transfer that is not finite.
+    """
+    xp = namespace(transfer)
+    response = transfer.T * _gain(gain, transfer, embedding.size)
+    mean_measurement = response @ statistics.mean
+    reduced = response @ statistics.basis
+    lost = (response * response) @ statistics.residual
+    spread = xp.sum(reduced * reduced, axis=1) + lost
+    variance = noise.variance(mean_measurement, spread) + lost
+    deviation = xp.sqrt(variance)
+    scaled = as_type(reduced / deviation[:, None], precision.factors)
+    basis = as_type(statistics.basis, precision.factors)
+    prior = as_type(statistics.variance, precision.factors)
+    if scaled.shape[0] < scaled.shape[1]:
+        factor = _factor(scaled @ scaled.T)
+        half = solve_triangular(factor, scaled)
+        estimator = solve_triangular(factor, half, transposed=True).T
+        told = half @ basis.T
+        posterior = prior - xp.sum(told * told, axis=0)
+    else:
+        factor = _factor(scaled.T @ scaled)
+        half = solve_triangular(factor, scaled.T)
+        estimator = solve_triangular(factor, half, transposed=True)
+        left = solve_triangular(factor, basis.T)
+        posterior = xp.sum(left * left, axis=0) + as_type(statistics.residual, precision.factors)
+    posterior = xp.clip(posterior, 1e-12)  # not 0, where the root has no gradient
+    total = float(xp.sum(prior))
+    decoder = Decoder(
+        scene=scene,
+        embedding=embedding,
+        mean_measurement=mean_measurement,
+        estimator=as_type(estimator, precision.products) / deviation,
+        noise=variance,
+        response=reduced,
+        mean=statistics.mean,
+        basis=statistics.basis,
+        deviation=xp.reshape(as_type(xp.sqrt(posterior), precision.products), scene.shape),
+        remaining=float(xp.sum(detached(posterior))) / total if total > 0 else 0.0,
+    )
+    if not needs_gradient(response):
+        overwrite(response, scaled, factor, half, estimator)
+    return decoder
+
+
+class Operator(Protocol):
+    """What gives the transfer matrix of a mask: in NumPy or, as a module, in torch."""
+
+    @property
+    def scene(self) -> Scene:
+        """Whose pixels the matrix takes."""
+
+    @property
+    def embedding(self) -> Embedding:
+        """Whose pixels it gives."""
+
+    @property
+    def colour(self) -> bool:
+        """Whether it gives three matrices."""
+
+    @property
+    def dtype(self) -> Any:
+        """Of the matrix."""
+
+    def __call__(self, weights: Any, /) -> Any:
+        """Transfer matrix (scene pixels, embedding pixels) of a mask."""
+
+
+OperatorT = TypeVar("OperatorT", bound=Operator, default="TransferOperator")
+
+
+class SceneDecoding(Generic[OperatorT]):
     """Prepares decoders: all that does not depend on the mask, made once.
 
     Args:
@@ -130,8 +244,8 @@ class SceneDecoding:
 
     def __init__(
         self,
-        operator: TransferOperator,
-        statistics: SceneStatistics,
+        operator: OperatorT,
+        statistics: SceneStatistics[Array],
         noise: MeasurementNoise = DEFAULT_NOISE,
         *,
         precision: Precision = Precision.MIXED,
@@ -146,12 +260,11 @@ class SceneDecoding:
             "pixels",
             f"the scene's, {scene.shape}",
         )
-        dtype = next(operator.buffers()).dtype
-        require_choice("operator's dtype", dtype, [precision.products])
+        self.statistics: SceneStatistics[Any] = statistics.to(precision.products)
+        require_choice("operator's dtype", operator.dtype, [self.statistics.mean.dtype])
         self.operator, self.noise, self.precision = operator, noise, precision
-        self.statistics = statistics.to(precision.products)
 
-    def prepare(self, weights: Tensor, *, gain: float | Tensor = 1.0) -> Decoder:
+    def prepare(self, weights: Array, *, gain: float | Array = 1.0) -> Decoder[Array]:
         """Decoder for one mask; differentiable in the weights.
 
         Args:
@@ -162,83 +275,52 @@ class SceneDecoding:
         Raises:
             OpticsError: a mask or gain of another shape, or not finite.
         """
-        transfer: Tensor = self.operator(weights.to(self.precision.products))
+        transfer: Array = self.operator(as_type(weights, self.precision.products))
         decoder = self.prepare_transfer(transfer, gain=gain)
-        if not transfer.requires_grad:  # a gradient needs it still
+        if not needs_gradient(transfer):  # it needs the matrix still
             overwrite(transfer)
         return decoder
 
-    def prepare_transfer(self, transfer: Tensor, *, gain: float | Tensor = 1.0) -> Decoder:
+    def prepare_transfer(self, transfer: Array, *, gain: float | Array = 1.0) -> Decoder[Array]:
         """Decoder for a transfer matrix (scene pixels, embedding pixels), e.g. a measured one."""
-        operator, statistics, factors = self.operator, self.statistics, self.precision.factors
-        response = transfer.T * self._gain(gain, transfer.device)
-        mean_measurement = response @ statistics.mean
-        reduced = response @ statistics.basis
-        lost = response.square() @ statistics.residual
-        spread = reduced.square().sum(1) + lost
-        noise = self.noise.variance(mean_measurement, spread) + lost
-        scaled = (reduced * noise.rsqrt()[:, None]).to(factors)
-        basis, prior = statistics.basis.to(factors), statistics.variance.to(factors)
-        if scaled.shape[0] < scaled.shape[1]:
-            factor = _cholesky(scaled @ scaled.T)
-            estimator = torch.cholesky_solve(scaled, factor).T
-            known = torch.linalg.solve_triangular(factor, scaled @ basis.T, upper=False)
-            variance = prior - known.square().sum(0)
-        else:
-            factor = _cholesky(scaled.T @ scaled)
-            estimator = torch.cholesky_solve(scaled.T, factor)
-            left = torch.linalg.solve_triangular(factor, basis.T, upper=False)
-            variance = left.square().sum(0) + statistics.residual
-        variance = variance.clamp_min(1e-12)  # not 0, where the root has no gradient
-        total = float(prior.sum())
-        products = self.precision.products
-        decoder = Decoder(
-            scene=operator.scene,
-            embedding=operator.embedding,
-            mean_measurement=mean_measurement,
-            estimator=estimator.to(products) * noise.rsqrt(),
-            noise=noise,
-            response=reduced,
-            mean=statistics.mean,
-            basis=statistics.basis,
-            deviation=variance.sqrt().to(products).reshape(operator.scene.shape),
-            remaining=float(variance.detach().sum()) / total if total > 0 else 0.0,
+        decoder: Decoder[Array] = prepare_decoder(
+            transfer,
+            self.statistics,
+            self.noise,
+            scene=self.operator.scene,
+            embedding=self.operator.embedding,
+            precision=self.precision,
+            gain=gain,
         )
-        if not response.requires_grad:
-            overwrite(response, scaled, factor, estimator)
         return decoder
 
-    def _gain(self, gain: float | Tensor, device: torch.device) -> Tensor:
-        value = torch.as_tensor(gain, dtype=self.precision.products, device=device)
-        size = self.operator.embedding.size
-        require(
-            tuple(value.shape) in ((), (size,)),
-            "gain.shape",
-            tuple(value.shape),
-            "",
-            f"one number, or ({size},)",
-        )
-        if not bool((value.isfinite() & (value > 0)).all()):
+
+def _gain(gain: float | Array, transfer: Array, size: int) -> Any:
+    """A number, or a column (E, 1) in the place and of the type of ``transfer``."""
+    if isinstance(gain, int | float):
+        if not (math.isfinite(gain) and gain > 0):
             raise OpticsError("gain is not valid: use finite numbers > 0")
-        return value.reshape(-1, 1)
+        return gain
+    xp = namespace(transfer)
+    shape = tuple(gain.shape)
+    require(shape in ((), (size,)), "gain.shape", shape, "", f"one number, or ({size},)")
+    if not bool(xp.all(xp.isfinite(gain) & (gain > 0))):
+        raise OpticsError("gain is not valid: use finite numbers > 0")
+    values = xp.astype(to_device(gain, device(transfer)), transfer.dtype, copy=False)
+    column: Array = xp.reshape(values, (-1, 1))
+    return column
 
 
-def overwrite(*tensors: Tensor) -> None:
-    """Fill tensors with zeros, whatever mode they were made in; copies elsewhere stay."""
-    with torch.inference_mode():
-        for tensor in tensors:
-            tensor.zero_()
-
-
-def _cholesky(gram: Tensor) -> Tensor:
+def _factor(gram: Array) -> Array:
     """Lower factor of I + gram, with the module's jitter on the diagonal."""
-    identity = torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
-    jitter = torch.finfo(gram.dtype).eps * (1 + gram.detach().diagonal().max())
+    xp = namespace(gram)
+    identity = xp.eye(gram.shape[0], dtype=gram.dtype, device=device(gram))
+    largest = float(xp.max(xp.linalg.diagonal(detached(gram))))
+    jitter = float(xp.finfo(gram.dtype).eps) * (1 + largest)
     while True:
-        factor: Tensor
-        factor, failure = torch.linalg.cholesky_ex(gram + (1 + jitter) * identity)
-        if not int(failure):
+        factor: Array | None = cholesky(gram + (1 + jitter) * identity)
+        if factor is not None:
             return factor
-        if not bool(jitter < gram.detach().diagonal().max()):
+        if not jitter < largest:
             raise OpticsError("the response cannot be decoded: it holds NaN or infinity")
         jitter = 10 * jitter

@@ -70,7 +70,7 @@ class SceneFrame:
             self.scene,
             self.embedding,
             reach=self.reach,
-            dtype=precision.products,
+            dtype=getattr(torch, precision.products),
             imperfections=self.imperfections,
         )
         statistics = self.statistics if rank is None else self.statistics.truncate(rank)
@@ -143,7 +143,7 @@ def dump_frame(frame: SceneFrame) -> bytes:
         noise=frame.noise,
         calibration=frame.imperfections,
     )
-    statistics = frame.statistics.to(torch.float32)
+    statistics = frame.statistics.to("float32")
     tensors = {name: getattr(statistics, name).contiguous() for name in STATISTICS}
     if frame.distribution is not None:
         for name in DISTRIBUTION:

@@ -3,8 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from torch import Tensor
-
+from veilcam_optics.arrays import Array, namespace
 from veilcam_optics.errors import require_within
 
 
@@ -23,7 +22,7 @@ class MeasurementNoise:
         require_within("noise.snr_db", self.snr_db, "dB", -math.inf, math.inf)
         require_within("noise.model_error", self.model_error, "", 0, math.inf)
 
-    def variance(self, mean: Tensor, spread: Tensor) -> Tensor:
+    def variance(self, mean: Array, spread: Array) -> Array:
         """Expected variance of the noise in each pixel of a measurement.
 
         The variance of shot noise is proportional to the measurement, its share such that the
@@ -40,15 +39,19 @@ class MeasurementNoise:
             (E,), greater than zero. All ones if the mask lets no light through at all: then
             nothing is known, and decoding gives the mean scene.
         """
-        mean = mean.clamp_min(0)
-        energy = (mean.square() + spread).sum()
-        total = mean.sum()
+        xp = namespace(mean)
+        mean = xp.clip(mean, 0)
+        squares = mean * mean + spread
+        energy, total = xp.sum(squares), xp.sum(mean)
+        variance: Array
         if not bool((energy > 0) & (total > 0)):
-            return mean.new_ones(mean.shape)
-        shot = mean * (energy / total) * 10 ** (-self.snr_db / 10)
-        model = (mean.square() + spread) * self.model_error**2
-        floor = 1e-6 * energy / len(mean) * 10 ** (-self.snr_db / 10)
-        return shot + model + floor
+            variance = xp.ones_like(mean)
+            return variance
+        ratio = 10 ** (-self.snr_db / 10)
+        shot = mean * (energy / total) * ratio
+        floor = 1e-6 * energy / mean.shape[0] * ratio
+        variance = shot + squares * self.model_error**2 + floor
+        return variance
 
 
 DEFAULT_NOISE = MeasurementNoise()

@@ -7,16 +7,26 @@ only the key of the mask gives. The rotation holds for one measurement: of two b
 angle between them shows. ``raw`` is the measurement itself.
 """
 
+from __future__ import annotations
+
 import os
 from enum import Enum
+from typing import Generic
 
 import numpy as np
-import numpy.typing as npt
-import torch
-from scipy.special import ndtri
-from torch import Tensor
 
-from veilcam_optics.decoding.decoder import Decoder, overwrite
+from veilcam_optics.arrays import (
+    Array,
+    as_type,
+    cholesky,
+    device,
+    namespace,
+    overwrite,
+    solve_triangular,
+)
+from veilcam_optics.decoding.decoder import Decoder
+from veilcam_optics.decoding.normal import Values, normal
+from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import KeyStream
 
 
@@ -29,7 +39,7 @@ class ReleaseForm(Enum):
     """As it was read."""
 
 
-class Whitening:
+class Whitening(Generic[Array]):
     """Mean, covariance and rotation of one mask's measurements, made once; as secret as the mask.
 
     The covariance of measurements is ``C = A S A^T + N = L L^T``. White measurements are the
@@ -44,25 +54,29 @@ class Whitening:
         key: of the rotation, 32 bytes, used for nothing else and never again.
 
     Raises:
-        OpticsError: a key of another length.
+        OpticsError: a key of another length, or a decoder that is not finite.
     """
 
-    def __init__(self, decoder: Decoder, key: bytes | bytearray) -> None:
-        deviation = decoder.noise.double().sqrt()
-        scaled = decoder.response.double() / deviation[:, None]
-        covariance = scaled @ scaled.T
-        covariance.diagonal().add_(1.0)
-        self._factor = torch.linalg.cholesky(covariance)
-        self._rotation = _rotation(key, len(deviation)).to(deviation.device)
-        # A copy, also where the decoder is of this type: each overwrites what is its own.
-        self._mean = decoder.mean_measurement.to(torch.float64, copy=True)
-        self._deviation, self._decoder = deviation, decoder
+    def __init__(self, decoder: Decoder[Array], key: bytes | bytearray) -> None:
+        xp, place = namespace(decoder.noise), device(decoder.noise)
+        deviation = xp.sqrt(as_type(decoder.noise, "float64"))
+        size = deviation.shape[0]
+        scaled = as_type(decoder.response, "float64") / deviation[:, None]
+        covariance = scaled @ scaled.T + xp.eye(size, dtype=xp.float64, device=place)
+        factor = cholesky(covariance)
         overwrite(scaled, covariance)
+        if factor is None:
+            raise OpticsError("the decoder cannot be whitened with: it holds NaN or infinity")
+        self._factor, self._deviation = factor, deviation
+        self._decoder: Decoder[Array] = decoder
+        self._rotation = xp.asarray(_rotation(key, size), device=place)
+        # A copy, also where the decoder is of this type: each overwrites what is its own.
+        self._mean = xp.astype(decoder.mean_measurement, xp.float64, copy=True)
 
     def __repr__(self) -> str:
         return f"Whitening(embedding={self._decoder.embedding})"
 
-    def whiten(self, measurements: Tensor) -> Tensor:
+    def whiten(self, measurements: Array) -> Array:
         """Directions, (batch, E) float32 of length 1 within rounding.
 
         A measurement that has no direction, because it is the mean itself or not finite, gives one
@@ -74,20 +88,22 @@ class Whitening:
         Raises:
             OpticsError: measurements of another shape.
         """
-        flat = self._decoder.flatten(measurements).double()
-        scaled = ((flat - self._mean) / self._deviation).T
-        solved = torch.linalg.solve_triangular(self._factor, scaled, upper=False)
-        white = (self._rotation @ solved).T
-        length = torch.linalg.vector_norm(white, dim=1, keepdim=True)
-        found = (length > 0) & length.isfinite()
-        if not bool(found.all()):
-            drawn = _normal(np.frombuffer(os.urandom(8 * white.numel()), np.uint8))
-            white = torch.where(found, white, drawn.reshape(white.shape).to(white.device))
-            length = torch.linalg.vector_norm(white, dim=1, keepdim=True)
-        directions: Tensor = (white / length).float()
-        return directions
+        xp = namespace(measurements)
+        flat = as_type(self._decoder.flatten(measurements), "float64")
+        with np.errstate(invalid="ignore"):  # of what is not finite; torch says nothing
+            scaled = ((flat - self._mean) / self._deviation).T
+            white = (self._rotation @ solve_triangular(self._factor, scaled)).T
+        length = xp.linalg.vector_norm(white, axis=1, keepdims=True)
+        found = (length > 0) & xp.isfinite(length)
+        if not bool(xp.all(found)):
+            drawn = normal(np.frombuffer(os.urandom(8 * found.shape[0] * white.shape[1]), np.uint8))
+            others = xp.asarray(drawn.reshape(white.shape), device=device(white))
+            white = xp.where(found, white, others)
+            length = xp.linalg.vector_norm(white, axis=1, keepdims=True)
+        directions: Array = white / length
+        return as_type(directions, "float32")
 
-    def restore(self, directions: Tensor) -> Tensor:
+    def restore(self, directions: Array) -> Array:
         """Measurements that give these directions, with the length that is expected of one.
 
         What whoever has mask and key makes of a white embedding: all but its length comes back,
@@ -99,28 +115,21 @@ class Whitening:
         Returns:
             (batch, E) float32.
         """
-        white = directions.double() * len(self._mean) ** 0.5
+        white = as_type(directions, "float64") * self._mean.shape[0] ** 0.5
         scaled = (white @ self._rotation) @ self._factor.T
-        restored: Tensor = (self._mean + scaled * self._deviation).float()
-        return restored
+        restored: Array = self._mean + scaled * self._deviation
+        return as_type(restored, "float32")
 
     def erase(self) -> None:
         """Overwrite all that is the mask's, as well as Python lets us; the decoder stays."""
         overwrite(self._factor, self._rotation, self._mean, self._deviation)
 
 
-def _rotation(key: bytes | bytearray, size: int) -> Tensor:
-    """Orthogonal (size, size), float64, uniform over all of them under the key."""
-    normal = _normal(KeyStream(key).read(8 * size * size)).reshape(size, size)
-    orthogonal: Tensor
-    orthogonal, triangular = torch.linalg.qr(normal)
-    orthogonal *= triangular.diagonal().sign()
-    overwrite(normal, triangular)
+def _rotation(key: bytes | bytearray, size: int) -> Values:
+    """Orthogonal (size, size), uniform over all of them under the key; the same wherever it is."""
+    drawn = normal(KeyStream(key).read(8 * size * size)).reshape(size, size)
+    orthogonal: Values
+    orthogonal, triangular = np.linalg.qr(drawn)
+    orthogonal *= np.sign(triangular.diagonal())
+    overwrite(drawn, triangular)
     return orthogonal
-
-
-def _normal(drawn: npt.NDArray[np.uint8]) -> Tensor:
-    """Normal numbers, float64, one from every 8 uniform bytes."""
-    words = drawn.view("<u8") >> np.uint64(11)
-    normal: npt.NDArray[np.float64] = ndtri((words + 0.5) * 2.0**-53)
-    return torch.from_numpy(normal)

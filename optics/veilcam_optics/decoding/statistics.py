@@ -1,28 +1,28 @@
 """Mean and covariance of the scenes that a camera looks at: public, and all that decoding needs."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Generic, Self
 
-import torch
-from torch import Tensor
-
+from veilcam_optics.arrays import Array, as_type, device, namespace
 from veilcam_optics.errors import OpticsError, invalid, require, require_count, require_shape
 
 
 @dataclass(frozen=True)
-class SceneStatistics:
+class SceneStatistics(Generic[Array]):
     """Scenes have mean ``mean`` and covariance ``basis basis^T + diag(residual)``.
 
     The basis holds the strongest principal components, each times its standard deviation and
     ordered by it; the residual is what they leave of each pixel's variance. Pixels in row order.
     """
 
-    mean: Tensor = field(repr=False)
+    mean: Array = field(repr=False)
     """(pixels,)."""
-    basis: Tensor = field(repr=False)
+    basis: Array = field(repr=False)
     """(pixels, rank)."""
-    residual: Tensor = field(repr=False)
+    residual: Array = field(repr=False)
     """(pixels,), not negative."""
 
     def __post_init__(self) -> None:
@@ -36,9 +36,10 @@ class SceneStatistics:
             f"({pixels}, 1 or more)",
         )
         require_shape("statistics.residual", self.residual, pixels)
-        if not all(bool(t.isfinite().all()) for t in (self.mean, self.basis, self.residual)):
+        xp = namespace(self.mean)
+        if not all(bool(xp.all(xp.isfinite(t))) for t in (self.mean, self.basis, self.residual)):
             raise OpticsError("statistics hold NaN or infinity: make them again")
-        if bool((self.residual < 0).any()):
+        if bool(xp.any(self.residual < 0)):
             raise OpticsError("statistics.residual holds a negative variance: make them again")
 
     @property
@@ -52,28 +53,30 @@ class SceneStatistics:
         return int(self.basis.shape[1])
 
     @property
-    def variance(self) -> Tensor:
+    def variance(self) -> Array:
         """Variance of each pixel, (pixels,)."""
-        return self.basis.square().sum(1) + self.residual
+        variance: Array = _squares(self.basis) + self.residual
+        return variance
 
     @property
     def share(self) -> float:
         """Share of the total variance that the basis holds, in [0, 1]; 1 if nothing varies."""
-        total = float(self.variance.sum())
-        return float(self.basis.square().sum()) / total if total > 0 else 1.0
+        xp = namespace(self.basis)
+        total = float(xp.sum(self.variance))
+        return float(xp.sum(_squares(self.basis))) / total if total > 0 else 1.0
 
     def truncate(self, rank: int) -> Self:
         """The ``rank`` strongest components alone; the others' variance goes to the residual."""
         require(1 <= rank <= self.rank, "rank", rank, "", f"1 to {self.rank}, as many as there are")
-        dropped = self.basis[:, rank:].square().sum(1)
+        dropped = _squares(self.basis[:, rank:])
         return type(self)(self.mean, self.basis[:, :rank], self.residual + dropped)
 
-    def to(self, dtype: torch.dtype) -> Self:
-        """The same in another precision."""
-        return type(self)(self.mean.to(dtype), self.basis.to(dtype), self.residual.to(dtype))
+    def to(self, name: str) -> Self:
+        """The same as ``float32`` or ``float64``."""
+        return type(self)(*(as_type(each, name) for each in (self.mean, self.basis, self.residual)))
 
 
-def fit_statistics(batches: Iterable[Tensor], rank: int) -> SceneStatistics:
+def fit_statistics(batches: Iterable[Array], rank: int) -> SceneStatistics[Array]:
     """Mean and principal components of scenes, in float64.
 
     Args:
@@ -87,31 +90,39 @@ def fit_statistics(batches: Iterable[Tensor], rank: int) -> SceneStatistics:
     require_count("rank", rank)
     count, origin, first, second = 0, None, None, None
     for batch in batches:
-        flat = batch.reshape(len(batch), -1).double()
+        xp = namespace(batch)
+        flat = as_type(xp.reshape(batch, (batch.shape[0], -1)), "float64")
         if origin is None:
             # Sums of squares about a point near the mean lose no digits to cancellation.
-            origin = flat.mean(0)
-            first = torch.zeros_like(origin)
-            second = origin.new_zeros(len(origin), len(origin))
-        assert first is not None and second is not None  # noqa: S101, PT018
+            origin = xp.mean(flat, axis=0)
+            pixels = origin.shape[0]
+            first = xp.zeros_like(origin)
+            second = xp.zeros((pixels, pixels), dtype=origin.dtype, device=device(origin))
         require(
-            flat.shape[1] == len(origin),
+            flat.shape[1] == origin.shape[0],
             "scenes.shape",
             tuple(batch.shape),
             "",
-            f"{len(origin)} pixels each",
+            f"{origin.shape[0]} pixels each",
         )
         offset = flat - origin
-        count += len(flat)
-        first += offset.sum(0)
+        count += flat.shape[0]
+        first += xp.sum(offset, axis=0)
         second += offset.T @ offset
     if count < 2 or origin is None or first is None or second is None:
         raise invalid("scenes", count, "scenes", "at least two")
+    xp = namespace(origin)
     shift = first / count
-    covariance = second / count - torch.outer(shift, shift)
-    values, vectors = torch.linalg.eigh(covariance)
-    rank = min(rank, len(values))
-    kept = values[-rank:].flip(0).clamp_min(0)
-    basis = vectors[:, -rank:].flip(1) * kept.sqrt()
-    residual = (covariance.diagonal() - basis.square().sum(1)).clamp_min(0)
-    return SceneStatistics((origin + shift).float(), basis.float(), residual.float())
+    covariance = second / count - shift[:, None] * shift
+    values, vectors = xp.linalg.eigh(covariance)
+    rank = min(rank, values.shape[0])
+    kept = xp.clip(xp.flip(values[-rank:]), 0)
+    basis = xp.flip(vectors[:, -rank:], axis=1) * xp.sqrt(kept)
+    residual = xp.clip(xp.linalg.diagonal(covariance) - _squares(basis), 0)
+    return SceneStatistics(origin + shift, basis, residual).to("float32")
+
+
+def _squares(basis: Array) -> Array:
+    """Sum of the squares of each row: what the components add to a pixel's variance."""
+    squares: Array = namespace(basis).sum(basis * basis, axis=1)
+    return squares

@@ -8,6 +8,7 @@ __all__ = ["EFFECTS", "Assessment", "Comparison", "Effect", "Model", "Sampling"]
 
 EFFECTS: tuple[Effect, ...] = (
     light.Diffraction(),
+    light.NonParaxial(),
     light.SphericalWavefront(),
     mask.DeadSpace(),
     light.Interference(),

@@ -29,6 +29,9 @@ class Comparison(Protocol):
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
 
+    def paraxial(self) -> float:
+        """Relative L2 of Fresnel's approximation."""
+
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
 

@@ -17,18 +17,37 @@ from veilcam_optics.transfer.operator import Beam, Reach
 _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 """Standard deviations in the full width at half maximum of a normal distribution."""
 
+_NARROW = 1e-4
+"""Scene pixels, as tangents: the middle stands for such a one to 1e-8, its edges round more."""
+
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-    scale = math.tan(model.conditions.off_axis) * 2 / model.scene.rows
+    scale = scene_pixel_tangent(model)
     return tuple(  # type: ignore[return-value]
         (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * scale
         for count in model.scene.shape
     )
 
 
+def scene_pixel_tangent(model: Model) -> float:
+    """How far apart the tangents of neighbouring scene pixels are."""
+    return math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
+
+
+def _edges(middles: Tensor, side: float) -> Tensor:
+    """Tangents of where scene pixels end, from those of their middles."""
+    return torch.cat((middles[:1] - side / 2, middles + side / 2))
+
+
+def _seen(y: Tensor, x: Tensor) -> Tensor:
+    """Integral of ``(1 + y^2 + x^2)^-2`` over the rectangle from the axis to a corner."""
+    root_y, root_x = (1 + y.square()).sqrt(), (1 + x.square()).sqrt()
+    return (y / root_y * (x / root_y).atan() + x / root_x * (y / root_x).atan()) / 2
+
+
 def stretch(y: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x`` to the axis.
+    """Factors on the wavelength along y and x, of light at tangents ``y`` and ``x``: equation (8).
 
     Around a ray at angle theta, the second derivative of the distance ``R`` to a point is
     ``(1 - u^2) / R``, ``u`` the direction cosine along that axis, and ``R = d / cos theta``: the
@@ -58,25 +77,24 @@ class Zone:
     @property
     def stretch(self) -> tuple[float, float]:
         """Factors on the wavelength along y and x; see :func:`stretch`."""
-        y, x = torch.tensor([self.tangent_y, self.tangent_x], dtype=torch.float64)
-        along_y, along_x = stretch(y, x)
-        return float(along_y), float(along_x)
+        # As plain numbers: a plan asks for a thousand.
+        y, x = self.tangent_y**2, self.tangent_x**2
+        squares = 1 + y + x
+        root = math.sqrt(squares)
+        return root / (1 - y / squares), root / (1 - x / squares)
 
 
 def zones(model: Model) -> list[list[Zone]]:
     """The parts of the scene that have a point spread function each, by rows and columns."""
-    y, x = tangents(model)
+    scale = scene_pixel_tangent(model)
     parts = []
-    for positions in (y, x):
-        count = min(model.sampling.zones if model.conditions.off_axis else 1, len(positions))
-        edges = [round(k * len(positions) / count) for k in range(count + 1)]
-        parts.append([slice(a, b) for a, b in pairwise(edges)])
+    for length in model.scene.shape:
+        count = min(model.sampling.zones if model.conditions.off_axis else 1, length)
+        edges = [round(k * length / count) for k in range(count + 1)]
+        # The mean tangent of neighbours is that of the middle between them.
+        parts.append([(slice(a, b), (a + b - length) / 2 * scale) for a, b in pairwise(edges)])
     return [
-        [
-            Zone(rows, columns, float(y[rows].mean()), float(x[columns].mean()))
-            for columns in parts[1]
-        ]
-        for rows in parts[0]
+        [Zone(rows, columns, at_y, at_x) for columns, at_x in parts[1]] for rows, at_y in parts[0]
     ]
 
 
@@ -101,6 +119,34 @@ class Diffraction(Effect):
         number = side**2 / (max(model.camera.wavelengths) * distance)
         spread = "edges blur a little" if number > 10 else "light spreads beyond the shadow"
         return f"Fresnel number {number:.3g}: {spread}"
+
+
+class NonParaxial(Effect):
+    """Light that spreads at large angles travels farther than Fresnel's parabola says."""
+
+    name = "non-paraxial diffraction"
+    free = False
+    absent = "no diffraction"
+
+    def present(self, model: Model) -> bool:
+        """With diffraction."""
+        return model.sampling.diffraction
+
+    def without(self, model: Model) -> Model:
+        """Fresnel's approximation: a factored field in the place of the grid's exact one."""
+        if model.sampling.method != "grid":
+            return model
+        return replace(model, sampling=replace(model.sampling, method="transfer"))
+
+    def error(self, comparison: Comparison) -> float:
+        """What the factored field leaves out."""
+        return comparison.paraxial()
+
+    def reason(self, model: Model) -> str:
+        """How far an aperture spreads light."""
+        panel = model.camera.panel
+        angle = max(model.camera.wavelengths) / min(panel.aperture_y, panel.aperture_x)
+        return f"an aperture spreads light by {angle:.2g} rad; the grid alone counts it"
 
 
 class SphericalWavefront(Effect):
@@ -230,10 +276,14 @@ class Depth(Effect):
 class OffAxis(Effect):
     """Oblique light is fainter, and spreads differently: the field has no single PSF."""
 
-    name = "off-axis field"
+    name = "field angle"
     free = False
     absent = "paraxial scene"
     neutral = MappingProxyType({"off_axis": 0.0})
+
+    def present(self, model: Model) -> bool:
+        """Where an angle is given."""
+        return bool(model.conditions.off_axis)
 
     def error(self, comparison: Comparison) -> float:
         """Relative L2 at the embedding if it is ignored."""
@@ -241,17 +291,23 @@ class OffAxis(Effect):
 
     def reason(self, model: Model) -> str:
         """Angle and fading."""
-        angle = model.conditions.off_axis
+        angle = model.conditions.off_axis or 0.0
         fade = 100 * (1 - math.cos(angle) ** 4)
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
 
     def fade(self, model: Model) -> Tensor:
-        """Cos^4 of the angle: Lambert's law, the tilted mask, and twice the distance.
+        """Mean of cos^4 over a pixel: Lambert's law, the tilted mask, and twice the distance.
 
-        Goodman, Introduction to Fourier Optics, section 4.2.1.
+        In closed form: what a rectangle sends to a small plate that faces it (Howell, A Catalog of
+        Radiation Heat Transfer Configuration Factors, B-4). Differences of it round where pixels
+        are narrow; there the middle's is as good.
         """
         y, x = tangents(model)
-        return (1 + y.square()[:, None] + x.square()).pow(-2)
+        side = scene_pixel_tangent(model)
+        if side < _NARROW:
+            return (1 + y.square()[:, None] + x.square()).pow(-2)
+        corners = _seen(_edges(y, side)[:, None], _edges(x, side))
+        return corners.diff(dim=0).diff(dim=1) / side**2
 
 
 class StrayLight(Imperfection):

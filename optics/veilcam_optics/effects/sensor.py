@@ -22,6 +22,13 @@ def channel_shares(model: Model) -> Tensor:
     return shares[:, None, None].expand(-1, *model.embedding.shape)
 
 
+def mean_shares(model: Model) -> tuple[float, ...]:
+    """Shares of R, G and B in a gray measurement, over all of the sensor."""
+    if not model.conditions.bayer:
+        return model.camera.sensor.channel_weights
+    return tuple(channel_shares(model).mean((1, 2)).tolist())
+
+
 def converter_range(conditions: Conditions) -> float:
     """Embedding value at which the converter ends."""
     if conditions.adc_range:
@@ -31,9 +38,9 @@ def converter_range(conditions: Conditions) -> float:
     return 1.0
 
 
-def _gray(comparison: Comparison) -> Tensor:
+def white(comparison: Comparison) -> Tensor:
     """Noiseless gray embeddings of a white scene, (masks, rows, columns)."""
-    shares = torch.tensor(comparison.model.camera.sensor.channel_weights, dtype=torch.float64)
+    shares = torch.tensor(mean_shares(comparison.model), dtype=torch.float64)
     return torch.einsum("c,cmyx->myx", shares, comparison.values())
 
 
@@ -89,7 +96,7 @@ class ShotNoise(Effect):
         conditions = comparison.model.conditions
         if not conditions.electrons:
             return float(10 ** (-conditions.snr_db / 20))
-        values = _gray(comparison)
+        values = white(comparison)
         mean = float(values.mean().clamp_min(0))
         return math.sqrt(mean / conditions.electrons) / _rms(values)
 
@@ -126,7 +133,7 @@ class ReadNoise(Effect):
     def error(self, comparison: Comparison) -> float:
         """Noise over signal."""
         conditions = comparison.model.conditions
-        return conditions.read_noise / conditions.electrons / _rms(_gray(comparison))
+        return conditions.read_noise / conditions.electrons / _rms(white(comparison))
 
     def reason(self, model: Model) -> str:
         """How much."""
@@ -162,7 +169,7 @@ class FullWell(Effect):
     def error(self, comparison: Comparison) -> float:
         """What a white scene loses."""
         conditions = comparison.model.conditions
-        values = _gray(comparison)
+        values = white(comparison)
         lost = (values - conditions.full_well / conditions.electrons).clamp_min(0)
         return _rms(lost) / _rms(values) if float(lost.max()) > 0 else 0.0
 
@@ -190,7 +197,7 @@ class BlackLevel(Effect):
 
     def error(self, comparison: Comparison) -> float:
         """Offset over signal."""
-        return comparison.model.conditions.black_level / _rms(_gray(comparison))
+        return comparison.model.conditions.black_level / _rms(white(comparison))
 
     def reason(self, model: Model) -> str:
         """How much."""
@@ -216,7 +223,7 @@ class Converter(Effect):
     def error(self, comparison: Comparison) -> float:
         """Rounding (a twelfth of a step squared) and what lies beyond the range."""
         conditions = comparison.model.conditions
-        values = _gray(comparison)
+        values = white(comparison)
         step = converter_range(conditions) / (2**conditions.adc_bits - 1)
         lost = (values + conditions.black_level - converter_range(conditions)).clamp_min(0)
         return math.hypot(step / math.sqrt(12), float(lost.square().mean().sqrt())) / _rms(values)

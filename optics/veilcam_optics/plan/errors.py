@@ -1,36 +1,48 @@
 """Errors at the embedding: of every effect if it were ignored, and of every sampling."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera
-from veilcam_optics.effects.composition import beams, collected
-from veilcam_optics.effects.light import OffAxis, stretch, tangents, zones
-from veilcam_optics.effects.mask import actual_camera
+from veilcam_optics.camera.geometry import CHANNELS
+from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
+from veilcam_optics.effects.mask import DeadLines
 from veilcam_optics.effects.model import Model
-from veilcam_optics.plan.cost import nodes
-from veilcam_optics.plan.probe import MAX_VALUES, Probe, relative
-from veilcam_optics.propagation import AngularSpectrum
-from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.transfer.grid import sample_pitch
+from veilcam_optics.effects.sensor import BlackLevel, mean_shares, white
+from veilcam_optics.plan.bounds import (
+    affordable_reach,
+    far_pairs,
+    fringe_step,
+    grid_error,
+    near_scene,
+    nearest_rows,
+    resolved,
+    shadow_error,
+    smallest_step,
+)
+from veilcam_optics.plan.paraxial import paraxial_errors, uneven_error
+from veilcam_optics.plan.probe import Probe, relative
+from veilcam_optics.plan.reading import converted
+from veilcam_optics.plan.rotation import rotation_errors
 from veilcam_optics.transfer.operator import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
-ROUNDING = {torch.float32: 5e-7, torch.float64: 0.0}
+ROUNDING = {torch.float32: 7e-7, torch.float64: 0.0}
 """Relative L2 of a transfer matrix's number format, measured: kernels are cast from float64."""
+
+_FEWER, _FEWEST = 6, 4
+"""Offsets along each axis where more is wanted of each than its light."""
+
+_LARGE = 500
+"""Weights of a mask."""
 
 _LEAST_TOLERANCE = 1e-5
 """Below it nothing is sampled any finer: no plan will get there."""
-
-_MOST_SHELLS = 100
-"""Farther reaches are not looked at: they would take longer to plan than to do without."""
-
-_GRID_ERROR, _GRID_ORDER = 0.035, 0.7
-"""The grid's error is about 0.035 / oversampling^0.7, measured from 1 to 8: cells cut apertures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +50,11 @@ class Interferences:
     """Errors of every reach, for one choice of filters.
 
     Attributes:
-        errors: (rows apart + 1, columns apart + 1), relative L2 of counting no farther.
-        total: the transfer with all of them.
+        errors: relative L2 of counting no farther.
         model: the one it belongs to.
     """
 
-    errors: Tensor
-    total: Tensor
+    errors: Mapping[Reach, float]
     model: Model
 
 
@@ -63,7 +73,7 @@ class ErrorModel:
         panel = model.camera.panel
         self._shadow_error = shadow_error(model, min(panel.aperture_y, panel.aperture_x))
         # Very near the sensor fringes are too fine to be sampled, and too fine to matter.
-        self.resolved = 3 * self._shadow_error > tolerance and _resolved(
+        self.resolved = 3 * self._shadow_error > tolerance and resolved(
             model.with_sampling(reach=Reach(0, 0))
         )
         """Whether fringes are sampled; else shadows are all that is known."""
@@ -74,44 +84,42 @@ class ErrorModel:
         self.model = self.full.model
 
     def interferences(self, model: Model) -> Interferences:
-        """Errors of every reach, growing until farther pairs no longer count.
-
-        What the farthest pairs still add stands for all that was left out.
-        """
-        rows, columns = model.camera.mask_shape
-        unit = _row_unit(model.camera)
-        reach = Reach(min(2 * unit, rows - 1), min(1, columns - 1))
-        if not model.sampling.diffraction:
-            reach = Reach(0, 0)
-        enough = self._small
-        while True:
-            used = model.with_sampling(reach=reach, step=fringe_step(model, reach))
-            # Light of several colours or distances blurs the fringes of one another: two samples of
-            # each show how much.
-            shells = self._probe.shells(used.with_sampling(wavelengths=2, layers=2))
-            size = float(shells.sum((0, 1)).norm()) or 1.0
-            down = float(shells[-unit:].sum((0, 1)).norm()) / size if reach.rows else 0.0
-            across = float(shells[:, -1].sum(0).norm()) / size if reach.columns else 0.0
-            farther = Reach(
-                min(rows - 1, reach.rows + 2 * unit) if down > enough else reach.rows,
-                min(columns - 1, reach.columns + 1) if across > enough else reach.columns,
-            )
-            many = (farther.rows // unit + 1) * (farther.columns + 1) > _MOST_SHELLS
-            if farther == reach or many or not _resolved(model.with_sampling(reach=farther)):
-                break
-            reach = farther
-        if reach.rows == rows - 1:
-            down = 0.0
-        if reach.columns == columns - 1:
-            across = 0.0
-        total = shells.sum((0, 1))
-        # A sum over near pairs differs from the total by what is farther apart.
-        sums = shells.cumsum(0).cumsum(1)
-        errors = torch.tensor(
-            [[math.hypot(relative(part, total), down, across) for part in row] for row in sums],
-            dtype=torch.float64,
+        """Errors of every reach: near pairs are counted, and what is farther apart is bounded."""
+        # A dark line parts two that are lit: the nearest pairs would say that none interfere.
+        given, model = model, DeadLines().without(model)
+        reach, (down, across) = (
+            self._reach(model) if model.sampling.diffraction else (Reach(0, 0), (0.0, 0.0))
         )
-        return Interferences(errors, collected(used, total, (1, 2)), used)
+        used = model.with_sampling(reach=reach, step=fringe_step(model, reach))
+        # Light of several colours or distances blurs the fringes of one another: two samples of
+        # each show how much.
+        blurred = used.with_sampling(wavelengths=2, layers=2)
+        rows, columns = _dials(reach.rows), _dials(reach.columns)
+        found = self._probe.within(blurred, rows, columns)
+        errors = {
+            Reach(row, column): math.hypot(relative(found[n, k], found[-1, -1]), down, across)
+            for n, row in enumerate(rows)
+            for k, column in enumerate(columns)
+        }
+        return Interferences(errors, replace(used, conditions=given.conditions))
+
+    def _reach(self, model: Model) -> tuple[Reach, tuple[float, float]]:
+        """How far apart pairs are counted, and bounds of what is farther apart along y and x."""
+        found, bounds = [], []
+        nearest = (nearest_rows(model.camera), 1)
+        for axis, (unit, count) in enumerate(zip(nearest, model.camera.mask_shape, strict=True)):
+            far = far_pairs(model, axis)
+            bound = far.flip(0).cumsum(0).flip(0)  # of all pairs at least so far apart
+            most = affordable_reach(model, axis, len(self._kept(axis)))
+            reach = min(unit, count - 1)
+            while reach + 1 < count and reach < most and bound[reach + 1] > self._small / 2:
+                reach += 1
+            found.append(reach)
+            bounds.append(float(bound[reach + 1]) if reach + 1 < count else 0.0)
+        return Reach(*found), (bounds[0], bounds[1])
+
+    def _kept(self, axis: int) -> Tensor:
+        return (self._probe.kept_y, self._probe.kept_x)[axis]
 
     @cached_property
     def ideal_filters(self) -> Interferences:
@@ -123,30 +131,48 @@ class ErrorModel:
 
     def error(self, changed: Model) -> float:
         """Relative L2 of the transfer when ``changed`` takes the model's place."""
-        if not changed.sampling.diffraction and not self.resolved:
+        if changed == self.model:  # shadows for shadows: what is left out is diffraction
             return self._shadow_error
-        filters = _filters(changed.camera) == _filters(self.model.camera)
-        channels = self._main if filters else None
         near = self._near.sampling
         changed = changed.with_sampling(reach=near.reach, step=near.step)
-        transfer = self._probe.transfer(changed, channels)
-        return relative(transfer, self._probe.transfer(self._near, channels))
+        # What is alike for all colours is told by one.
+        alike = (
+            changed.sampling.diffraction == near.diffraction
+            and changed.conditions.bayer == self.model.conditions.bayer
+            and all(
+                changed.camera.row_amplitudes(c) == self.model.camera.row_amplitudes(c)
+                for c in range(len(CHANNELS))
+            )
+        )
+        channels = self._brightest if alike else None
+        exact = self._probe.transfer(self._near, channels=channels)
+        return relative(self._probe.transfer(changed, channels=channels), exact)
+
+    @cached_property
+    def _brightest(self) -> list[int]:
+        """The channel that counts most in a gray measurement."""
+        return self._probe.channels(self.model)[:1]
 
     @cached_property
     def _near(self) -> Model:
-        """The model with the nearest interference alone: enough for all other effects."""
-        rows = min(_row_unit(self.model.camera), self.model.sampling.reach.rows)
-        reach = Reach(rows, 0)
-        return self.model.with_sampling(reach=reach, step=fringe_step(self.model, reach))
+        """The model with as much interference as the tolerance needs, to judge other effects by.
 
-    @cached_property
-    def _main(self) -> list[int]:
-        """The brightest channel stands for all in what is alike for all."""
-        return self._probe.channels(self.model)[:1]
+        Where no reach is enough it is the farthest.
+        """
+        errors = self.full.errors
+        last = list(errors)[-1]
+        near = min(nearest_rows(self.model.camera), last.rows)
+        enough = [
+            reach
+            for reach, error in errors.items()
+            if reach.rows >= near and error <= self.tolerance
+        ] or [last]
+        reach = min(enough, key=lambda r: ((r.rows + 1) * (2 * r.columns + 1), r.rows))
+        return self.model.with_sampling(reach=reach, step=fringe_step(self.model, reach))
 
     def interference(self) -> float:
         """Relative L2 when no two sub-pixels interfere."""
-        return float(self.full.errors[0, 0])
+        return self.full.errors[Reach(0, 0)]
 
     def rotated(self, *, first_order: bool = False) -> float:
         """Relative L2 of ignoring the mask's rotation, or of counting it to first order."""
@@ -154,7 +180,7 @@ class ErrorModel:
 
     @cached_property
     def _rotated(self) -> tuple[float, float]:
-        return self._probe.rotated(self._near)
+        return rotation_errors(self._probe, self._near)
 
     def sampled(self, name: str, count: int) -> float:
         """Relative L2 of ``count`` samples of ``"wavelengths"`` or ``"layers"``."""
@@ -164,31 +190,50 @@ class ErrorModel:
 
     def off_axis(self, count: int | None) -> float:
         """Relative L2 with so many zones along each side; None: as if the field were flat."""
-        model = self.model
-        y, x = tangents(model)
-        stretch_y, stretch_x = stretch(y[:, None].expand(model.scene.shape), x)
-        used = replace(model, sampling=replace(model.sampling, zones=count or 1))
-        errors = torch.zeros(model.scene.shape, dtype=torch.float64)
-        for row in zones(used):
-            for zone in row:
-                here = (zone.rows, zone.columns)
-                for actual, taken, slope in (
-                    (stretch_y, zone.stretch[0], self._slopes[0]),
-                    (stretch_x, zone.stretch[1], self._slopes[1]),
-                ):
-                    reference = 1.0 if count is None else taken
-                    errors[here] += (slope * (actual[here] / reference).log()).square()
-        fade = OffAxis().fade(model)
+        errors, fade = self._any_zones, OffAxis().fade(self.model)
+        for actual, taken, slope in zip(
+            self._stretches, _taken(self.model, count), self._slopes, strict=True
+        ):
+            errors = errors + slope**2 * (actual / taken).log().square().mean(0)
         if count is None:
             errors = errors + (1 / fade - 1).square()
         return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
 
     @cached_property
+    def _any_zones(self) -> Tensor:
+        """Squares of what no number of zones helps against, for every scene pixel."""
+        model = self.model
+        y, x = tangents(model)
+        # The angle to a scene point is not quite the same from everywhere on mask and sensor.
+        side = max(model.camera.sensor.height, model.camera.sensor.width)
+        slanted = (y.square()[:, None] + x.square()) * (
+            4 * side / math.sqrt(12) / model.scene.distance
+        ) ** 2
+        return slanted + near_scene(model) ** 2 + self._uneven**2
+
+    @cached_property
+    def _stretches(self) -> tuple[Tensor, Tensor]:
+        return _in_pixels(self.model)
+
+    @cached_property
+    def _uneven(self) -> float:
+        """Relative L2 of the fading across scene pixels."""
+        side = scene_pixel_tangent(self.model)
+        t_y, t_x = tangents(self.model)
+        farthest = math.hypot(float(t_y.abs().max()), float(t_x.abs().max()))
+        # Where the sensor sees one side of a pixel and not the other, by half of what they differ.
+        most = 2 * math.sqrt(2) * side * (farthest + side / 2)
+        if most <= self._small:
+            return most
+        return uneven_error(Probe(self.model, _FEWEST), self._near, self._brightest)
+
+    @cached_property
     def _slopes(self) -> tuple[float, float]:
         """Relative change of the transfer per relative change of the wavelength along y and x."""
-        base = self._probe.transfer(self._near, self._main)
+        one = self._brightest
+        base = self._probe.transfer(self._near, channels=one)
         return tuple(  # type: ignore[return-value]
-            relative(self._probe.transfer(self._near, self._main, stretch), base) / math.log(1.02)
+            relative(self._probe.transfer(self._near, stretch, channels=one), base) / math.log(1.02)
             for stretch in ((1.02, 1.0), (1.0, 1.02))
         )
 
@@ -197,12 +242,12 @@ class ErrorModel:
         """A probe for one scene pixel as large as the scene, and what it gives."""
         scene = self.model.scene
         side = scene.pixel * math.sqrt(scene.rows * scene.columns)
-        model = replace(self.model, scene=replace(scene, rows=1, columns=1, height=side))
-        model = model.with_sampling(reach=Reach(0, 0))
+        model = replace(self._near, scene=replace(scene, rows=1, columns=1, height=side))
+        model = model.with_sampling(step=fringe_step(model, model.sampling.reach))
         probe = Probe(model)
-        shares = model.camera.sensor.channel_weights
+        shares = mean_shares(model)
         channels = [
-            probe.transfer(model, [channel]) / share if share else None
+            probe.transfer(model, channels=[channel]) / share if share else None
             for channel, share in enumerate(shares)
         ]
         dark = torch.zeros(
@@ -218,110 +263,83 @@ class ErrorModel:
         """Which embedding rows and columns :meth:`values` holds."""
         return self._white[0].kept_y, self._white[0].kept_x
 
+    def paraxial(self) -> float:
+        """Relative L2 of Fresnel's approximation, which every factored field makes."""
+        return self._paraxial[0]
+
+    @cached_property
+    def _paraxial(self) -> tuple[float, float]:
+        """Relative L2 of what a factored field leaves out of exact light, and of a grid."""
+        if not self.model.sampling.diffraction:
+            return 0.0, 0.0
+        # Of a large mask, which takes long, one colour tells enough.
+        rows, columns = self.model.camera.mask_shape
+        channels = self._brightest if rows * columns > _LARGE else None
+        return paraxial_errors(Probe(self.model, _FEWER), self.model, channels)
+
+    def read(self, error: float) -> float:
+        """Relative L2 of what the camera reads, of an error of the light."""
+        if not self.model.conditions.adc_bits or not error:
+            return error
+        return converted(error, white(self), self.model.conditions, self.model.embedding.size)
+
+    def rounding(self, dtype: torch.dtype) -> float:
+        """Relative L2 of a number format; an offset rounds light that is fainter than it."""
+        if not self.model.conditions.black_level:
+            return ROUNDING[dtype]
+        offset = BlackLevel().error(self)
+        return min(1.0, math.hypot(ROUNDING[dtype], torch.finfo(dtype).eps * offset))
+
     def quadrature(self, model: Model) -> tuple[float, float]:
         """Largest step [m] whose integration error is far below the tolerance, and that error.
 
-        The step has to resolve the fringes of the farthest pairs; below that the error falls with
-        its square.
+        Between nodes products of fields are taken for straight: that is wrong by a twelfth of the
+        step squared times the second derivative.
         """
         if not model.sampling.diffraction:
             return model.sampling.step, 0.0
-        step = fringe_step(model, model.sampling.reach)
-        error = math.inf
-        for _ in range(4):
-            coarse = model.with_sampling(step=step, wavelengths=1, layers=1)
-            fine = coarse.with_sampling(step=step / 2)
-            reference = self._probe.transfer(fine, self._main)
-            error = 4 / 3 * relative(self._probe.transfer(coarse, self._main), reference)
-            if error <= self._small:
-                break
-            wanted = step * max(0.2, 0.8 * math.sqrt(self._small / error))
-            if wanted < _smallest_step(model):
-                break
-            step = wanted
-        return step, error
+        longest = fringe_step(model, model.sampling.reach)
+        judged = model.with_sampling(wavelengths=1, layers=1, step=longest)
+        size = float(self._probe.transfer(judged, channels=self._brightest).norm())
+        bend = float(self._probe.bend(judged, channels=self._brightest).norm())
+        if not size or not bend:
+            return longest, 0.0
+        wanted = math.sqrt(12 * self._small * size / bend)
+        step = max(min(longest, wanted), smallest_step(model))
+        return step, min(1.0, step**2 / 12 * bend / size)
 
     def grid(self, oversampling: float) -> float:
         """Relative L2 of the grid path; 1 where it cannot work."""
-        camera, scene = actual_camera(self.model), self.model.scene
-        sensor, panel = camera.sensor, camera.panel
-        cell = sample_pitch(camera, oversampling)
-        image = scene.pixel_at_sensor(camera)
-        height, width = camera.lit_sides(scene)
-        mask = Grid.square(
-            math.ceil(camera.window.rows * panel.pitch_y / cell),
-            math.ceil(camera.window.columns * panel.pitch_x / cell),
-            cell,
-        )
-        target = Grid.square(math.ceil(height / cell), math.ceil(width / cell), cell)
-        propagator = AngularSpectrum(padding="reach")
-        if not all(
-            propagator.supports(mask, target, camera.distance, wavelength)
-            for wavelength in camera.wavelengths
-        ):
-            return 1.0
-        embedding = self.model.embedding
-        pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
-        error = _GRID_ERROR / oversampling**_GRID_ORDER
-        # Errors of cells average out over larger pixels, not over smaller ones.
-        return float(min(1.0, error * max(1.0, 2 * cell / (pixel + image))))
+        return min(1.0, math.hypot(grid_error(self.model, oversampling), self._paraxial[1]))
 
 
-def shadow_error(model: Model, aperture: float) -> float:
-    """Relative L2 of geometric shadows where diffraction is too fine to be sampled.
+def _dials(reach: int) -> list[int]:
+    """Reaches that are looked at, up to the farthest: all of the near ones, some of the far."""
+    found = [0]
+    while found[-1] < reach:
+        found.append(min(reach, max(found[-1] + 1, found[-1] * 4 // 3)))
+    return found
 
-    An edge blurs over ``sqrt(lambda d)``: that share of an aperture's light moves, and the pixels
-    average it away in the same proportion. Measured within a factor of 2 from 20 um to 1 mm.
-    """
-    camera = actual_camera(model)
-    sensor, embedding = camera.sensor, model.embedding
-    box = max(
-        min(sensor.height / embedding.rows, sensor.width / embedding.columns),
-        model.scene.pixel_at_sensor(camera),
+
+def _taken(model: Model, count: int | None) -> tuple[Tensor, Tensor]:
+    """Factors on the wavelength along y and x that zones take for every scene pixel's."""
+    found = torch.ones(2, *model.scene.shape, dtype=torch.float64)
+    if count is not None:
+        for row in zones(model.with_sampling(zones=count)):
+            for zone in row:
+                along_y, along_x = zone.stretch
+                found[0, zone.rows, zone.columns] = along_y
+                found[1, zone.rows, zone.columns] = along_x
+    return found[0], found[1]
+
+
+def _in_pixels(model: Model) -> tuple[Tensor, Tensor]:
+    """Factors on the wavelength along y and x at nine nodes of every scene pixel, (9, *scene)."""
+    y, x = tangents(model)
+    nodes = torch.from_numpy(np.polynomial.legendre.leggauss(3)[0])
+    nodes = nodes * math.tan(model.conditions.off_axis or 0.0) / model.scene.rows
+    down, across = torch.cartesian_prod(nodes, nodes).T
+    return stretch(
+        (y[:, None] + down[:, None, None]).expand(9, *model.scene.shape),
+        (x + across[:, None, None]).expand(9, *model.scene.shape),
     )
-    return min(1.0, max(camera.wavelengths) * camera.distance / (aperture * box))
-
-
-def fringe_step(model: Model, reach: Reach) -> float:
-    """Step that resolves the fringes of two sub-pixels as far apart as ``reach`` [m].
-
-    The fringes of two points ``Delta`` apart have the period ``lambda d / Delta``; the aperture's
-    own width adds to it. A pixel needs several nodes, too.
-    """
-    camera = actual_camera(model)
-    panel, sensor, embedding = camera.panel, camera.sensor, model.embedding
-    shortest = min(beam.wavelength for beam in beams(model)) * camera.distance
-    apart = max(
-        panel.aperture_y + min(reach.rows, camera.window.rows - 1) * panel.pitch_y,
-        panel.aperture_x + min(reach.columns, camera.window.columns - 1) * panel.pitch_x,
-    )
-    pixel = min(sensor.height / embedding.rows, sensor.width / embedding.columns)
-    image = model.scene.pixel_at_sensor(camera)
-    wanted = min(float(shortest) / apart / 2.2, (pixel + image) / 8)
-    return max(wanted, _smallest_step(model))
-
-
-def _resolved(model: Model) -> bool:
-    return fringe_step(model, model.sampling.reach) > 1.01 * _smallest_step(model)
-
-
-def _smallest_step(model: Model) -> float:
-    """Below it the fields would take too much memory [m]."""
-    rows, columns = model.camera.mask_shape
-    nodes_y, nodes_x = nodes(model.with_sampling(step=1.0e-6))
-    return 1.0e-6 * max(nodes_y * rows, nodes_x * columns) / MAX_VALUES
-
-
-def _filters(camera: Camera) -> tuple[object, ...]:
-    panel = camera.panel
-    return panel.filter_cycle, panel.filter_leakage, panel.filter_amplitudes
-
-
-def _row_unit(camera: Camera) -> int:
-    """Rows between the nearest two that interfere at all."""
-    for apart in range(1, camera.window.rows):
-        for channel in range(3):
-            amplitudes = camera.row_amplitudes(channel)
-            if any(a * b for a, b in zip(amplitudes, amplitudes[apart:], strict=False)):
-                return apart
-    return 1

@@ -1,7 +1,7 @@
 """From a tolerance to a plan: what to compute, how finely, and why."""
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -12,13 +12,20 @@ from torch import Tensor
 
 from veilcam_optics import effects
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.imperfections import IDEAL, Conditions
+from veilcam_optics.camera.imperfections import (
+    IDEAL,
+    MOST_OFF_AXIS,
+    Conditions,
+    half_field,
+)
 from veilcam_optics.effects import Assessment, Model
 from veilcam_optics.effects.composition import present
 from veilcam_optics.effects.model import Method
 from veilcam_optics.errors import require, require_count
+from veilcam_optics.plan.check import Check, check
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
+from veilcam_optics.plan.psf import psf
 from veilcam_optics.plan.search import search, settle_free, together
 from veilcam_optics.simulation.operator import LightOperator
 
@@ -35,6 +42,7 @@ class Plan:
 
     Attributes:
         model: what is computed, and how finely.
+        asked: what it stands for, with every effect.
         tolerance: relative L2 error asked for, at the embedding.
         error: relative L2 error predicted.
         reached: whether the prediction is within the tolerance. If not, this is the best there is.
@@ -44,6 +52,7 @@ class Plan:
     """
 
     model: Model
+    asked: Model
     tolerance: float
     error: float
     reached: bool
@@ -80,9 +89,40 @@ class Plan:
         """
         return self.operator.embed(scenes, weights, generator)
 
+    def check(self, weights: Tensor, *, entries: int = 48, seed: int = 0) -> Check:
+        """The relative L2 error of this mask's transfer, from entries drawn at random.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            entries: how many to draw, each at the cost of milliseconds; 8 or more.
+            seed: of the draw.
+
+        Raises:
+            OpticsError: as :func:`~veilcam_optics.plan.check.check` says.
+        """
+        return check(self.operator, self.asked, weights, entries=entries, seed=seed)
+
+    def psf(self, weights: Tensor, rows: int = 120) -> Tensor:
+        """The point spread function of a mask, (3, rows, columns): see :mod:`.psf`.
+
+        Args:
+            weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+            rows: cells along the sensor's short side; cells are about square.
+
+        Raises:
+            OpticsError: the mask has another shape or holds NaN; no rows; a turned mask.
+        """
+        return psf(self.asked, weights, rows)
+
     def explain(self) -> str:
         """A table of every effect, and what was chosen."""
         return explanation(self)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        console = Console(file=io.StringIO(), width=118, record=True)
+        print_explanation(self, console)
+        return console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")
 
 
 def plan(
@@ -115,16 +155,21 @@ def plan(
     """
     require(0 < tolerance < 1, "tolerance", tolerance, "(relative L2)", "a number between 0 and 1")
     require_count("batch", batch)
-    error_model = ErrorModel(Model(camera, scene, embedding, conditions), tolerance)
+    if conditions.off_axis is None:
+        angle = min(half_field(scene), MOST_OFF_AXIS)
+        conditions = replace(conditions, off_axis=angle)
+    asked = Model(camera, scene, embedding, conditions)
+    error_model = ErrorModel(asked, tolerance)
     complete = error_model.model
     errors = {effect.name: effect.error(error_model) for effect in present(complete)}
     model, made = settle_free(complete, errors, tolerance)
     choice, reached = search(error_model, model, errors, made=made, batch=batch, method=method)
     step, quadrature = error_model.quadrature(choice.model)
     chosen = choice.model.with_sampling(step=step)
-    error = together([choice.error, quadrature])
+    error = error_model.read(together([choice.error, quadrature]))
     return Plan(
         model=chosen,
+        asked=asked,
         tolerance=tolerance,
         error=error,
         reached=reached and error <= tolerance,
@@ -212,7 +257,12 @@ def explanation(plan: Plan, width: int = 118) -> str:
     """The table and the setting, as plain text."""
     text = io.StringIO()
     console = Console(file=text, width=width, force_terminal=False, color_system=None)
+    print_explanation(plan, console)
+    return text.getvalue()
+
+
+def print_explanation(plan: Plan, console: Console) -> None:
+    """Print the table and the setting."""
     console.print(table(plan))
     for name, value in setting(plan):
         console.print(f"{name:24} {value}", highlight=False)
-    return text.getvalue()

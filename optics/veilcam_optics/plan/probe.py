@@ -1,8 +1,10 @@
-"""A cheap look at transfer matrices: a few random masks, a few offsets, in float64.
+"""A cheap look at transfer matrices: a few random masks, a few entries, in float64.
 
 What an approximation costs in accuracy is measured on these, relative L2, for masks of independent
 uniform weights. A transfer matrix has one entry for each offset along y and each along x; some of
-them, evenly spread, stand for all.
+them, evenly spread, stand for all. For one entry the light is wanted on two boxes alone, and there
+the fields of all apertures are known: with ``K[r, s]`` the integral of ``kappa F_r conj(F_s)``, an
+entry is the sum over ``K_y[r, s] K_x[c, d] w[r, c] w[s, d]``, of near pairs and of far ones.
 """
 
 import math
@@ -12,23 +14,23 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.effects.composition import beams, collected, shown
-from veilcam_optics.effects.mask import actual_camera
+from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
+from veilcam_optics.effects.sensor import mean_shares
+from veilcam_optics.plan.boxes import bends, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.operator import Beam, make_axes
 
-_OFFSETS = 80
+_OFFSETS = 12
 """Offsets kept of each axis."""
+
+_MANY = 500
+"""Weights of a mask whose light is about alike everywhere: two thirds of the offsets will do."""
 
 _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
-
-MAX_VALUES = 1_200_000
-"""Largest number of field values of one axis: 20 MB, and half a second."""
-
-_Down = tuple[Tensor, Tensor, Tensor]
-"""Upper rows of the pairs that pass light, what their filters pass, and their kernels."""
 
 
 class Probe:
@@ -45,15 +47,29 @@ class Probe:
         generator = torch.Generator().manual_seed(0)
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
         scene, embedding = model.scene, model.embedding
-        self._kept: dict[object, tuple[list[_Down], list[Tensor]]] = {}
+        offsets = offsets if rows * columns < _MANY else offsets * 2 // 3
+        self._integrals: dict[object, tuple[int, Tensor]] = {}
+        self._axes: dict[object, tuple[Axis, Axis]] = {}
         self.kept_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
         self.kept_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
 
-    def axes(self, model: Model, beam: Beam) -> tuple[Axis, Axis]:
-        """The axes of ``model``, reduced to the kept offsets."""
+    def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis, Axis]:
+        """The axes of ``model``, reduced to the kept offsets.
+
+        Args:
+            model: like the probe's.
+            beam: may come from another distance.
+            parts: of every scene pixel along each axis, with an offset each.
+        """
         scene = model.scene
         if beam.scene_distance is not None:
             scene = replace(scene, distance=beam.scene_distance)
+        key = (model.camera, scene, model.conditions.imperfections, model.approximation, parts)
+        if key not in self._axes:
+            self._axes[key] = self._made_axes(model, scene, parts)
+        return self._axes[key]
+
+    def _made_axes(self, model: Model, scene: Scene, parts: int) -> tuple[Axis, Axis]:
         y, x = make_axes(
             model.camera,
             scene,
@@ -62,12 +78,22 @@ class Probe:
             approximation=model.approximation,
             imperfections=model.conditions.imperfections,
         )
-        y.offsets, x.offsets = y.offsets[self.kept_y], x.offsets[self.kept_x]
+        for axis, kept in ((y, self.kept_y), (x, self.kept_x)):
+            axis.offsets = _parted(axis.offsets[kept], float(axis.image), parts)
+            axis.image, axis.scale = axis.image / parts, axis.scale * parts
         return y, x
+
+    def tangents(self, model: Model, parts: int = 1) -> tuple[Tensor, Tensor]:
+        """Tangents of the angles to the axis of what kept offsets see, along y and x."""
+        y, x = tangents(model)
+        embedding = model.embedding
+        y, x = y[self.kept_y // embedding.rows], x[self.kept_x // embedding.columns]
+        side = scene_pixel_tangent(model)
+        return _parted(y, side, parts), _parted(x, side, parts)
 
     def channels(self, model: Model) -> list[int]:
         """Channels that count in a gray measurement, brightest first; at least one."""
-        shares = model.camera.sensor.channel_weights
+        shares = mean_shares(model)
         light = [
             share * sum(amplitude**2 for amplitude in model.camera.row_amplitudes(channel))
             for channel, share in enumerate(shares)
@@ -78,163 +104,153 @@ class Probe:
     def transfer(
         self,
         model: Model,
-        channels: Sequence[int] | None = None,
         stretch: tuple[float, float] = (1.0, 1.0),
+        *,
+        channels: Sequence[int] | None = None,
+        parts: int = 1,
     ) -> Tensor:
         """Gray transfer of every mask at the kept offsets, (masks, offsets y, offsets x).
 
+        With ``parts``, that of each of so many parts of scene pixels along each axis.
+
         Fading over the field, rotation and the sensor are left out.
         """
+        total = self.dark(parts)
+        for beam, scaled in self.lights(model, channels):
+            rows, down, across = self._pairs(model, beam, stretch, parts)
+            weights = scaled[:, rows]
+            total += pair_sums(down, across, weights, weights)
         # The mean over what is kept stands for that over all.
-        return collected(model, self.shells(model, channels, stretch).sum((0, 1)), (1, 2))
+        return collected(model, total, (1, 2))
 
-    def rotated(self, model: Model) -> tuple[float, float]:
-        """Relative L2 of ignoring the mask's rotation, and of counting it to first order.
+    def bend(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
+        """Sum of the second derivatives of :meth:`transfer` by the offset along y and x [1/m^2].
 
-        Turned by a small angle, row ``r`` moves along x by ``-angle y_r`` and column ``c`` along y
-        by ``angle x_c``; the light of each sub-pixel moves with it. The second order of that stands
-        for what the first leaves out. Interference is left out.
+        The second derivative of the kernel's box is four points at its corners.
         """
-        angle, camera = model.conditions.imperfections.rotation, actual_camera(model)
-        channel = self.channels(model)[0]
-        beam = next(b for b in beams(model) if b.channel == channel)
-        middles: list[Tensor] = []
-        orders: list[list[Tensor]] = []
-        axes = self.axes(model, beam)
-        for axis, other in zip(axes, reversed(axes), strict=True):
-            all_of = torch.arange(len(axis.centres))
-            fields = axis.fields(beam.wavelength)
-            far = abs(angle) * float(other.middles(*2 * [torch.arange(len(other.centres))]).max())
-            far = max(far * float(axis.magnification), 1e-3 * axis.step)
-            kernel = axis.kernel(fields, all_of, all_of).real
-            offsets, ends = axis.offsets, axis.offsets.abs().max()
-            moved = []
-            for sign in (1, -1):
-                axis.offsets = (offsets + sign * far).clamp(-ends, ends)
-                moved.append(axis.kernel(fields, all_of, all_of).real)
-            axis.offsets = offsets
-            slope = (moved[0] - moved[1]) / (2 * far) * float(axis.magnification)
-            curve = (moved[0] + moved[1] - 2 * kernel) / far**2 * float(axis.magnification) ** 2
-            orders.append([kernel, slope, curve])
-            middles.append(axis.middles(all_of, all_of))
-        (kernel_y, slope_y, curve_y), (kernel_x, slope_x, curve_x) = orders
-        y, x = middles[0][:, None], middles[1]
-        amplitudes = torch.tensor(camera.row_amplitudes(beam.channel), dtype=torch.float64)
-        squares = (shown(model, self.masks) * amplitudes[:, None]).square()
-        straight = kernel_y @ squares @ kernel_x.T
-        first = kernel_y @ (squares * y) @ slope_x.T - slope_y @ (squares * x) @ kernel_x.T
-        second = (
-            kernel_y @ (squares * y * y) @ curve_x.T / 2
-            + curve_y @ (squares * x * x) @ kernel_x.T / 2
-            - slope_y @ (squares * y * x) @ slope_x.T
-        )
-        ignored = relative(straight + angle * first + angle**2 * second, straight)
-        return min(1.0, ignored), min(1.0, relative(straight + angle**2 * second, straight))
+        total = self.dark()
+        for beam, scaled in self.lights(model, channels):
+            rows, down, across = self._pairs(model, beam, (1.0, 1.0))
+            y, x = self.axes(model, beam)
+            bent_down = bends(y, rows, float(beam.wavelength), model.sampling.reach.rows)
+            every = torch.arange(len(x.centres))
+            bent_across = bends(x, every, float(beam.wavelength), model.sampling.reach.columns)
+            weights = scaled[:, rows]
+            for along_y, along_x in ((bent_down, across), (down, bent_across)):
+                total += pair_sums(along_y, along_x, weights, weights)
+        return total
 
-    def shells(
-        self,
-        model: Model,
-        channels: Sequence[int] | None = None,
-        stretch: tuple[float, float] = (1.0, 1.0),
-    ) -> Tensor:
-        """The transfer, parted by how far apart the sub-pixels are that interfere.
+    def within(self, model: Model, rows: Sequence[int], columns: Sequence[int]) -> Tensor:
+        """The transfer with pairs at most so many rows and so many columns apart.
+
+        Args:
+            model: its own reach is the farthest.
+            rows: reaches along y.
+            columns: reaches along x.
 
         Returns:
-            (rows apart, columns apart, masks, offsets y, offsets x).
+            (len(rows), len(columns), masks, offsets y, offsets x).
         """
+        found = self.dark().repeat(len(rows), len(columns), 1, 1, 1)
+        for beam, scaled in self.lights(model):
+            used, down, across = self._pairs(model, beam, (1.0, 1.0))
+            every = torch.arange(across.shape[-1])
+            for k, far_columns in enumerate(columns):
+                near = across * within_reach(every, far_columns)
+                spread = pair_products(near, scaled[:, used], scaled[:, used])
+                for n, far_rows in enumerate(rows):
+                    found[n, k] += _traced(down * within_reach(used, far_rows), spread)
+        return found
+
+    def dark(self, parts: int = 1) -> Tensor:
+        """No light at any kept offset behind any mask, (masks, offsets y, offsets x)."""
+        shape = (len(self.masks), parts * len(self.kept_y), parts * len(self.kept_x))
+        return torch.zeros(shape, dtype=torch.float64)
+
+    def lights(
+        self, model: Model, channels: Sequence[int] | None = None
+    ) -> list[tuple[Beam, Tensor]]:
+        """Each beam with the amplitudes that it passes, its share included."""
         used = self.channels(model) if channels is None else channels
-        rows, columns = model.camera.mask_shape
-        reach = model.sampling.reach
-        if not model.sampling.diffraction:
-            reach = type(reach)(0, 0)
-        far_rows, far_columns = min(reach.rows, rows - 1), min(reach.columns, columns - 1)
-        shells = torch.zeros(
-            far_rows + 1,
-            far_columns + 1,
-            len(self.masks),
-            len(self.kept_y),
-            len(self.kept_x),
-            dtype=torch.float64,
-        )
-        weights = shown(model, self.masks)
+        weights, shares = shown(model, self.masks), mean_shares(model)
+        found = []
         for beam in beams(model):
-            if beam.channel not in used:
-                continue
-            self._add(shells, model, beam, weights, stretch)
-        return shells
+            share = beam.share * shares[beam.channel]
+            if beam.channel in used and share > 0:
+                passed = torch.tensor(
+                    model.camera.row_amplitudes(beam.channel), dtype=torch.float64
+                )
+                found.append((beam, weights * (passed * math.sqrt(share))[:, None]))
+        return found
 
-    def _add(
-        self,
-        shells: Tensor,
-        model: Model,
-        beam: Beam,
-        weights: Tensor,
-        stretch: tuple[float, float],
-    ) -> None:
-        """Add one beam's light to every shell."""
-        columns = weights.shape[-1]
-        share = beam.share * model.camera.sensor.channel_weights[beam.channel]
-        kernels = self._kernels(model, beam, stretch, (shells.shape[0], shells.shape[1]))
-        for dr, (first, passed, down) in enumerate(kernels[0]):
-            if not len(first):
-                continue
-            scaled = down * (passed * share)
-            one, other = weights[:, first], weights[:, first + dr]
-            for dc, across in enumerate(kernels[1]):
-                width = columns - dc
-                value = _real_product(scaled, one[..., :width] * other[..., dc:], across)
-                if dr and dc:  # columns apart the other way
-                    pairs = one[..., dc:] * other[..., :width]
-                    value = value + _real_product(scaled, pairs, across.conj())
-                shells[dr, dc] += value if dr == dc == 0 else 2 * value
-
-    def _kernels(
-        self, model: Model, beam: Beam, stretch: tuple[float, float], near: tuple[int, int]
-    ) -> tuple[list[_Down], list[Tensor]]:
-        """Kernels of rows 0, 1, ... apart and of columns apart, kept: masks do not change them."""
-        key = (
-            actual_camera(model),
-            model.conditions.imperfections.shift_y,
-            model.conditions.imperfections.shift_x,
-            model.approximation,
-            model.sampling.step,
-            replace(beam, share=1.0),
-            stretch,
-            near,
-        )
-        if key not in self._kept:
-            y, x = self.axes(model, beam)
-            rows, columns = model.camera.mask_shape
-            amplitudes = torch.tensor(
-                model.camera.row_amplitudes(beam.channel), dtype=torch.float64
+    def _pairs(
+        self, model: Model, beam: Beam, stretch: tuple[float, float], parts: int = 1
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
+        axes = self.axes(model, beam, parts)
+        rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
+        used = (rows, torch.arange(len(axes[1].centres)))
+        reach = model.sampling.reach
+        found = []
+        for index, (axis, of, far) in enumerate(
+            zip(axes, used, (reach.rows, reach.columns), strict=True)
+        ):
+            wavelength = float(beam.wavelength) * stretch[index]
+            key = (
+                *(index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
+                *(float(axis.distance), float(axis.source_distance), float(axis.image), axis.pixel),
+                *(tuple(of.tolist()), wavelength, model.approximation),
             )
-            fields_y = y.fields(beam.wavelength * stretch[0], of=amplitudes.nonzero().flatten())
-            fields_x = x.fields(beam.wavelength * stretch[1])
-            down = []
-            for dr in range(near[0]):
-                product = amplitudes[: rows - dr] * amplitudes[dr:]
-                first = product.nonzero().flatten()
-                down.append((first, product[first], y.kernel(fields_y, first, first + dr)))
-            across = [
-                x.kernel(fields_x, torch.arange(columns - dc), torch.arange(dc, columns))
-                for dc in range(near[1])
-            ]
-            self._kept[key] = (down, across)
-        return self._kept[key]
+            kept, values = self._integrals.get(key, (-1, None))
+            if values is None or kept < far:
+                kept, values = far, integrals(axis, of, wavelength, far)
+                self._integrals[key] = kept, values
+            found.append(values if kept == far else values * within_reach(of, far))
+        return rows, found[0], found[1]
 
 
 def relative(value: Tensor, reference: Tensor) -> float:
-    """Relative L2 of ``value`` to ``reference``; 0 where both are zero, else 1 for no reference."""
-    difference, size = float((value - reference).norm()), float(reference.norm())
-    if difference == 0:
+    """Root mean square over masks of the relative L2 of ``value`` to ``reference``; masks first.
+
+    Of many weights every mask has about the same error. Of few, one mask may leave the sensor in
+    the dark, where little is large. 0 where nothing differs, else 1 for no reference at all.
+    """
+    differences = (value - reference).flatten(1).norm(dim=1)
+    sizes = reference.flatten(1).norm(dim=1)
+    if not differences.any():
         return 0.0
-    return difference / size if size else 1.0
+    lit = sizes > 0
+    return float((differences[lit] / sizes[lit]).square().mean().sqrt()) if lit.any() else 1.0
 
 
-def _real_product(down: Tensor, pairs: Tensor, across: Tensor) -> Tensor:
-    """Re(down pairs across^T), (masks, offsets y, offsets x)."""
-    real = down.real @ pairs @ across.real.T
-    return real - down.imag @ pairs @ across.imag.T
+def pair_sums(down: Tensor, across: Tensor, one: Tensor, other: Tensor) -> Tensor:
+    """Sums over all pairs of ``Re K_y[r, s] K_x[c, d] one[r, c] other[s, d]``.
+
+    Args:
+        down: ``K_y``, (offsets y, rows, rows).
+        across: ``K_x``, (offsets x, columns, columns).
+        one: amplitudes, (masks, rows, columns).
+        other: the same shape.
+
+    Returns:
+        (masks, offsets y, offsets x).
+    """
+    return _traced(down, pair_products(across, one, other))
+
+
+def pair_products(across: Tensor, one: Tensor, other: Tensor) -> Tensor:
+    """``one K_x other^T``, (masks, offsets x, rows, rows)."""
+    return one[:, None].to(across.dtype) @ across @ other[:, None].mT.to(across.dtype)
+
+
+def _parted(middles: Tensor, side: float, parts: int) -> Tensor:
+    """Middles of the parts of pixels, part by part."""
+    at = (torch.arange(parts, dtype=torch.float64) - (parts - 1) / 2) * side / parts
+    return (middles[:, None] + at).flatten()
+
+
+def _traced(down: Tensor, spread: Tensor) -> Tensor:
+    return torch.einsum("ors,mprs->mop", down, spread).real
 
 
 def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> Tensor:
@@ -246,7 +262,11 @@ def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> T
     )
     at_scene = (torch.arange(scene, dtype=torch.float64) - (scene - 1) / 2) * image
     order = (at_scene[:, None] + at_pixel).flatten().argsort(stable=True)
-    if len(order) <= most:
-        return order
-    # The middle of each of ``most`` equal parts.
-    return order[((torch.arange(most) + 0.5) * len(order) / most).long()]
+    return _some(order, most)
+
+
+def _some(kept: Tensor, most: int) -> Tensor:
+    """The middle of each of ``most`` equal parts, or all where they are no more."""
+    if len(kept) <= most:
+        return kept
+    return kept[((torch.arange(most) + 0.5) * len(kept) / most).long()]

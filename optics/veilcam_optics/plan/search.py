@@ -1,7 +1,7 @@
 """The cheapest setting whose errors, taken together, stay under the tolerance."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -10,13 +10,13 @@ import torch
 
 from veilcam_optics import effects
 from veilcam_optics.effects import Effect, Model
-from veilcam_optics.effects.light import Depth, Diffraction, OffAxis, Spectrum
+from veilcam_optics.effects.light import Depth, Diffraction, NonParaxial, OffAxis, Spectrum
 from veilcam_optics.effects.mask import FilterLeakage, MaskRotation
 from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
-from veilcam_optics.plan.errors import ROUNDING, ErrorModel, Interferences
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.plan.errors import ErrorModel, Interferences
+from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 
 MAX_NUMBERS = 1.5e8
 """Numbers that a plan may hold at once: 600 MB in float32."""
@@ -86,13 +86,14 @@ def search(
     Returns:
         The choice, and whether it reaches the tolerance; if none does, the most accurate.
     """
+    field = _field(error_model, model, errors)
     kinds = []
     if method != "grid":
-        kinds.append(_matrices(error_model, model, errors))
+        kinds.append(_matrices(error_model, model, errors, field))
     if method in (None, "grid"):
-        kinds.append(_grids(error_model, model, errors))
+        kinds.append(_grids(error_model, model, field))
     settings = [(setting, together([made, error])) for kind in kinds for setting, error in kind]
-    reaching = [(m, e) for m, e in settings if e <= error_model.tolerance]
+    reaching = [(m, e) for m, e in settings if error_model.read(e) <= error_model.tolerance]
     found = _fitting(reaching, batch, method)
     if found:
         return min(found, key=lambda c: (c.cost.rank, c.error)), True
@@ -123,35 +124,41 @@ def _candidates(
 
 
 def _matrices(
-    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel,
+    model: Model,
+    errors: Mapping[str, float],
+    field: Sequence[list[Option]],
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the factored field, with or without a matrix that is formed."""
     filters = [(model, 0.0, error_model.full)]
     if FilterLeakage.name in errors:
         ideal = FilterLeakage().without(model)
         filters.append((ideal, errors[FilterLeakage.name], error_model.ideal_filters))
-    field = _field(error_model, model, errors)
+    paraxial = errors.get(NonParaxial.name, 0.0)
     if MaskRotation.name in errors:
         ignored = Option(MaskRotation().without, errors[MaskRotation.name])
-        field.append([ignored, Option(_same, error_model.rotated(first_order=True))])
+        field = [*field, [ignored, Option(_same, error_model.rotated(first_order=True))]]
     for base, leaked, interferences in filters:
         reaches = _reaches(base, interferences, errors, error_model.tolerance)
         for chosen in product(reaches, *field, _formats(error_model)):
-            yield _apply(base, leaked, chosen)
+            yield _apply(base, together([leaked, paraxial]), chosen)
 
 
 def _grids(
-    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel, model: Model, field: Sequence[list[Option]]
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the grid path: for a turned mask, and where nothing else fits."""
     sampling = replace(
         model.sampling, method="grid", diffraction=True, spherical=True, binning=True
     )
-    field = _field(error_model, model, errors)
-    for oversampling in _OVERSAMPLINGS:
+    # Narrow apertures need finer samples from the start.
+    least = max(1.0, FEWEST_CELLS / cells_in_aperture(model.camera))
+    for factor in _OVERSAMPLINGS:
+        oversampling = factor * least
         base = replace(model, sampling=replace(sampling, oversampling=oversampling))
+        error = error_model.grid(oversampling)
         for chosen in product(*field):
-            yield _apply(base, error_model.grid(oversampling), chosen)
+            yield _apply(base, error, chosen)
 
 
 def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, float]:
@@ -182,10 +189,8 @@ def _reaches(
     if not interferences.model.sampling.diffraction:
         return options
     by_work = []
-    for rows, row in enumerate(interferences.errors.tolist()):
-        for columns, error in enumerate(row):
-            counted = pairs(base.with_sampling(reach=Reach(rows, columns)))
-            by_work.append((counted, error, Reach(rows, columns)))
+    for reach, error in interferences.errors.items():
+        by_work.append((pairs(base.with_sampling(reach=reach)), error, reach))
     least = math.inf
     for _, error, reach in sorted(by_work, key=lambda item: (item[0], item[1])):
         if error < least:
@@ -227,7 +232,7 @@ def _field(
 def _formats(error_model: ErrorModel) -> list[Option]:
     """Number formats, by what rounding costs in accuracy."""
     options = [
-        Option(partial(Model.with_sampling, dtype=dtype), ROUNDING[dtype])
+        Option(partial(Model.with_sampling, dtype=dtype), error_model.rounding(dtype))
         for dtype in (torch.float32, torch.float64)
     ]
     return _worth_it(options, error_model.tolerance)

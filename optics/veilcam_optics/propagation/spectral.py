@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from veilcam_optics.errors import require_memory
 from veilcam_optics.propagation.base import TURN, Propagation, check_field, unit_phasor
 from veilcam_optics.propagation.sampling import Grid, as_float, fast_length
 
@@ -25,6 +26,16 @@ class Spectrum:
     target: Grid
     lengths: tuple[int, int]
     device: torch.device | None = None
+
+    def __post_init__(self) -> None:
+        rows, columns = self.lengths
+        require_memory(
+            "grids",
+            f"{rows} x {columns}",
+            "samples when padded",
+            float(rows) * columns,
+            "coarser or smaller ones",
+        )
 
     @property
     def fy(self) -> Tensor:

@@ -6,15 +6,15 @@ import torch
 from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import CHANNELS
-from veilcam_optics.camera.masks import check_weights
+from veilcam_optics.camera.inputs import check_scenes, check_weights
 from veilcam_optics.effects import composition
 from veilcam_optics.effects.light import Zone, zones
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
-from veilcam_optics.errors import OpticsError, require_shape
+from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.rotated_mask import RotatedMask
-from veilcam_optics.transfer.grid import GridLight, sample_pitch
+from veilcam_optics.transfer.grid import GridLight, check_oversampling, sample_pitch
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 
 Response = tuple[Tensor, ...]
@@ -126,7 +126,7 @@ class LightOperator(nn.Module):
         Raises:
             OpticsError: the scenes have another shape.
         """
-        require_shape("scenes", scenes, "batch", *self.model.scene.shape)
+        check_scenes(scenes, "batch", *self.model.scene.shape)
         scenes = scenes.to(self.dtype)
         if self.fade is not None:
             scenes = scenes * self.fade
@@ -225,6 +225,7 @@ def _zone(model: Model, zone: Zone) -> TransferOperator:
 
 def _grids(model: Model) -> list[tuple[float, Zone, GridLight]]:
     """(share, zone, light) for every sample of spectrum, depth and field."""
+    check_oversampling(model.camera, model.sampling.oversampling)
     lights = []
     mask = RotatedMask(
         model.camera,

@@ -21,14 +21,82 @@ def as_number(value: float | Tensor) -> float:
     return float(value.detach()) if isinstance(value, Tensor) else value
 
 
+_FAR = 8.0
+"""From here on the asymptotic series is exact to rounding."""
+
+_FARTHEST = 1e17
+"""Beyond, a half to rounding: the square of infinity has no phase."""
+
+_TERMS = 6
+"""Of each series. The first one left out is below 1e-17 at ``_FAR``, and bounds the remainder."""
+
+_AT_ONCE = 2**14
+"""Arguments whose intermediate values fit in a processor's cache."""
+
+
+def _pochhammer(start: int) -> tuple[float, ...]:
+    """(-1)^m (1/2)_(2m + start), the coefficients of DLMF 7.12.2 and 7.12.3."""
+    return tuple(
+        (-1) ** m * math.prod(k + 0.5 for k in range(2 * m + start)) for m in range(_TERMS)
+    )
+
+
+_F, _G = _pochhammer(0), _pochhammer(1)
+
+
+def _polynomial(coefficients: tuple[float, ...], x: Tensor) -> Tensor:
+    """By Horner's rule, lowest power first."""
+    total = torch.full_like(x, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total.mul_(x).add_(coefficient)
+    return total
+
+
+def _far_integrals(t: Tensor) -> tuple[Tensor, Tensor]:
+    """C(t) and S(t) where abs(t) is at least ``_FAR``; elsewhere something finite."""
+    size = t.abs().clamp_(_FAR, _FARTHEST)
+    phase = size.square().mul_(math.pi / 2)
+    inverse = phase.reciprocal()
+    square = inverse.square()
+    f, g = _polynomial(_F, square), _polynomial(_G, square).mul_(inverse)
+    sine, cosine = phase.sin(), phase.cos()
+    # f and g share the factor 1 / (pi t), which is odd like C and S.
+    scale = torch.copysign(size.mul_(math.pi).reciprocal_(), t)
+    half = torch.copysign(torch.full_like(t, 0.5), t)
+    c = torch.addcmul(half, (f * sine).addcmul_(g, cosine, value=-1), scale)
+    s = torch.addcmul(half, f.mul_(cosine).addcmul_(g, sine), scale, value=-1)
+    return c, s
+
+
+def _integrals(t: Tensor) -> tuple[Tensor, Tensor]:
+    """C(t) and S(t) of a float64 tensor in main memory.
+
+    Far from zero by the auxiliary functions' asymptotic series (DLMF 7.5.3, 7.5.4 and 7.12.2 to
+    7.12.3), in half the time of scipy's, which takes the rest. Both round the phase, so that they
+    differ by about a unit of rounding times abs(t).
+    """
+    found = torch.empty(2, t.numel(), dtype=t.dtype)
+    for some, c, s in zip(
+        torch.split(t.flatten(), _AT_ONCE),
+        *(torch.split(of, _AT_ONCE) for of in found),
+        strict=True,
+    ):
+        near = (some.abs() < _FAR).nonzero().flatten()
+        for integral, value in zip((c, s), _far_integrals(some), strict=True):
+            integral.copy_(value)
+        sine, cosine = fresnel(some[near].numpy())
+        c[near], s[near] = torch.from_numpy(cosine), torch.from_numpy(sine)
+    return found[0].reshape(t.shape), found[1].reshape(t.shape)
+
+
 class _FresnelIntegrals(torch.autograd.Function):
-    """C(t) and S(t); scipy's values with their exact derivatives."""
+    """C(t) and S(t), with their exact derivatives."""
 
     @staticmethod
     def forward(ctx: Any, t: Tensor) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(t)
-        sine, cosine = fresnel(t.detach().cpu().numpy())
-        return torch.as_tensor(cosine, device=t.device), torch.as_tensor(sine, device=t.device)
+        cosine, sine = _integrals(t.detach().cpu())
+        return cosine.to(t.device), sine.to(t.device)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
@@ -63,9 +131,9 @@ def aperture_fields(
 
     ``F[n, r]`` is the Fresnel integral over aperture ``r`` of
     ``exp(i pi e^2 / (lambda d1)) exp(i pi (y_n - e)^2 / (lambda d2)) / sqrt(i lambda d2)``, by
-    completing the square (Goodman, Introduction to Fourier Optics, 3rd ed., section 4.5). The
-    factor ``exp(i pi y^2 / (lambda (d1 + d2)))``, common to all apertures, is left out: it cancels
-    in every intensity, and without it the phase stays small.
+    completing the square (Goodman, Introduction to Fourier Optics, 3rd ed., section 4.5): equation
+    (3) of docs/mathematics.md. The factor ``exp(i pi y^2 / (lambda (d1 + d2)))``, common to all
+    apertures, is left out: it cancels in every intensity, and without it the phase stays small.
 
     Args:
         points: where the field is wanted, shape (N,) [m], float64.

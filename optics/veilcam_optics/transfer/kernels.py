@@ -47,6 +47,8 @@ def box_kernel(
 ) -> Tensor:
     """Integrate ``products`` against ``kappa``, an embedding pixel's box over a scene pixel's.
 
+    Equations (4) and (5) of docs/mathematics.md, but for the factors before the integrals.
+
     ``kappa`` is a trapezoid, whose second derivative is four deltas at its corners. So the integral
     is four values of the second antiderivative, exact for any width of the boxes.
 

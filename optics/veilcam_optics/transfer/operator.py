@@ -7,23 +7,26 @@ pixel convolved with that of a scene pixel's image,
     T = sum over (dr, dc) of  Re  Ky[dr] (w * shift(w; dr, dc)) Kx[dc]^T
     Ky[dr][o, r] = integral of kappa_y(o - y) F_r(y) conj(F_{r+dr}(y)) dy,   Kx likewise,
 
-``o`` running over every offset between an embedding pixel and a scene pixel's image. Sub-pixels far
-apart interfere in fringes much finer than an embedding pixel, which average out: a few offsets
-(dr, dc) are enough, and how many is the dial between accuracy and time.
+equation (6) of docs/mathematics.md, ``o`` running over every offset between an embedding pixel and
+a scene pixel's image. Sub-pixels far apart interfere in fringes much finer than an embedding pixel,
+which average out: a few offsets (dr, dc) are enough, and how many is the dial between accuracy and
+time.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.errors import require, require_count, require_positive, require_shape
+from veilcam_optics.errors import require, require_count, require_positive
 from veilcam_optics.transfer.kernels import EXACT, Approximation, Axis
-from veilcam_optics.transfer.regions import Region, embed_lit
+from veilcam_optics.transfer.pairs import Group, dark, stack_groups
+from veilcam_optics.transfer.product import Measurement, Transfer
+from veilcam_optics.transfer.regions import Region
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,74 +74,11 @@ class Beam:
     stretch: tuple[float, float] = (1.0, 1.0)
 
 
-class _Group(nn.Module):
-    """Sub-pixel pairs of one channel that share a column offset, hence a column kernel."""
-
-    first: Tensor
-    second: Tensor
-    columns: Tensor
-
-    def __init__(self, first: Tensor, second: Tensor, offset: int, columns: Tensor) -> None:
-        super().__init__()
-        self.offset = offset
-        self.register_buffer("first", first)
-        self.register_buffer("second", second)
-        self.register_buffer("columns", columns)
-
-    def products(self, weights: Tensor) -> Tensor:
-        """Products of paired weights: (row pairs, column pairs)."""
-        width = weights.shape[1] - abs(self.offset)
-        start = max(0, -self.offset)
-        one = weights[self.first, start : start + width]
-        other = weights[self.second, start + self.offset : start + self.offset + width]
-        return one * other
-
-    def forward(self, weights: Tensor, x: slice) -> Tensor:
-        """Products of paired weights, spread along x: (row pairs, offsets ``x``)."""
-        return self.products(weights) @ self.columns[:, x]
-
-
-class _Measurement(nn.Module):
-    """What one output (gray, or one colour) adds up: groups of pairs and their row kernels."""
-
-    rows: Tensor
-
-    def __init__(self, groups: list[_Group], rows: list[Tensor], dtype: torch.dtype) -> None:
-        super().__init__()
-        # Held twice: a ModuleList does not tell the type of what it holds.
-        self.groups, self._groups = nn.ModuleList(groups), tuple(groups)
-        self.register_buffer("rows", torch.cat(rows, dim=1))
-        self.to(dtype)
-
-    def embed(self, scenes: Tensor, weights: Tensor, pixels: tuple[int, int]) -> Tensor:
-        """Embeddings (batch, *pixels) of scenes (batch, rows, columns), without the transfer."""
-        height, width = scenes.shape[1:]
-        rows = self.rows.reshape(height, pixels[0], self.rows.shape[1])
-        total = scenes.new_zeros(len(scenes), *pixels)
-        if not len(scenes):
-            return total
-        start = 0
-        for group in self._groups:
-            end = start + len(group.first)
-            columns = group.columns.reshape(-1, width, pixels[1])
-            spread = torch.einsum("pc,cwe->pwe", group.products(weights), columns)
-            # One scene at a time holds only (pairs, rows, pixel columns) at once.
-            total = total + torch.stack(
-                [
-                    torch.einsum("hyp,phx->yx", rows[..., start:end], scene @ spread)
-                    for scene in scenes
-                ]
-            )
-            start = end
-        return total
-
-    def forward(self, weights: Tensor, y: slice, x: slice) -> Tensor:
-        """Transfer as (offsets ``y``, offsets ``x``)."""
-        return self.rows[y] @ torch.cat([group(weights, x) for group in self._groups])
-
-
 class TransferOperator(nn.Module):
     """``T(w)`` for one camera, scene and embedding; everything but ``w`` is computed once.
+
+    It makes the tables, and holds them as buffers; the product is that of :class:`Transfer`, which
+    computes in NumPy just as well.
 
     Args:
         camera: geometry, filters and wavelengths; nominal.
@@ -181,8 +121,6 @@ class TransferOperator(nn.Module):
         require_count("reach.rows", reach.rows, least=0)
         require_count("reach.columns", reach.columns, least=0)
         require_positive("step", step, "m")
-        self.camera, self.scene, self.embedding = camera, scene, embedding
-        self.reach, self.colour = reach, colour
         if beams is None:
             wavelengths: Sequence[float | Tensor] = (
                 camera.wavelengths
@@ -211,108 +149,73 @@ class TransferOperator(nn.Module):
             for distance in {beam.scene_distance for beam in beams}
         }
         rotation = imperfections.rotation if variables.rotation is None else variables.rotation
-        measurements: list[_Measurement] = []
-        groups: list[_Group] = []
-        rows: list[Tensor] = []
+        measurements: list[Measurement[Tensor]] = []
+        groups: list[Group] = []
         for channel, share in enumerate(camera.sensor.channel_weights):
             for beam in beams:
                 if beam.channel != channel or not (colour or share):
                     continue
-                for group, row_kernel in _pairs(
-                    camera, axes[beam.scene_distance], beam, reach, rotation
-                ):
-                    groups.append(group)
-                    rows.append(row_kernel * (beam.share if colour else beam.share * share))
+                light = beam.share if colour else beam.share * share
+                groups.extend(
+                    replace(group, rows=group.rows * light)
+                    for group in _groups(camera, axes[beam.scene_distance], beam, reach, rotation)
+                )
             if colour or channel == len(CHANNELS) - 1:
                 if not groups:  # no row passes this light: a measurement without pairs
-                    none = torch.zeros(0, dtype=torch.long)
-                    y, x = axes[beams[0].scene_distance]
-                    dark = torch.zeros(camera.window.columns, len(x.offsets), dtype=torch.float64)
-                    groups.append(_Group(none, none, 0, dark))
-                    rows.append(torch.zeros(len(y.offsets), 0, dtype=torch.float64))
-                measurements.append(_Measurement(groups, rows, dtype))
-                groups, rows = [], []
-        self.measurements, self._measurements = nn.ModuleList(measurements), tuple(measurements)
+                    groups.append(dark(*axes[beams[0].scene_distance]))
+                measurements.append(stack_groups(groups, camera.mask_shape, dtype))
+                groups = []
+        self.reach = reach
+        self.transfer = Transfer(camera, scene, embedding, tuple(measurements))
+        """What computes, on this module's buffers."""
+        for name, table in self.transfer.arrays().items():
+            self.register_buffer(name, table)
+
+    @property
+    def camera(self) -> Camera:
+        """Whose transfer it is."""
+        return self.transfer.camera
+
+    @property
+    def scene(self) -> Scene:
+        """What is before the camera."""
+        return self.transfer.scene
+
+    @property
+    def embedding(self) -> Embedding:
+        """What is made of it."""
+        return self.transfer.embedding
+
+    @property
+    def colour(self) -> bool:
+        """Whether the three channels are kept apart."""
+        return self.transfer.colour
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of every result."""
+        dtype: torch.dtype = self.transfer.dtype
+        return dtype
 
     def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
-        """The transfer matrix of a mask.
-
-        Args:
-            weights: amplitude transmittances, ``camera.mask_shape``. Differentiable.
-            region: part of the scene that is asked for; None for all of it. Its cost is its own: an
-                object that moves about in a large and black scene costs what the object does.
-
-        Returns:
-            (scene pixels, embedding pixels), or (3, scene pixels, embedding pixels) in colour:
-            irradiance of an embedding pixel relative to an all-white scene seen without a mask.
-
-        Raises:
-            OpticsError: the mask has another shape, or holds NaN or infinity; a region that is not
-                wholly in the scene.
-        """
-        check_weights(weights, self.camera)
-        scene, embedding = self.scene, self.embedding
-        region = Region(0, 0, *scene.shape) if region is None else region
-        region.check(scene)
-        # Offsets are in the order of the scene's pixels, so those of a region lie side by side.
-        y, x = (
-            slice(first * pixels, (first + count) * pixels)
-            for first, count, pixels in (
-                (region.top, region.rows, embedding.rows),
-                (region.left, region.columns, embedding.columns),
-            )
-        )
-        values = [measurement(weights, y, x) for measurement in self._measurements]
-        pixels = (region.rows * region.columns, embedding.size)
-        transfers = [
-            value.reshape(region.rows, embedding.rows, region.columns, embedding.columns)
-            .transpose(1, 2)
-            .reshape(pixels)
-            for value in values
-        ]
-        # One gray measurement is taken as it is: stacking would copy the largest tensor of a step.
-        return torch.stack(transfers) if self.colour else transfers[0]
+        """The transfer matrix of a mask, or of each of several; see :class:`Transfer`."""
+        return self.transfer(weights, region)
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
-        """Noiseless embeddings of scenes behind a mask.
-
-        Args:
-            scenes: (batch, rows, columns), or (batch, 3, rows, columns) in colour, in [0, 1].
-            weights: amplitude transmittances, ``camera.mask_shape``.
-
-        Returns:
-            (batch, rows, columns) or (batch, 3, rows, columns) of the embedding.
-
-        Raises:
-            OpticsError: the scenes or the mask have another shape.
-        """
-        self._check_scenes(scenes)
-        if self.colour:
-            pixels = self.scene.rows * self.scene.columns
-            flat = torch.einsum("bcp,cpe->bce", scenes.reshape(-1, 3, pixels), self(weights))
-            return flat.reshape(-1, 3, *self.embedding.shape)
-        whole = Region(0, 0, *self.scene.shape)
-        values = embed_lit(scenes, whole, lambda region: self(weights, region))
-        return values.reshape(-1, *self.embedding.shape)
+        """Noiseless embeddings of scenes behind a mask; see :meth:`Transfer.embed`."""
+        return self.transfer.embed(scenes, weights)
 
     def embed_by_factors(self, scenes: Tensor, weights: Tensor) -> Tensor:
-        """As :meth:`embed`, factor by factor: for matrices too large to be formed.
+        """The same without the matrix; see :meth:`Transfer.embed_by_factors`."""
+        return self.transfer.embed_by_factors(scenes, weights)
 
-        It needs ``pairs x rows x columns`` numbers at once, and more time for each scene.
-        """
-        self._check_scenes(scenes)
-        check_weights(weights, self.camera)
-        values = [
-            measurement.embed(
-                scenes[:, channel] if self.colour else scenes, weights, self.embedding.shape
-            )
-            for channel, measurement in enumerate(self._measurements)
-        ]
-        return torch.stack(values, dim=1) if self.colour else values[0]
-
-    def _check_scenes(self, scenes: Tensor) -> None:
-        expected = (3, *self.scene.shape) if self.colour else self.scene.shape
-        require_shape("scenes", scenes, "batch", *expected)
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Compute on what a type or device that is asked for makes of the buffers."""
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        self.transfer = Transfer.from_arrays(
+            self.camera, self.scene, self.embedding, dict(self.named_buffers())
+        )
+        return self
 
 
 def make_axes(
@@ -365,17 +268,17 @@ def make_axes(
     return y, x
 
 
-def _pairs(
+def _groups(
     camera: Camera,
     axes: tuple[Axis, Axis],
     beam: Beam,
     reach: Reach,
     rotation: float | Tensor,
-) -> Iterator[tuple[_Group, Tensor]]:
-    """All groups of interfering pairs of one beam, each with its row kernels.
+) -> Iterator[Group]:
+    """All groups of interfering pairs of one beam.
 
     Each pair of different sub-pixels is taken once, with a factor 2: its mirror image is its
-    complex conjugate. So dr >= 0, and dc < 0 occurs with dr > 0 only.
+    complex conjugate. So dc >= 0, and dr < 0 occurs with dc > 0 only.
 
     In a mask turned by a small angle, row ``r`` moves along x by ``-angle y_r`` and column ``c``
     along y by ``angle x_c``. To first order that adds two products of kernels and slopes.
@@ -392,35 +295,38 @@ def _pairs(
     for dr in range(min(reach.rows, rows - 1) + 1):
         product = amplitudes[: rows - dr] * amplitudes[dr:]
         first = product.nonzero().flatten()
+        if not len(first):
+            continue
         down = y.kernel(fields_y, first, first + dr) * product[first]
         # Without a rotation nothing asks for the slopes.
         slope = y.slope(fields_y, first, first + dr) * product[first] if rotated else down
         below.append((first, first + dr, down, slope))
-    beside = []
+    if not below:
+        return
+    # The same pairs, the other way round.
+    above = [
+        (second, first, down.conj(), slope.conj())
+        for first, second, down, slope in below
+        if not torch.equal(first, second)
+    ]
     for dc in range(min(reach.columns, columns - 1) + 1):
-        column = torch.arange(columns - dc)
-        across = x.kernel(fields_x, column, column + dc)
-        slope = x.slope(fields_x, column, column + dc) if rotated else across
-        beside.append((column, column + dc, across, slope))
-    for dc in range(1 - len(beside), len(beside)):
-        used = [pair for pair in below[1 if dc < 0 else 0 :] if len(pair[0])]
-        if not used:
-            continue
+        used = [*below, *above] if dc else below
         first, second = (torch.cat([pair[k] for pair in used]) for k in (0, 1))
         # A pair and its mirror image count, a sub-pixel with itself once.
         twice = 2 - ((first == second) & (dc == 0)).double()
         down = torch.cat([pair[2] for pair in used], dim=1) * twice
-        column, other, across, slope_x = beside[abs(dc)]
-        if dc < 0:  # the same pairs, the other way round
-            across, slope_x = across.conj(), slope_x.conj()
+        column = torch.arange(columns - dc)
+        other = column + dc
+        across = x.kernel(fields_x, column, other)
         terms = [(down, across)]
         if rotated:
+            slope_x = x.slope(fields_x, column, other)
             slope_y = torch.cat([pair[3] for pair in used], dim=1) * twice
             terms += [
                 (slope_y * (-rotation * y.magnification), across * x.middles(column, other)),
                 (down * y.middles(first, second), slope_x * (rotation * x.magnification)),
             ]
         for down, across in terms:
-            yield _Group(first, second, dc, across.real.T.contiguous()), down.real
+            yield Group(first, second, dc, across.real.T, down.real)
             if dc:  # Re(A B) = Re A Re B - Im A Im B; without an offset B is real
-                yield _Group(first, second, dc, across.imag.T.contiguous()), -down.imag
+                yield Group(first, second, dc, across.imag.T, -down.imag)

@@ -1,9 +1,9 @@
 """The converged float64 reference: the whole field, sampled finely, averaged over boxes.
 
-``U = F w G^T`` with every interference term is sampled on cells much finer than any fringe that
-survives the averaging; ``|U|^2`` is then integrated against pixel boxes cell by cell (midpoint
-rule). Nothing is shared with the transfer operator's kernels but the field of one aperture. Slow,
-and meant to be: it says how wrong the fast ways are.
+``U = F w G^T``, equation (2) of docs/mathematics.md, with every interference term is sampled on
+cells much finer than any fringe that survives the averaging; ``|U|^2`` is then integrated against
+pixel boxes cell by cell (midpoint rule). Nothing is shared with the transfer operator's kernels but
+the field of one aperture. Slow, and meant to be: it says how wrong the fast ways are.
 """
 
 import math
@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
-from veilcam_optics.camera.masks import check_weights
-from veilcam_optics.errors import require_count
+from veilcam_optics.camera.inputs import check_weights
+from veilcam_optics.errors import require_count, require_memory
 from veilcam_optics.propagation.base import complex_type
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.transfer.factored import aperture_fields
@@ -123,6 +123,14 @@ def reference_transfer(
     pitch = sample_pitch(camera, oversampling)
     height, width = camera.lit_sides(scene)
     shape = (math.ceil(height / pitch), math.ceil(width / pitch))
+    offsets = max(scene.rows * embedding.rows, scene.columns * embedding.columns)
+    require_memory(
+        "oversampling",
+        oversampling,
+        "samples per 8 sensor pixels",
+        float(max(shape)) * offsets,
+        "fewer, a nearer sensor or a smaller scene",
+    )
     row_boxes, column_boxes = _boxes(camera, scene, embedding, shape, pitch)
     outputs = [[channel] for channel in range(3)] if colour else [[0, 1, 2]]
     shares = (1.0, 1.0, 1.0) if colour else camera.sensor.channel_weights

@@ -7,8 +7,7 @@ and a batch of handwritten digits only that of the pixels that one of them touch
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from torch import Tensor
-
+from veilcam_optics.arrays import Array, device, namespace, needs_gradient
 from veilcam_optics.camera.geometry import Scene
 from veilcam_optics.errors import require
 
@@ -39,7 +38,7 @@ class Region:
         )
 
 
-def embed_lit(scenes: Tensor, region: Region, transfer: Callable[[Region], Tensor]) -> Tensor:
+def embed_lit(scenes: Array, region: Region, transfer: Callable[[Region], Array]) -> Array:
     """Embeddings of scenes, at the cost of those pixels that are lit in any of them.
 
     Args:
@@ -50,24 +49,31 @@ def embed_lit(scenes: Tensor, region: Region, transfer: Callable[[Region], Tenso
     Returns:
         (batch, embedding pixels).
     """
-    flat = scenes.flatten(1)
+    xp = namespace(scenes)
+    flat: Array = xp.reshape(scenes, (scenes.shape[0], scenes.shape[1] * scenes.shape[2]))
     lit = _lit(scenes)
+    values: Array
     if lit is None:
-        return flat @ transfer(region)
+        values = flat @ transfer(region)
+        return values
     rows, columns = lit
-    top, left = int(rows.min()), int(columns.min())
-    height, width = int(rows.max()) - top + 1, int(columns.max()) - left + 1
+    top, left = int(xp.min(rows)), int(xp.min(columns))
+    height, width = int(xp.max(rows)) - top + 1, int(xp.max(columns)) - left + 1
     matrix = transfer(Region(region.top + top, region.left + left, height, width))
-    wanted = matrix.index_select(0, (rows - top) * width + (columns - left))
-    return flat.index_select(1, rows * region.columns + columns) @ wanted
+    wanted: Array = xp.take(matrix, (rows - top) * width + (columns - left), axis=0)
+    seen: Array = xp.take(flat, rows * region.columns + columns, axis=1)
+    values = seen @ wanted
+    return values
 
 
-def _lit(scenes: Tensor) -> tuple[Tensor, Tensor] | None:
+def _lit(scenes: Array) -> tuple[Array, Array] | None:
     """Rows and columns of the pixels that are lit in any scene, unless they are most or none."""
     # An accelerator would have to wait for their number, and its product is short as it is. A
     # gradient with respect to the scenes is asked for at black pixels too.
-    if scenes.device.type != "cpu" or scenes.requires_grad or not len(scenes):
+    if str(device(scenes)) != "cpu" or needs_gradient(scenes) or not scenes.shape[0]:
         return None
-    lit = scenes.amax(0).ne(0) | scenes.amin(0).ne(0)
-    rows, columns = lit.nonzero(as_tuple=True)
-    return (rows, columns) if 0 < len(rows) <= MOSTLY_LIT * lit.numel() else None
+    xp = namespace(scenes)
+    lit = (xp.max(scenes, axis=0) != 0) | (xp.min(scenes, axis=0) != 0)
+    rows, columns = xp.nonzero(lit)
+    count = lit.shape[0] * lit.shape[1]
+    return (rows, columns) if 0 < rows.shape[0] <= MOSTLY_LIT * count else None

@@ -9,9 +9,9 @@ import torch
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.captures import Prediction, Release
+from veilcam_optics.arrays import overwrite
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.decoding import Decoder
-from veilcam_optics.decoding.decoder import overwrite
 from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import KEY_BYTES, draw_levels

@@ -40,7 +40,7 @@ def smooth_scenes(count: int, seed: int) -> Tensor:
 
 def make_decoding(precision: Precision = Precision.MIXED) -> SceneDecoding:
     statistics = fit_statistics([smooth_scenes(3000, 0)], 60)
-    operator = TransferOperator(CAMERA, SCENE, EMBEDDING, dtype=precision.products)
+    operator = TransferOperator(CAMERA, SCENE, EMBEDDING, dtype=getattr(torch, precision.products))
     return SceneDecoding(operator, statistics, precision=precision)
 
 
@@ -54,7 +54,7 @@ def make(decoding: SceneDecoding, name: str, count: int = 400) -> tuple[Decoder,
     weights = to_weights(draw_levels(key_of(name), camera=CAMERA), CAMERA.panel)
     decoder = decoding.prepare(weights)
     random = torch.Generator().manual_seed(len(name))
-    dtype = decoding.precision.products
+    dtype = decoding.operator.dtype
     scenes = smooth_scenes(count, 1000 + len(name)).to(dtype)
     measurements = decoding.operator.embed(scenes, weights.to(dtype)).float()
     return decoder, shot_noise(measurements, 40.0, random)

@@ -54,7 +54,7 @@ class Yellowing(Effect):
 
     def collected(self, values: Tensor, axes: tuple[int, ...], model: Model) -> Tensor:
         """Light on the sensor by (1 - share)^4."""
-        assert {values.shape[axis] for axis in axes} & {*EMBEDDING.shape, EMBEDDING.size, 80}
+        assert {values.shape[axis] for axis in axes} & {*EMBEDDING.shape, EMBEDDING.size, 12, 8}
         return values * (1 - _share(model)) ** 4
 
     def electrons(

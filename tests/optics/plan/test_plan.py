@@ -14,7 +14,7 @@ from torch import Tensor
 from typer.testing import CliRunner
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import IDEAL, Conditions, Imperfections
+from veilcam_optics.camera.imperfections import IDEAL, PARAXIAL, Conditions, Imperfections
 from veilcam_optics.cli.main import app
 from veilcam_optics.effects import EFFECTS, Model, Sampling
 from veilcam_optics.effects.model import Method
@@ -60,7 +60,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
 def test_measured_error_is_about_the_predicted(panel: Panel, tolerance: float) -> None:
     """Against direct integration of the whole field, for masks that the plan has not seen."""
     camera = replace(CAMERA, panel=panel)
-    chosen = plan(camera, SCENE, EMBEDDING, tolerance)
+    chosen = plan(camera, SCENE, EMBEDDING, tolerance, PARAXIAL)
     masks = [mask(camera, seed) for seed in (11, 12)]
     measured = torch.stack([chosen.transfer(weights) for weights in masks]).double()
     truth = torch.stack(
@@ -108,7 +108,7 @@ def test_no_cheaper_dial_would_have_done() -> None:
 
 
 def test_plan_equals_no_plan() -> None:
-    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3)
+    chosen = plan(CAMERA, SCENE, EMBEDDING, 1e-3, PARAXIAL)
     sampling = chosen.model.sampling
     plain = TransferOperator(CAMERA, SCENE, EMBEDDING, reach=sampling.reach, step=sampling.step)
     scenes = torch.rand(3, 5, 4, generator=torch.Generator().manual_seed(0))
@@ -143,6 +143,7 @@ def test_operator_learns_through_a_plan() -> None:
         loss = (chosen.operator(weights) - wanted).square().sum() / wanted.square().sum()
         torch.autograd.backward(loss)
         optimiser.step()
+        weights.data.clamp_(0, 1)
         losses.append(float(loss.detach()))
     assert losses[-1] < losses[0] / 20
 
@@ -378,3 +379,74 @@ def test_a_method_that_is_asked_for_is_the_one_that_is_chosen(method: Method) ->
     chosen = plan(CAMERA, SCENE, EMBEDDING, 0.05, method=method)
     assert chosen.model.sampling.method == method
     assert chosen.reached
+
+
+def test_where_shadows_do_every_other_effect_is_still_judged() -> None:
+    """One pixel as large as the sensor needs no diffraction; its filters take two thirds."""
+    chosen = plan(Camera(), Scene(), Embedding(1, 1), 0.1)
+    on = {found.name: found.error for found in chosen.assessments if found.matters}
+    assert not chosen.model.sampling.diffraction
+    assert on["colour filters"] > 1
+    assert on["dead space"] > 0.1
+    weights = mask(Camera())
+    exact = TransferOperator(Camera(), Scene(), Embedding(1, 1), dtype=torch.float64)(weights)
+    assert relative(chosen.transfer(weights).double(), exact) < 0.1
+
+
+def test_a_sensor_a_micrometre_behind_the_mask_sees_shadows() -> None:
+    """Each pixel's light is that of the part of the mask in front of it, in closed form."""
+    near = replace(CAMERA, distance=1e-6, sensor=Sensor(24, 24, pixel=73e-6 / 8))
+    chosen = plan(near, Scene(1, 1, height=1e-3), Embedding(1, 1), 1e-2, PARAXIAL)
+    weights = torch.ones(near.mask_shape, dtype=torch.float64)
+    side = 24 * 73e-6 / 8
+    open_y = _open(near.row_centres, near.panel.aperture_y, side)
+    open_x = _open(near.column_centres, near.panel.aperture_x, side)
+    assert float(chosen.transfer(weights)) == pytest.approx(open_y * open_x, rel=2e-2)
+
+
+def _open(centres: tuple[float, ...], width: float, side: float) -> float:
+    """Share of a line of length ``side`` around the axis that is open."""
+    ends = [
+        (max(-side / 2, centre - width / 2), min(side / 2, centre + width / 2))
+        for centre in centres
+    ]
+    return sum(max(0.0, high - low) for low, high in ends) / side
+
+
+def test_the_field_angle_of_the_scene_is_in_the_plan() -> None:
+    """At the upper edge of the default scene light is 4 % fainter than on the axis."""
+    chosen = plan(Camera(), Scene(), Embedding(3, 4), 1e-2)
+    found = {each.name: each for each in chosen.assessments}
+    assert found["field angle"].matters
+    assert 1e-2 < found["field angle"].error < 5e-2
+    transfer = chosen.transfer(mask(Camera()).float()).reshape(28, 28, -1)
+    flat = plan(Camera(), Scene(), Embedding(3, 4), 1e-2, PARAXIAL)
+    paraxial = flat.transfer(mask(Camera()).float()).reshape(28, 28, -1)
+    ratio = float(transfer[0, 14].sum() / paraxial[0, 14].sum())
+    assert ratio == pytest.approx((1 + (0.06 * 27 / 28 / 0.4) ** 2) ** -2, rel=5e-3)
+
+
+def test_light_at_large_angles_is_in_the_budget() -> None:
+    """Sub-pixels of two wavelengths spread it so far that no factored field is right."""
+    fine = Panel(
+        pitch_y=1.2e-6, pitch_x=1.2e-6, aperture_y=1.2e-6, aperture_x=1.2e-6, filter_cycle=()
+    )
+    camera = Camera(panel=fine, window=Window(4, 4), sensor=Sensor(8, 8, 1e-6), distance=2e-5)
+    chosen = plan(camera, Scene(2, 2, height=0.02), Embedding(2, 2), 1e-3, method="transfer")
+    found = {each.name: each for each in chosen.assessments}
+    assert found["non-paraxial diffraction"].error > 1e-2
+    assert not found["non-paraxial diffraction"].matters
+    assert not chosen.reached
+    assert "non-paraxial diffraction" in chosen.explain()
+
+
+def test_far_interference_that_was_not_looked_at_is_bounded() -> None:
+    """Fringes wider than pixels do not fade with what is apart: every pair may count."""
+    panel = Panel(pitch_y=3e-6, pitch_x=3e-6, aperture_y=3e-6, aperture_x=3e-6, filter_cycle=())
+    camera = Camera(panel=panel, window=Window(40, 40), sensor=Sensor(16, 16, 8e-6), distance=2e-3)
+    scene = Scene(2, 2, height=0.005)
+    chosen = plan(camera, scene, Embedding(16, 16), 1e-2, PARAXIAL)
+    weights = mask(camera)
+    truth = reference_transfer(camera, scene, Embedding(16, 16), weights, oversampling=16)
+    measured = relative(chosen.transfer(weights).double(), truth)
+    assert measured < 2 * chosen.error

@@ -235,7 +235,7 @@ def test_bad_input_is_refused_without_telling_the_weights() -> None:
     light = GridLight(CAMERA, SCENE, 1)
     secret = some_weights()
     secret[0, 0] = 1.375
-    with pytest.raises(OpticsError, match=r"weights = 1 values outside \[0, 1\]") as caught:
+    with pytest.raises(OpticsError, match=r"weights hold 1 values outside \[0, 1\]") as caught:
         light.psf(secret)
     assert "1.375" not in str(caught.value)
     with pytest.raises(OpticsError, match="NaN"):

@@ -502,7 +502,7 @@ def test_what_is_counted_unless_it_is_said_otherwise() -> None:
 def test_buffers_move_with_the_operator() -> None:
     """As a module of torch: a type or device that is asked for reaches all of it."""
     operator = TransferOperator(SMALL, SCENE, EMBEDDING, reach=Reach(3, 1))
-    names = {name.rpartition(".")[2] for name, _ in operator.named_buffers()}
+    names = {name.partition("_")[0] for name, _ in operator.named_buffers()}
     assert names == {"first", "second", "columns", "rows"}
     assert operator.double()(mask(SMALL)).dtype == torch.float64
 

@@ -69,10 +69,11 @@ class BinnedConvolution:
         )
         require(bool((psf >= 0).all()), "psf is negative or NaN somewhere: use an irradiance")
         self.scene, self.embedding, self.side, self.binning = scene, embedding, side, binning
-        pixels = scene[0] * scene[1]
         # In units of what an all-white scene sends without a mask, as all embeddings are.
-        averaged = avg_pool2d(psf.double()[None], side, 1)
-        self.kernel = (avg_pool2d(averaged, binning, 1)[0] / pixels).float().contiguous()
+        kernel = psf.double()[None] / math.prod(scene)
+        for box in ((side, 1), (1, side), (binning[0], 1), (1, binning[1])):
+            kernel = avg_pool2d(kernel, box, 1)
+        self.kernel = kernel[0].float().contiguous()
         """Response of an embedding pixel to a scene pixel, by their distance in samples."""
         self._lengths = tuple(fast_length(count) for count in self.kernel.shape)
         self._spectrum = torch.fft.rfft2(self.kernel, s=self._lengths)
@@ -103,11 +104,11 @@ class BinnedConvolution:
         (high, wide), (down, along) = self.kernel.stride(), self.binning
         strides = (self.side * high, self.side * wide, down * high, along * wide)
         pixels = self.kernel.as_strided((*self.scene, *self.embedding), strides)
-        return pixels[:, :, rows].reshape(self.scene[0] * self.scene[1], -1)
+        return pixels[:, :, rows].reshape(math.prod(self.scene), -1)
 
     def gram(self, progress: Progress | None = None) -> Tensor:
         """D H with its transpose, (scene pixels, scene pixels)."""
-        pixels = self.scene[0] * self.scene[1]
+        pixels = math.prod(self.scene)
         total = self.kernel.new_zeros(pixels, pixels)
         step = max(1, COLUMNS_AT_ONCE // self.embedding[1])
         panel = math.ceil(pixels / PANELS)
@@ -138,9 +139,7 @@ class Normal:
     def __init__(self, camera: BinnedConvolution, progress: Progress | None = None) -> None:
         self.camera = camera
         # The thinner of the two is the cheaper: A for small embeddings, its Gram matrix for others.
-        pixels = camera.scene[0] * camera.scene[1]
-        numbers = camera.embedding[0] * camera.embedding[1]
-        self._thin = 2 * numbers <= pixels
+        self._thin = 2 * math.prod(camera.embedding) <= math.prod(camera.scene)
         self._matrix = camera.matrix().contiguous() if self._thin else camera.gram(progress)
         self.of_white = camera.adjoint(torch.ones(1, *camera.embedding)).clamp_min(0)
         """A^T 1, (1, rows, columns): the share of each scene pixel in all that is measured."""
@@ -310,7 +309,7 @@ def duality_gap(
     lit = share > ROUNDING * share.max()
     excess = torch.where(lit, (slope - product - pull) / share.clamp_min(torch.finfo().tiny), 0)
     shift = excess.amax((1, 2)).clamp_min(0)
-    numbers = normal.camera.embedding[0] * normal.camera.embedding[1]
+    numbers = math.prod(normal.camera.embedding)
     variation = (weight[:, 0, 0] * differences(scenes).square().sum(0).sqrt().sum((1, 2))).double()
     inner = (scenes.double() * (product - slope).double()).sum((1, 2))
     light = (scenes * share).double().sum((1, 2))

@@ -40,7 +40,7 @@ def dump_parts(bundle: Bundle) -> dict[str, bytes]:
         }
         return {MASKS: _dump_masks(masks), WEIGHTS: _dump_tensors(weights)}
     fresh = bundle.fresh
-    statistics = fresh.statistics.to(torch.float32)
+    statistics = fresh.statistics.to("float32")
     return {
         MASKS: _dump_masks({name: getattr(fresh.distribution, name) for name in _DISTRIBUTION}),
         WEIGHTS: _dump_tensors({f"classifier.{n}": t for n, t in fresh.weights.items()}),

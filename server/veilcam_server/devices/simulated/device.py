@@ -80,7 +80,8 @@ def planned_light(
         embedding: that is read.
         imperfections: what a decoder need not know of.
     """
-    conditions = optical.Conditions(imperfections=imperfections)
+    # Decoders take the scene for paraxial, and so does what is simulated for them.
+    conditions = replace(optical.PARAXIAL, imperfections=imperfections)
     chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
     return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
 

@@ -1,0 +1,131 @@
+"""Fields of apertures in the boxes of a few offsets, and what the boxes make of their products."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.transfer.factored import aperture_fields
+from veilcam_optics.transfer.kernels import Axis
+
+_CELLS = 24
+"""Fewest cells in the box of an offset."""
+
+_NODES_IN_FRINGE = 2.2
+"""Above 2: each product of two fields is limited to a band, and these are enough to know it."""
+
+_FARTHEST = 2.0
+"""Strays over the distance that a series is asked about."""
+
+
+def box_cells(side: float, wavelength: float, distance: float, apart: float) -> int:
+    """Cells of a box of ``side`` [m] that resolve the fringes of points ``apart`` [m]."""
+    return math.ceil(max(_CELLS, _NODES_IN_FRINGE * side * apart / (wavelength * distance)))
+
+
+class BoxFields:
+    """Fields in the cells of the boxes of an axis's offsets; see :func:`~...kernels.box_kernel`.
+
+    Args:
+        axis: with diffraction, and with the offsets that are wanted.
+        of: indices of the apertures.
+        wavelength: [m].
+        reach: how far apart two apertures may be, in apertures, to be counted as interfering.
+
+    Attributes:
+        points: middles of cells [m], (offsets, cells).
+        fields: complex128 (offsets, cells, apertures).
+    """
+
+    def __init__(self, axis: Axis, of: Tensor, wavelength: float, reach: int) -> None:
+        pixel, image = axis.pixel, float(axis.image)
+        outer, inner = (pixel + image) / 2, abs(pixel - image) / 2
+        pitch = float(axis.centres[1] - axis.centres[0]) if len(axis.centres) > 1 else 0.0
+        apart = axis.width + min(reach, len(axis.centres) - 1) * pitch
+        cells = box_cells(2 * outer, wavelength, float(axis.distance), apart)
+        edges = torch.linspace(-outer, outer, cells + 1, dtype=torch.float64)
+        below = torch.zeros_like(edges)
+        for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1)):
+            below += sign * (edges - corner).clamp_min(0).square() / 2
+        self._shares = (axis.scale * below.diff())[:, None]
+        self._near = within_reach(of, reach)
+        self._axis, self._of, self._wavelength = axis, of, wavelength
+        self.points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
+        self.fields = _fields(axis, self.points, of, wavelength)
+
+    def integrated(self, one: Tensor, other: Tensor) -> Tensor:
+        """Integrals of ``kappa one[r] conj(other[s])``, (offsets, apertures, apertures)."""
+        return ((one * self._shares).mT @ other.conj()) * self._near
+
+    def strays(self, most: int) -> list[Tensor]:
+        """Fields of light times powers of its stray, as :attr:`fields`; powers 0 to ``most``.
+
+        The stray of light is how far it comes along the axis from aperture to sensor, over the
+        distance. Partial integration of ``v^n exp(i pi v^2 / (lambda D))`` leads to lower powers.
+        Light that strays by more than two distances is taken for straying by two: no series holds
+        farther out.
+        """
+        axis, wavelength, distance = self._axis, self._wavelength, float(self._axis.distance)
+        shadow = 1 / (1 + distance / float(axis.source_distance))
+        points = self.points[..., None] / distance
+        scale = wavelength * shadow / (2j * math.pi * distance)
+        edges = []
+        for side in (axis.width / 2, -axis.width / 2):
+            at = (axis.centres[self._of] + side) / distance - shadow * points
+            phase = math.pi * distance / (wavelength * shadow) * at.square()
+            wave = torch.polar(torch.full_like(phase, math.sqrt(distance / wavelength)), phase)
+            edges.append((at, wave))
+        moments = [self.fields]
+        for power in range(1, most + 1):
+            (above, wave), (below, other) = edges
+            ends = above ** (power - 1) * wave - below ** (power - 1) * other
+            if power > 1:
+                ends = ends - (power - 1) * moments[power - 2]
+            moments.append(scale * ends)
+        straight = (1 - shadow) * points
+        gap = (points - self._axis.centres[self._of] / distance).abs() - axis.width / distance / 2
+        excess = (gap / _FARTHEST).clamp_min(1)
+        found = [self.fields]
+        for power in range(1, most + 1):
+            stray = torch.zeros_like(self.fields)
+            for k in range(power + 1):
+                factor = math.comb(power, k) * (-1) ** k
+                stray += factor * straight ** (power - k) * moments[k]
+            found.append(stray / excess**power)
+        return found
+
+
+def integrals(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
+    """Integrals of ``kappa F_r conj(F_s)``, (offsets, apertures, apertures), r, s within reach."""
+    if axis.shadow:
+        return torch.diag_embed(axis.kernel(axis.fields(wavelength), of, of))
+    boxes = BoxFields(axis, of, wavelength, reach)
+    return boxes.integrated(boxes.fields, boxes.fields)
+
+
+def bends(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
+    """Second derivative by the offset of :func:`integrals`, same shape: four points of a box."""
+    outer, inner = (axis.pixel + float(axis.image)) / 2, (axis.pixel - float(axis.image)) / 2
+    corners = torch.tensor([-outer, -inner, inner, outer], dtype=torch.float64)
+    signs = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
+    fields = _fields(axis, axis.offsets[:, None] + corners, of, wavelength)
+    weighted = fields * (axis.scale * signs)[:, None]
+    return (weighted.mT @ fields.conj()) * within_reach(of, reach)
+
+
+def _fields(axis: Axis, points: Tensor, of: Tensor, wavelength: float) -> Tensor:
+    """Fields of some apertures at ``points`` (offsets, n): (offsets, n, apertures)."""
+    fields = aperture_fields(
+        points.flatten(),
+        axis.centres[of],
+        axis.width,
+        wavelength=wavelength,
+        source_distance=axis.source_distance,
+        distance=axis.distance,
+    )
+    return fields.reshape(*points.shape, len(of))
+
+
+def within_reach(of: Tensor, reach: int) -> Tensor:
+    """Which pairs of the apertures ``of`` are at most ``reach`` apart, (apertures, apertures)."""
+    return (of[:, None] - of).abs() <= reach

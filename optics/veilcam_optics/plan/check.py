@@ -1,0 +1,291 @@
+"""A check of one mask: entries of its transfer drawn at random, against the full field.
+
+Entries are drawn by how bright the plan takes them for, and half of them evenly, so that light that
+the plan misses is found. Each is integrated with every pair of sub-pixels that interferes, at the
+angle of its own scene pixel, and over its own box alone: Gauss-Legendre nodes that resolve the
+finest fringe. Nothing of the plan's kernels, reach, zones or samples is used.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.stats import t as student
+from torch import Tensor
+
+from veilcam_optics.camera.inputs import check_weights
+from veilcam_optics.effects.composition import beams, fade, shown
+from veilcam_optics.effects.light import stretch, tangents
+from veilcam_optics.effects.mask import actual_camera
+from veilcam_optics.effects.model import Model
+from veilcam_optics.effects.sensor import channel_shares
+from veilcam_optics.errors import OpticsError, require, require_count
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.factored import aperture_fields
+from veilcam_optics.transfer.operator import Beam
+
+CONFIDENCE = 0.9
+"""Of the interval."""
+
+_NOMINAL = 0.96
+"""For which it is made: of few entries with a heavy tail it holds the truth less often."""
+
+_WORK = 1e7
+"""Field values of all entries together: a second or two of one core."""
+
+_FEWEST = 8
+"""Entries below which a spread says nothing."""
+
+_NODES, _PERIODS = 48, 22.0
+"""Nodes of a panel, and fringes in it at most: n nodes integrate 2 n / pi fringes and few less."""
+
+_WAVELENGTHS, _LAYERS = 7, 7
+"""Samples of a channel's spectrum and of the scene's depth: more than any plan's five."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The error of one mask's transfer, from some of its entries.
+
+    Attributes:
+        error: relative L2 error, estimated.
+        low: lower end of its interval of confidence.
+        high: upper end.
+        confidence: of the interval.
+        entries: how many were drawn.
+    """
+
+    error: float
+    low: float
+    high: float
+    confidence: float
+    entries: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.error:.2g} ({self.low:.2g} to {self.high:.2g} with a confidence of "
+            f"{100 * self.confidence:.0f} %, from {self.entries} entries)"
+        )
+
+
+def check(
+    operator: LightOperator, asked: Model, weights: Tensor, *, entries: int = 48, seed: int = 0
+) -> Check:
+    """Estimate the relative L2 error of one mask's transfer.
+
+    The full field is Fresnel's, as every factored field is; what that leaves out of exact light
+    stands in a plan's table.
+
+    Args:
+        operator: as a plan chose it.
+        asked: what it stands for, with every effect.
+        weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
+        entries: how many to draw; fewer where that would take seconds.
+        seed: of the draw.
+
+    Raises:
+        OpticsError: the mask has another shape or holds NaN; fewer than 8 entries; a turned mask;
+            fringes too fine for 8 entries.
+    """
+    require_count("entries", entries, least=_FEWEST)
+    check_weights(weights, asked.camera)
+    turned = asked.conditions.imperfections.rotation
+    require(turned == 0, "imperfections.rotation", turned, "rad", "0: a turned mask has no check")
+    field = FullField(asked, weights)
+    entries = min(entries, int(_WORK / field.values))
+    if entries < _FEWEST:
+        raise OpticsError(
+            f"a check takes {field.values:.2g} field values for an entry: use a smaller window, "
+            "a larger distance or more embedding pixels"
+        )
+    generator = np.random.default_rng(seed)
+    count = asked.scene.rows * asked.scene.columns
+    points = generator.integers(count, size=entries)
+    rows = _rows(operator, weights, points)
+    chances = chances_of(rows)
+    pixels = np.array([generator.choice(len(chance), p=chance) for chance in chances])
+    here = np.arange(entries)
+    share = asked.conditions.imperfections.stray_light
+    # Spreading light evenly keeps the mean of a row, whose own error counts by this share at most.
+    spread = share * rows.mean(1)
+    exact = np.array(
+        [
+            (1 - share) * field.entry(int(point), int(pixel))
+            for point, pixel in zip(points, pixels, strict=True)
+        ]
+    )
+    exact += spread
+    return estimate(rows[here, pixels] - exact, exact, chances[here, pixels])
+
+
+def estimate(
+    differences: npt.NDArray[np.float64],
+    values: npt.NDArray[np.float64],
+    chances: npt.NDArray[np.float64],
+) -> Check:
+    """Relative L2 from entries drawn with known chances, and its interval: equation (10).
+
+    Each sum of squares is estimated without bias by the mean of squares over chances (Hansen and
+    Hurwitz 1943). The variance of their ratio is that of its residuals, to first order (Cochran,
+    Sampling Techniques, 3rd ed., section 6.4). A ratio of squares is skewed: the interval is
+    symmetric in its logarithm, by Student's t.
+
+    Args:
+        differences: computed minus exact, (entries,).
+        values: exact, (entries,).
+        chances: of each entry, up to a common factor, (entries,).
+    """
+    count = len(values)
+    above, below = differences**2 / chances, values**2 / chances
+    if not below.any():
+        error = float(bool(above.any()))
+        return Check(error, error, error, CONFIDENCE, count)
+    ratio = above.mean() / below.mean()
+    if not ratio:
+        return Check(0.0, 0.0, 0.0, CONFIDENCE, count)
+    residuals = above - ratio * below
+    deviation = math.sqrt((residuals**2).sum() / (count * (count - 1))) / below.mean()
+    quantile = float(student.ppf((1 + _NOMINAL) / 2, count - 1))
+    # Of a root, half the relative deviation.
+    factor = math.exp(quantile * deviation / ratio / 2)
+    error = math.sqrt(ratio)
+    return Check(error, error / factor, error * factor, CONFIDENCE, count)
+
+
+class FullField:
+    """Entries of a mask's transfer with all that interferes, equation (6), one at a time; float64.
+
+    Args:
+        model: every effect that is asked for.
+        weights: amplitudes asked of the panel.
+    """
+
+    def __init__(self, model: Model, weights: Tensor) -> None:
+        sampled = model.with_sampling(wavelengths=_WAVELENGTHS, layers=_LAYERS)
+        self.model, self.camera = model, actual_camera(model)
+        self.beams = [b for b in beams(sampled) if bool(channel_shares(model)[b.channel].any())]
+        self.weights = shown(model, weights.detach().double())
+        self.fade, self.shares = fade(model), channel_shares(model)
+        self.tangents = tangents(model)
+        self.amplitudes = [
+            torch.tensor(self.camera.row_amplitudes(channel), dtype=torch.float64)
+            for channel in range(3)
+        ]
+        nodes, shares = np.polynomial.legendre.leggauss(_NODES)
+        self._nodes, self._shares = torch.from_numpy(nodes), torch.from_numpy(shares)
+
+    @property
+    def values(self) -> float:
+        """Field values of one entry."""
+        panel, sensor, embedding = self.camera.panel, self.camera.sensor, self.model.embedding
+        total = 0.0
+        for beam in self.beams:
+            image = self._image(beam)
+            open_rows = float(self.amplitudes[beam.channel].count_nonzero())
+            for apertures, pitch, box in (
+                (open_rows, panel.pitch_y, sensor.height / embedding.rows),
+                (self.camera.window.columns, panel.pitch_x, sensor.width / embedding.columns),
+            ):
+                lit = self.camera.window.rows if pitch is panel.pitch_y else apertures
+                fringes = (box + image) * lit * pitch / self._period(beam)
+                total += apertures * _NODES * (3 + fringes / _PERIODS)
+        return total
+
+    def entry(self, point: int, pixel: int) -> float:
+        """Light from scene pixel ``point`` in embedding pixel ``pixel``, both counted by rows."""
+        row, column = divmod(point, self.model.scene.columns)
+        down, across = divmod(pixel, self.model.embedding.columns)
+        along_y, along_x = (
+            float(factor) for factor in stretch(self.tangents[0][row], self.tangents[1][column])
+        )
+        total = 0.0
+        for beam in self.beams:
+            amplitudes = self.amplitudes[beam.channel]
+            passed = amplitudes.nonzero().flatten()
+            if not len(passed):
+                continue
+            y = self._products(beam, 0, row, down, along_y)[passed][:, passed]
+            x = self._products(beam, 1, column, across, along_x)
+            mask = (amplitudes[passed, None] * self.weights[passed]).to(y.dtype)
+            # sum over r, s, c, d of y[r, s] w[r, c] w[s, d] x[c, d]
+            light = float(((mask.T @ y @ mask) * x).sum().real)
+            total += beam.share * float(self.shares[beam.channel, down, across]) * light
+        return total if self.fade is None else total * float(self.fade[row, column])
+
+    def _products(self, beam: Beam, axis: int, point: int, pixel: int, stretched: float) -> Tensor:
+        """Means of products of aperture fields over one box, complex128 (apertures, apertures)."""
+        camera, scene, embedding = self.camera, self.model.scene, self.model.embedding
+        built = self.model.conditions.imperfections
+        panel, sensor = camera.panel, camera.sensor
+        centres, width, shift = (
+            (camera.row_centres, panel.aperture_y, built.shift_y),
+            (camera.column_centres, panel.aperture_x, built.shift_x),
+        )[axis]
+        side = (sensor.height, sensor.width)[axis] / embedding.shape[axis]
+        image = self._image(beam)
+        middle = (pixel - (embedding.shape[axis] - 1) / 2) * side
+        # A scene point at s falls at -s d2/d1.
+        middle += (point - (scene.shape[axis] - 1) / 2) * image
+        wavelength = float(beam.wavelength) * stretched
+        extent = centres[-1] - centres[0] + width
+        fringe = wavelength * camera.distance / extent
+        at, shares = self._quadrature(side, image, fringe)
+        fields = aperture_fields(
+            middle + at,
+            torch.tensor(centres, dtype=torch.float64) + shift,
+            width,
+            wavelength=wavelength,
+            source_distance=self._distance(beam),
+            distance=camera.distance,
+        )
+        return (fields * shares[:, None]).T @ fields.conj() / scene.shape[axis]
+
+    def _quadrature(self, side: float, image: float, fringe: float) -> tuple[Tensor, Tensor]:
+        """Nodes around a box's middle [m], and their shares: the trapezoid of equation (4)."""
+        outer, inner = (side + image) / 2, abs(side - image) / 2
+        edges = [-outer]
+        for low, high in ((-outer, -inner), (-inner, inner), (inner, outer)):
+            panels = max(1, math.ceil((high - low) / fringe / _PERIODS))
+            edges += [low + (high - low) * (k + 1) / panels for k in range(panels)]
+        ends = torch.tensor(edges, dtype=torch.float64)
+        half = ends.diff()[:, None] / 2
+        at = (ends[:-1, None] + half * (1 + self._nodes)).flatten()
+        height = ((outer - at.abs()) / (outer - inner)).clamp(0, 1) / max(side, image)
+        return at, (half * self._shares).flatten() * height
+
+    def _image(self, beam: Beam) -> float:
+        return self.model.scene.pixel * self.camera.distance / self._distance(beam)
+
+    def _distance(self, beam: Beam) -> float:
+        return self.model.scene.distance if beam.scene_distance is None else beam.scene_distance
+
+    def _period(self, beam: Beam) -> float:
+        return float(beam.wavelength) * self.camera.distance
+
+
+def _rows(
+    operator: LightOperator, weights: Tensor, points: npt.NDArray[np.int64]
+) -> npt.NDArray[np.float64]:
+    """The transfer's rows of some scene pixels by whatever method, (points, embedding pixels)."""
+    scene = operator.model.scene
+    lit = torch.zeros(len(points), scene.rows * scene.columns, dtype=operator.dtype)
+    lit[torch.arange(len(points)), torch.from_numpy(points)] = 1
+    with torch.no_grad():
+        response = operator.response(weights)
+        values = operator.collect(lit.reshape(-1, *scene.shape), response)
+    rows: npt.NDArray[np.float64] = values.flatten(1).double().numpy()
+    return rows
+
+
+def chances_of(
+    rows: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float64]:
+    """Chance of each entry of a row: half evenly, half by its square."""
+    squares = rows**2
+    sums = squares.sum(1, keepdims=True)
+    even = np.full_like(rows, 1 / rows.shape[1])
+    bright = np.divide(squares, sums, out=even.copy(), where=sums > 0)
+    chances: npt.NDArray[np.float64] = (even + bright) / 2
+    return chances

@@ -1,0 +1,187 @@
+"""What Fresnel's approximation leaves out of exact light, to first order: equation (12).
+
+Around the ray from a scene point, exact light is a power series in how far it strays from there. A
+power along y times one along x is behind each aperture a product of one-dimensional fields, as the
+field itself is. So a probe measures what is left out with all that interferes, and where light is
+seen: in a dark gap, say, that is light which an edge sends off at a large angle.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from veilcam_optics.effects.light import scene_pixel_tangent
+from veilcam_optics.effects.model import Model
+from veilcam_optics.plan.boxes import BoxFields
+from veilcam_optics.plan.probe import Probe, pair_products, relative
+
+_MOST = 4
+"""Highest power: of the phase; of the amplitude the second."""
+
+_WIDE, _PARTS, _FEWER = 0.1, 5, 2
+"""Scene pixels from so wide an angle on [rad] are looked at in more parts along each axis."""
+
+Series = dict[tuple[int, int], Tensor]
+"""Factors of strays over the distance along y and x, by their powers; (offsets y, offsets x)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rays:
+    """From scene points through the middle of the mask: where offsets see them, (offsets y, x).
+
+    Attributes:
+        u_y: direction cosine along y.
+        u_x: along x.
+        cosine: to the axis.
+    """
+
+    u_y: Tensor
+    u_x: Tensor
+    cosine: Tensor
+
+    @classmethod
+    def of(cls, tangents_y: Tensor, tangents_x: Tensor) -> Self:
+        """Of scene points at these tangents; light goes on to where its scene point is not."""
+        cosine = (1 + tangents_y.square()[:, None] + tangents_x.square()).rsqrt()
+        return cls(-tangents_y[:, None] * cosine, -tangents_x * cosine, cosine)
+
+
+def paraxial_errors(
+    probe: Probe, model: Model, channels: Sequence[int] | None = None
+) -> tuple[float, float]:
+    """Relative L2 of a factored field, and of a grid.
+
+    Args:
+        probe: offsets where light is looked at.
+        model: with diffraction, and the reach of interference that counts.
+        channels: those that are looked at; None for all.
+    """
+    model = model.with_sampling(wavelengths=1, layers=1)
+    parts = _PARTS if scene_pixel_tangent(model) > _WIDE else 1
+    rays = Rays.of(*probe.tangents(model, parts))
+    plain, factored, grid = (probe.dark(parts) for _ in range(3))
+    for beam, scaled in probe.lights(model, channels):
+        y, x = probe.axes(model, beam, parts)
+        rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
+        wavelength, reach = float(beam.wavelength), model.sampling.reach
+        every = torch.arange(len(x.centres))
+        down = _powers(BoxFields(y, rows, wavelength, reach.rows))
+        across = _powers(BoxFields(x, every, wavelength, reach.columns))
+        found = _sums(down, across, scaled[:, rows])
+        plain += found[0, 0].real
+        turns = 2 * math.pi / wavelength * float(y.distance)
+        for of, factor in factored_series(rays, turns).items():
+            factored += 2 * (factor * found[of]).real
+        for of, factor in grid_series(rays, turns).items():
+            grid += 2 * (factor * found[of]).real
+    fade = rays.cosine**4
+    seen, factored, grid = (_whole(fade * light, parts) for light in (plain, factored, grid))
+    return tuple(_all_orders(relative(seen + change, seen)) for change in (factored, grid))  # type: ignore[return-value]
+
+
+def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> float:
+    """Relative L2 of taking a scene pixel for evenly bright, where the sensor sees some of it.
+
+    Oblique parts of it are fainter, by the fourth power of the cosine.
+    """
+    parts = _PARTS if scene_pixel_tangent(model) > _WIDE else _FEWER
+    fade = Rays.of(*probe.tangents(model, parts)).cosine ** 4
+    light = probe.transfer(model, channels=channels, parts=parts)
+    return relative(_whole(fade, parts) * _whole(light, parts), _whole(fade * light, parts))
+
+
+def _all_orders(first: float) -> float:
+    """Sum of a series of which each term is no larger a part of the last than the first is."""
+    return min(1.0, first / (1 - first)) if first < 0.5 else 1.0
+
+
+def _whole(light: Tensor, parts: int) -> Tensor:
+    """Means over the parts of scene pixels, along the last two axes."""
+    rows, columns = light.shape[-2] // parts, light.shape[-1] // parts
+    return light.reshape(*light.shape[:-2], rows, parts, columns, parts).mean((-1, -3))
+
+
+def factored_series(rays: Rays, turns: float) -> Series:
+    """What a factored field leaves out, relative to its own light.
+
+    Args:
+        rays: the light's.
+        turns: the distance from mask to sensor as a phase [rad].
+    """
+    series = _oblique(rays, turns)
+    fading, phase = -1.25 * rays.cosine**2, -1j * turns / 8 * rays.cosine**3
+    for of, factor in (
+        *(((2, 0), fading), ((0, 2), fading)),
+        *(((4, 0), phase), ((2, 2), 2 * phase), ((0, 4), phase)),
+    ):
+        series[of] = series.get(of, 0) + factor
+    return series
+
+
+def grid_series(rays: Rays, turns: float) -> Series:
+    """What a grid leaves out: it is exact on the axis, but takes ``|field|^2`` for the flux.
+
+    Its light at an angle is stretched alike along y and x.
+    """
+    series = _oblique(rays, turns)
+    uneven = -0.25j * turns * rays.cosine * (rays.u_y.square() - rays.u_x.square())
+    series[2, 0] = series[2, 0] - 0.25 * rays.cosine**2 + uneven
+    series[0, 2] = series[0, 2] - 0.25 * rays.cosine**2 - uneven
+    return series
+
+
+def _oblique(rays: Rays, turns: float) -> Series:
+    """What is left out because the ray is oblique.
+
+    With ``u`` its direction cosines, ``R`` its length and ``s`` the stray, amplitude and phase are
+    ``(R0/R)^(5/2)``, two of it the kernel's (Goodman, equation 3-41) and half the flux's, and
+    ``k (R - u s)``; of these, ``1`` and the squares along each axis are in the factored field.
+    """
+    u_y, u_x, cosine = rays.u_y, rays.u_x, rays.cosine
+    y2, x2 = u_y.square(), u_x.square()
+    square, cube, fourth = (
+        45 / 8 * cosine**2,
+        -0.5j * turns * cosine**2,
+        0.125j * turns * cosine**3,
+    )
+    mixed = u_y * u_x
+    return {
+        (1, 0): -2.5 * cosine * u_y,
+        (0, 1): -2.5 * cosine * u_x,
+        (2, 0): square * y2,
+        (0, 2): square * x2,
+        (1, 1): 2 * square * mixed - 1j * turns * cosine * mixed,
+        (3, 0): cube * u_y * (1 - y2),
+        (0, 3): cube * u_x * (1 - x2),
+        (2, 1): cube * u_x * (1 - 3 * y2),
+        (1, 2): cube * u_y * (1 - 3 * x2),
+        (4, 0): fourth * y2 * (6 - 5 * y2),
+        (0, 4): fourth * x2 * (6 - 5 * x2),
+        (3, 1): fourth * mixed * (12 - 20 * y2),
+        (1, 3): fourth * mixed * (12 - 20 * x2),
+        (2, 2): fourth * (6 * (y2 + x2) - 30 * y2 * x2),
+    }
+
+
+def _powers(boxes: BoxFields) -> Tensor:
+    """Integrals with powers of one field's stray, (powers, offsets, apertures, apertures)."""
+    return torch.stack([boxes.integrated(stray, boxes.fields) for stray in boxes.strays(_MOST)])
+
+
+def _sums(down: Tensor, across: Tensor, weights: Tensor) -> Tensor:
+    """Sums over all pairs, for every two powers.
+
+    Args:
+        down: along y, (powers, offsets y, rows, rows).
+        across: along x, (powers, offsets x, columns, columns).
+        weights: (masks, rows, columns).
+
+    Returns:
+        (powers, powers, masks, offsets y, offsets x).
+    """
+    spread = torch.stack([pair_products(one, weights, weights) for one in across])
+    return torch.einsum("aors,bmprs->abmop", down, spread)

@@ -1,0 +1,152 @@
+"""What plans say of large and oblique angles, against exact light, one class of cameras each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tests.oracle.jobs import Job, masks
+from tests.oracle.judge import computed, judge_job, truth
+
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
+from veilcam_optics.camera.imperfections import Conditions, Imperfections
+from veilcam_optics.effects.model import Method
+from veilcam_optics.plan import plan
+
+HALF_OPEN = (10, 8), (10, 8)
+
+
+def camera(
+    pitch: float, shape: tuple[int, int], side: float, distance: float, wavelength: float
+) -> Camera:
+    """Sub-pixels that are open at 0.8 of their pitch, before a square sensor; no filters."""
+    panel = Panel(
+        pitch_y=pitch,
+        pitch_x=pitch,
+        aperture_y=0.8 * pitch,
+        aperture_x=0.8 * pitch,
+        filter_cycle=(),
+    )
+    return Camera(
+        panel=panel,
+        window=Window(*shape),
+        sensor=Sensor(24, 24, side / 24),
+        distance=distance,
+        wavelengths=(wavelength,) * 3,
+    )
+
+
+def narrow(distance: float, tangent: float = 0.01) -> Scene:
+    """Two by two pixels, far away, ``tangent`` to either side."""
+    return Scene(2, 2, height=2e3 * tangent * distance, distance=1e3 * distance)
+
+
+def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
+    """Predicted and true error of a job's plan."""
+    chosen = plan(
+        job.camera, job.scene, job.embedding, job.tolerance, job.conditions, method=method
+    )
+    weights = masks(job)
+    exact, unsure = truth(job, weights, lambda _: chosen.error / 10)
+    true = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    assert unsure < true / 3
+    return chosen.error, true
+
+
+FAR = camera(30e-6, (3, 3), 150e-6, 0.5e-3, 6e-6)
+CASES = {
+    "spread by wide waves": Job(
+        FAR, narrow(0.5e-3), Embedding(3, 3), Conditions(), 1e-3, HALF_OPEN
+    ),
+    "in oblique light": Job(
+        FAR, narrow(0.5e-3, 0.3), Embedding(3, 3), Conditions(), 1e-3, HALF_OPEN
+    ),
+    "a dark gap between two apertures": Job(
+        replace(
+            camera(300e-6, (2, 1), 50e-6, 0.4e-3, 3e-6),
+            panel=Panel(
+                pitch_y=300e-6,
+                pitch_x=300e-6,
+                aperture_y=200e-6,
+                aperture_x=300e-6,
+                filter_cycle=(),
+            ),
+        ),
+        narrow(0.4e-3),
+        Embedding(1, 1),
+        Conditions(),
+        1e-3,
+        ((3, 2), (1, 1)),
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("job", CASES.values(), ids=CASES)
+def test_a_factored_field_is_as_far_from_exact_light_as_predicted(job: Job) -> None:
+    predicted, true = judged(job, "transfer")
+    assert true > 1.5e-3
+    assert true / 1.5 < predicted < 3 * true
+
+
+def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
+    """Sub-pixels of a wavelength spread light by 45 degrees, where the flux is 0.7 of it."""
+    fine = camera(6e-6, (2, 2), 60e-6, 20e-6, 5e-6)
+    job = Job(fine, narrow(20e-6), Embedding(2, 2), Conditions(), 1e-3, HALF_OPEN)
+    predicted, true = judged(job, "grid")
+    assert true > 0.02
+    assert true / 2 < predicted < 4 * true
+
+
+@pytest.mark.slow
+def test_a_wide_scene_pixel_is_seen_unevenly() -> None:
+    """The sensor sees half the image of a pixel of 45 degrees: that near the axis is brighter."""
+    near = camera(20e-6, (1, 1), 30e-6, 30e-6, 3e-6)
+    scene = Scene(1, 2, height=1.0, distance=1.0)
+    job = Job(near, scene, Embedding(1, 1), Conditions(), 1e-2, HALF_OPEN)
+    predicted, true = judged(job)
+    assert true > 0.05
+    assert true / 2 < predicted < 3 * true
+
+
+@pytest.mark.slow
+def test_apertures_turn_with_their_mask() -> None:
+    """Far away long apertures make wide patterns: turned, these alone show."""
+    panel = Panel(pitch_y=30e-6, pitch_x=90e-6, aperture_y=30e-6, aperture_x=60e-6, filter_cycle=())
+    far = replace(camera(30e-6, (1, 1), 4e-3, 40e-3, 3e-6), panel=panel)
+    turned = Conditions(imperfections=Imperfections(rotation=0.08))
+    job = Job(
+        far, Scene(1, 1, height=0.8, distance=40.0), Embedding(4, 4), turned, 1e-3, ((1, 1), (3, 2))
+    )
+    predicted, true = judged(job, "transfer")
+    assert true > 5e-3
+    assert true / 2 < predicted < 3 * true
+
+
+FAINT = camera(30e-6, (2, 2), 200e-6, 2e-3, 3e-6)
+
+
+def test_a_converter_makes_much_of_a_small_error_of_faint_light() -> None:
+    """Of light of two steps, an error of a percent turns one value in fifty by half of it."""
+    conditions = Conditions(adc_bits=8, adc_range=1.0)
+    job = Job(FAINT, narrow(2e-3), Embedding(6, 6), conditions, 1e-1, HALF_OPEN)
+    found = plan(job.camera, job.scene, job.embedding, job.tolerance, job.conditions)
+    light = plan(job.camera, job.scene, job.embedding, job.tolerance, Conditions())
+    result = judge_job(job)
+    assert result.honest
+    assert found.error > 2 * light.error
+
+
+@pytest.mark.slow
+def test_a_large_offset_calls_for_double_precision() -> None:
+    """Light of 1e-8 on a black level of 0.01 is rounded by a seventh of itself in float32."""
+    dark = camera(0.5e-6, (2, 2), 3e-6, 1e-3, 5e-6)
+    conditions = Conditions(black_level=0.01)
+    for asked, dtype in ((conditions, torch.float64), (Conditions(), torch.float32)):
+        chosen = plan(dark, narrow(2e-3), Embedding(2, 2), 1e-2, asked)
+        assert chosen.reached
+        assert chosen.model.sampling.dtype == dtype
+    job = Job(dark, narrow(2e-3), Embedding(2, 2), conditions, 1e-2, HALF_OPEN)
+    assert judge_job(job).honest
