@@ -32,8 +32,8 @@ from veilcam_training.attacks.generator import (
     PAPER,
     Design,
     FittedGenerator,
+    GeneratorTrial,
     PlaintextPairs,
-    Trial,
 )
 from veilcam_training.data import Images
 from veilcam_training.seeding import stream
@@ -118,9 +118,9 @@ def test_generator_cells_are_computed_once(
     monkeypatch.setattr(masks, "BATCH", 8)
     asked: list[tuple[int, str]] = []
 
-    def trials(pairs: int, design: generator.DesignName) -> list[Trial]:
+    def trials(pairs: int, design: generator.DesignName) -> list[GeneratorTrial]:
         asked.append((pairs, design))
-        return [Trial(batch=16, epochs=1)]
+        return [GeneratorTrial(batch=16, epochs=1)]
 
     # A tenth of few pairs is enough here.
     monkeypatch.setattr(generator, "LEAST_HELD", 2)
@@ -150,7 +150,7 @@ def test_the_design_that_is_asked_for_is_fitted(
     asked: list[Design] = []
 
     def fit(
-        learned: PlaintextPairs, check: PlaintextPairs, design: Design, tried: list[Trial]
+        learned: PlaintextPairs, check: PlaintextPairs, design: Design, tried: list[GeneratorTrial]
     ) -> FittedGenerator:
         asked.append(design)
         assert (len(learned.embeddings), len(check.embeddings)) == (20, 2)
