@@ -88,7 +88,7 @@ def command(
     test = opened.test()
     truth = gray(test, one_of_each(test, count, "generator", "test"))
     cells = Cells(work, {"source": source, "count": count, "design": design})
-    attacked = Attacked(opened, work)
+    attacked = Attacked(opened, masks_folder(work, source))
     found: dict[str, Values] = {}
     with shown_progress() as progress:
         task = progress.add_task("cells", total=len(kinds) * len(numbers))
@@ -105,6 +105,13 @@ def command(
     if pictures is not None:
         columns = [truth[:EXAMPLES], *(kept(cell["pictures"]) for cell in found.values())]
         draw(pictures / "generator.png", ["scene", *(n.replace("_", ": ") for n in found)], columns)
+
+
+def masks_folder(work: Path, source: str) -> Path:
+    """Where masks are kept that were learned for ``source``: beside the cells of all commands."""
+    folder = work.absolute().parent / f"paper-masks-{source}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder
 
 
 class Attacked:
