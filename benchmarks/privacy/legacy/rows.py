@@ -159,7 +159,6 @@ def keyless(form: Literal["flat", "raw"], setting: Setting, seed: int) -> Found:
         build=partial(convolutions, shape),
         trial=TRIALS[1],
         epochs=NETWORK_EPOCHS,
-        falling=True,
     )
     hit = judged(scores, test.vectors).argmax(1) == test.labels
     return {f"{form}_keyless_legacy": percent(hit)}

@@ -174,17 +174,3 @@ def test_a_density_of_lengths_reads_and_unit_lengths_say_nothing() -> None:
     scores = by_length_density(unit, unit, 2, width=0.2)
     others = judged(scores, directions[1000:]).argmax(1)
     assert int((others == labels[1000:]).sum()) < binom.isf(1e-4, 1000, 0.5)
-
-
-def test_a_rate_that_falls_ends_at_rest() -> None:
-    asked = noise("class", seed=1)
-    seen = Seen(asked.vectors[:256, 0], asked.labels[:256, 0])
-
-    def fitted(*, falling: bool) -> torch.Tensor:
-        # One batch: its first step has the whole rate either way.
-        fit = partial(by_network, seen, seen, 10, build=linear, trial=TRIALS[1], falling=falling)
-        one, two = (judged(fit(epochs=epochs), seen.vectors) for epochs in (1, 2))
-        moved: torch.Tensor = (two - one).norm()
-        return moved
-
-    assert float(fitted(falling=True)) < 0.75 * float(fitted(falling=False))

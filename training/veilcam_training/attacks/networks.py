@@ -7,7 +7,6 @@ from those it learned from and from those it is judged by.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, one_hot
-from torch.optim.lr_scheduler import LambdaLR
 
 from veilcam_training.errors import require
 from veilcam_training.seeding import seeded
@@ -208,7 +206,6 @@ def by_network(
     build: Build,
     trial: Trial,
     epochs: int,
-    falling: bool = False,
     progress: Progress | None = None,
 ) -> Scores:
     """Fit a network by AdamW; the epoch that does best on ``check`` counts.
@@ -220,7 +217,6 @@ def by_network(
         build: makes the network.
         trial: seed and settings.
         epochs: most that it is fitted for.
-        falling: the rate falls to 0 as a cosine: better where few epochs are many steps.
         progress: called with epochs done and to do.
     """
     pixels = learned.vectors.shape[1]
@@ -229,10 +225,6 @@ def by_network(
     with seeded(trial.seed, "network"):
         network = build(pixels, classes)
         optimiser = torch.optim.AdamW(network.parameters(), trial.rate, weight_decay=trial.decay)
-        steps = epochs * -(-len(learned.labels) // _BATCH)
-        schedule = LambdaLR(
-            optimiser, lambda step: (1 + math.cos(math.pi * step / steps)) / 2 if falling else 1.0
-        )
         best, kept = np.inf, network.state_dict()
         for epoch in range(epochs):
             network.train()
@@ -242,7 +234,6 @@ def by_network(
                 loss = cross_entropy(network(inputs(batch.vectors, scale)), batch.labels)
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimiser.step()
-                schedule.step()
             network.eval()
             logits = judged(lambda each: network(inputs(each, scale)), check.vectors)
             found = float(cross_entropy(logits, check.labels))
