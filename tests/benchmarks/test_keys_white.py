@@ -18,11 +18,11 @@ from benchmarks.privacy.keys.released import (
     chunk_path,
     collect,
     load,
-    whitened_lengths,
     write_chunk,
 )
 from benchmarks.privacy.keys.scenes import Question, Scene, Scenes, Stock, load_scenes, pink_noise
 from tests.server.conftest import make_fresh_bundle
+from tests.training.attacks.legacy import white_lengths
 
 from veilcam_server.masks.fresh import FreshReader
 from veilcam_server.masks.source import Mask
@@ -120,7 +120,7 @@ def test_lengths_are_those_that_whitening_takes_away() -> None:
     covariance = response @ response.T + noise.diag()
     centred = measured.flatten(1).double() - decoder.mean_measurement.double()
     expected = (centred @ covariance.inverse() * centred).sum(1).sqrt()
-    torch.testing.assert_close(whitened_lengths(decoder, measured), expected)
+    torch.testing.assert_close(white_lengths(decoder, measured), expected)
 
 
 def test_an_embedding_may_have_another_shape() -> None:

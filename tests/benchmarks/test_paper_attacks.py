@@ -32,8 +32,8 @@ from veilcam_training.attacks.generator import (
     PAPER,
     Design,
     FittedGenerator,
+    GeneratorTrial,
     PlaintextPairs,
-    Trial,
 )
 from veilcam_training.data import Images
 from veilcam_training.seeding import stream
@@ -118,9 +118,9 @@ def test_generator_cells_are_computed_once(
     monkeypatch.setattr(masks, "BATCH", 8)
     asked: list[tuple[int, str]] = []
 
-    def trials(pairs: int, design: generator.DesignName) -> list[Trial]:
+    def trials(pairs: int, design: generator.DesignName) -> list[GeneratorTrial]:
         asked.append((pairs, design))
-        return [Trial(batch=16, epochs=1)]
+        return [GeneratorTrial(batch=16, epochs=1)]
 
     # A tenth of few pairs is enough here.
     monkeypatch.setattr(generator, "LEAST_HELD", 2)
@@ -133,7 +133,9 @@ def test_generator_cells_are_computed_once(
     for name in ("1_20", "1_40", "10random_20", "10random_40"):
         assert 5 < first[f"generator_psnr_{name}"] < 40
         assert first[f"generator_psnr_half_{name}"] > 0
-    assert [path.name for path in work.glob("mask*")] == ["mask-000.npy"]  # that is learned
+    learned = tmp_path / "paper-masks-faces-gender"
+    assert [path.name for path in learned.iterdir()] == ["mask-000.npy"]  # others are drawn
+    assert learned.stat().st_mode & 0o77 == 0
     assert (tmp_path / "pictures" / "generator.png").exists()
     monkeypatch.setattr(generator, "attack", refuse)
     run(kind=["1", "10random"], pairs=[20, 40])
@@ -150,7 +152,7 @@ def test_the_design_that_is_asked_for_is_fitted(
     asked: list[Design] = []
 
     def fit(
-        learned: PlaintextPairs, check: PlaintextPairs, design: Design, tried: list[Trial]
+        learned: PlaintextPairs, check: PlaintextPairs, design: Design, tried: list[GeneratorTrial]
     ) -> FittedGenerator:
         asked.append(design)
         assert (len(learned.embeddings), len(check.embeddings)) == (20, 2)

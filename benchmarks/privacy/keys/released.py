@@ -15,13 +15,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from benchmarks.privacy.keys.scenes import Question, Scene, Scenes
-from torch import Tensor
+from tests.training.attacks.legacy import white_lengths
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.captures import Release
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.decoding import Decoder
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_server.masks.fresh import FreshReader, FreshSource
@@ -102,19 +101,6 @@ class Camera:
         return measured
 
 
-def whitened_lengths(decoder: Decoder, measurements: Tensor) -> Tensor:
-    """Lengths that whitening takes away, (count,) float64: a rotation changes no length."""
-    deviation = decoder.noise.double().sqrt()
-    scaled = decoder.response.double() / deviation[:, None]
-    covariance = scaled @ scaled.T
-    covariance.diagonal().add_(1.0)
-    centred = (measurements.flatten(1).double() - decoder.mean_measurement.double()) / deviation
-    factor = torch.linalg.cholesky(covariance)
-    white: Tensor = torch.linalg.solve_triangular(factor, centred.T, upper=False)
-    lengths: Tensor = torch.linalg.vector_norm(white, dim=0)
-    return lengths
-
-
 def collect(
     camera: Camera, scenes: Scenes, *, masks: int, seed: int, legacy: bool
 ) -> dict[str, npt.NDArray[np.generic]]:
@@ -145,7 +131,7 @@ def collect(
         white = np.stack([mask.reader.whiten(each).ravel() for each in measured])
         lengths = np.zeros(len(measured))
         if legacy and isinstance(mask.reader, FreshReader):
-            lengths = whitened_lengths(mask.reader.decoder, torch.from_numpy(measured)).numpy()
+            lengths = white_lengths(mask.reader.decoder, torch.from_numpy(measured)).numpy()
         mask.erase()
         place = 0
         for question, each in drawn.items():

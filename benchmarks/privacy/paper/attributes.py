@@ -20,7 +20,7 @@ from benchmarks.privacy.paper.cells import (
     one_of_each,
     row,
 )
-from benchmarks.privacy.paper.generator import Attacked
+from benchmarks.privacy.paper.generator import Attacked, masks_folder
 from benchmarks.privacy.paper.masks import KINDS, Kind, embedded
 from scipy.stats import norm
 
@@ -41,7 +41,7 @@ from veilcam_training.seeding import stream
 
 SOURCES = ("faces-gender", "faces-smiling")
 PAIRS = (1000, 10_000)
-EPOCHS = 8
+EPOCHS = 6
 
 
 def attackers(shape: tuple[int, int]) -> list[Attacker]:
@@ -78,7 +78,7 @@ def command(
             if len(opened.labels) != 2:
                 raise typer.BadParameter(f"{name} has {len(opened.labels)} classes: use one of two")
             # All tasks share the masks of the first, as one camera does.
-            attacked = Attacked(opened, work)
+            attacked = Attacked(opened, masks_folder(work, names[0]))
             for each in kinds:
                 for number in numbers:
                     cell = f"{name.removeprefix('faces-')}_{each.name}_{number}"

@@ -39,8 +39,8 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_training.attacks.generator import (
     LIGHT,
     PAPER,
+    GeneratorTrial,
     PlaintextPairs,
-    Trial,
     best_generator,
     paper_trial,
 )
@@ -55,15 +55,15 @@ DesignName = Literal["light", "paper"]
 DESIGNS = {"light": LIGHT, "paper": PAPER}
 
 
-def trials(pairs: int, design: DesignName) -> list[Trial]:
+def trials(pairs: int, design: DesignName) -> list[GeneratorTrial]:
     """What an attacker tries: several seeds and rates where they are cheap."""
     if design == "paper":
         return [paper_trial(pairs, 50)]
     if pairs <= 100:
-        return [Trial(seed, rate=3e-3, batch=16, epochs=60) for seed in (1, 2, 3)]
+        return [GeneratorTrial(seed, rate=3e-3, batch=16, epochs=60) for seed in (1, 2, 3)]
     if pairs <= 1000:
-        return [Trial(seed, rate=rate, epochs=30) for seed, rate in ((1, 3e-3), (2, 1e-3))]
-    return [Trial(rate=3e-3, batch=64, epochs=12)]
+        return [GeneratorTrial(seed, rate=rate, epochs=30) for seed, rate in ((1, 3e-3), (2, 1e-3))]
+    return [GeneratorTrial(rate=3e-3, batch=64, epochs=12)]
 
 
 def command(
@@ -88,7 +88,7 @@ def command(
     test = opened.test()
     truth = gray(test, one_of_each(test, count, "generator", "test"))
     cells = Cells(work, {"source": source, "count": count, "design": design})
-    attacked = Attacked(opened, work)
+    attacked = Attacked(opened, masks_folder(work, source))
     found: dict[str, Values] = {}
     with shown_progress() as progress:
         task = progress.add_task("cells", total=len(kinds) * len(numbers))
@@ -105,6 +105,13 @@ def command(
     if pictures is not None:
         columns = [truth[:EXAMPLES], *(kept(cell["pictures"]) for cell in found.values())]
         draw(pictures / "generator.png", ["scene", *(n.replace("_", ": ") for n in found)], columns)
+
+
+def masks_folder(work: Path, source: str) -> Path:
+    """Where masks are kept that were learned for ``source``: beside the cells of all commands."""
+    folder = work.absolute().parent / f"paper-masks-{source}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder
 
 
 class Attacked:

@@ -12,8 +12,8 @@ from veilcam_training.attacks.generator import (
     LIGHT,
     PAPER,
     Design,
+    GeneratorTrial,
     PlaintextPairs,
-    Trial,
     best_generator,
     build_generator,
     fit_generator,
@@ -69,7 +69,7 @@ def test_pictures_of_any_size_come_out() -> None:
 def test_a_generator_learns_what_embeddings_tell() -> None:
     """Two numbers make the picture, and both are in the embedding: the attack has to win."""
     test = telling(200, 3)
-    trial = Trial(rate=3e-3, batch=16, epochs=30)
+    trial = GeneratorTrial(rate=3e-3, batch=16, epochs=30)
     fitted = fit_generator(telling(300, 1), telling(50, 2), SMALL, trial)
     gained = mean_picture_advantage(
         fitted.estimate(test.embeddings), test.pictures, test.pictures.mean(0)
@@ -93,7 +93,9 @@ def test_a_generator_gains_nothing_where_nothing_is_told() -> None:
         drawn = torch.randn(count, 20, generator=torch.Generator().manual_seed(100 + seed))
         return PlaintextPairs(drawn / drawn.norm(dim=1, keepdim=True), scenes)
 
-    fitted = fit_generator(silent(300, 1), silent(50, 2), SMALL, Trial(batch=16, epochs=10))
+    fitted = fit_generator(
+        silent(300, 1), silent(50, 2), SMALL, GeneratorTrial(batch=16, epochs=10)
+    )
     test = silent(2000, 3)
     found = (fitted.estimate(test.embeddings) - test.pictures).square().mean((1, 2))
     mean = (torch.full(SHAPE, 0.5) - test.pictures).square().mean((1, 2))
@@ -103,8 +105,8 @@ def test_a_generator_gains_nothing_where_nothing_is_told() -> None:
 
 def test_settings_change_the_fit_and_the_best_trial_is_taken() -> None:
     learned, check = telling(33, 1), telling(20, 2)  # batches of 16, 16 and 1
-    slow = Trial(rate=1e-7, batch=16, epochs=2)
-    quick = Trial(rate=1e-2, batch=16, epochs=4)
+    slow = GeneratorTrial(rate=1e-7, batch=16, epochs=2)
+    quick = GeneratorTrial(rate=1e-2, batch=16, epochs=4)
     told: list[tuple[int, int]] = []
     best = best_generator(learned, check, SMALL, [slow, quick], lambda *each: told.append(each))
     assert best.trial == quick

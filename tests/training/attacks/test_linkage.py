@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from veilcam_training.attacks.intervals import linkage_gain
 from veilcam_training.attacks.linkage import (
     Link,
     blocks_of,
     by_cosines,
+    by_known_lengths,
+    by_known_spread,
+    by_lengths,
     by_metric,
     by_network,
     first_ranks,
@@ -98,3 +104,44 @@ def test_blocks_hold_neighbours_as_pairs() -> None:
     assert first.shape == (10, 5, 1)
     np.testing.assert_array_equal(second - first, 1)
     assert blocks_of(vectors)[0].shape == (5, 10, 1)
+
+
+def luck(first: Tensor) -> float:
+    """By how much an area over such pairs leaves one half less than once in ten thousand times.
+
+    Of so many same pairs and many times as many others, an area has a deviation of at most
+    1 / sqrt(12 same pairs), and a little more for the others (Hanley and McNeil 1982).
+    """
+    pairs = first.shape[0] * first.shape[1]
+    return 1.1 * float(norm.isf(5e-5)) / math.sqrt(12 * pairs)
+
+
+def test_what_masks_change_is_divided_out_of_cosines() -> None:
+    learned, asked = captures(1, leaking=True), captures(2, leaking=True)
+    plain = partial(by_cosines, mean=torch.zeros(PIXELS))
+    link = by_known_spread(learned, ridge=1e-3)
+    # What is alike is a hundredth of what is not; divided out, four pixels of sixteen.
+    assert link_area(link, *asked) > 0.85
+    assert link_area(plain, *asked) < 0.75
+    nothing = captures(3, leaking=False)
+    link = by_known_spread(captures(4, leaking=False), ridge=1e-3)
+    assert abs(link_area(link, *nothing) - 0.5) < luck(nothing[0])
+
+
+def test_rare_lengths_say_more() -> None:
+    def lengths(seed: int) -> tuple[Tensor, Tensor]:
+        random = torch.Generator().manual_seed(seed)
+        scenes = torch.randn(BLOCKS, 10, generator=random)
+        logs = scenes + 0.3 * torch.randn(2, BLOCKS, 10, generator=random)
+        directions = torch.randn(2, BLOCKS, 10, PIXELS, generator=random)
+        first, second = logs[..., None].exp() * normalize(directions, dim=3)
+        return first, second
+
+    learned, asked = lengths(1), lengths(2)
+    found = link_area(by_known_lengths(learned), *asked)
+    # 0.3 apart behind two masks, of scenes that differ by 1.
+    assert found > link_area(by_lengths, *asked)
+    assert found > 0.8
+    nothing = captures(3, leaking=False)
+    unit = normalize(nothing[0], dim=2), normalize(nothing[1], dim=2)
+    assert abs(link_area(by_known_lengths(unit), *unit) - 0.5) < luck(unit[0])

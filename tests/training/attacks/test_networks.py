@@ -19,6 +19,7 @@ from veilcam_training.attacks.networks import (
     Family,
     Seen,
     attackers,
+    by_length_density,
     by_network,
     convolutions,
     judged,
@@ -156,3 +157,20 @@ def test_whoever_waits_is_told_of_every_fold() -> None:
         )
         assert found.count > 0
     assert told == 2 * [(fold, FOLDS) for fold in range(1, FOLDS + 1)]
+
+
+def test_a_density_of_lengths_reads_and_unit_lengths_say_nothing() -> None:
+    random = torch.Generator().manual_seed(0)
+    labels = torch.randint(2, (2000,), generator=random)
+    logs = labels + 0.5 * torch.randn(2000, generator=random)
+    directions = torch.nn.functional.normalize(torch.randn(2000, PIXELS, generator=random))
+    seen = Seen(directions * logs.exp()[:, None], labels)
+    learned, asked = seen.take(torch.arange(1000)), seen.take(torch.arange(1000, 2000))
+    scores = by_length_density(learned, asked, 2, width=0.2)
+    right = int((judged(scores, asked.vectors).argmax(1) == asked.labels).sum())
+    # Two normal laws two deviations apart: the best that there is reads 84 %.
+    assert right > binom.isf(1 - 1e-4, 1000, 0.84) - 10
+    unit = Seen(directions[:1000], labels[:1000])
+    scores = by_length_density(unit, unit, 2, width=0.2)
+    others = judged(scores, directions[1000:]).argmax(1)
+    assert int((others == labels[1000:]).sum()) < binom.isf(1e-4, 1000, 0.5)

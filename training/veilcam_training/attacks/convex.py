@@ -35,7 +35,7 @@ CLOSING_STEPS = 100
 
 VARIATIONS = (0.0, 1e-4, 3e-4, 1e-3, 1e-2)
 STOPS = (10, 30, 100, 300)
-"""What :func:`tune` tries: beyond them nothing was better, at any size or PSF."""
+"""What :func:`tune` tries: 1,000 iterations gained nothing at 24 x 32 and at 48 x 64."""
 
 Shape = tuple[int, int]
 

@@ -68,7 +68,7 @@ LIGHT = Design((512,), 8, 2)
 
 
 @dataclass(frozen=True)
-class Trial:
+class GeneratorTrial:
     """One way to fit a generator."""
 
     seed: int = 1
@@ -79,9 +79,11 @@ class Trial:
     epochs: int = 20
 
 
-def paper_trial(pairs: int, epochs: int) -> Trial:
+def paper_trial(pairs: int, epochs: int) -> GeneratorTrial:
     """The paper's: SGD at 0.01, and batches that grow with the pairs."""
-    return Trial(1, "sgd", 0.01, 4 if pairs <= 100 else 16 if pairs <= 1000 else 32, epochs)
+    return GeneratorTrial(
+        1, "sgd", 0.01, 4 if pairs <= 100 else 16 if pairs <= 1000 else 32, epochs
+    )
 
 
 def build_generator(design: Design, numbers: int, shape: tuple[int, int]) -> nn.Sequential:
@@ -117,7 +119,7 @@ class FittedGenerator:
     estimate: Estimator
     error: float
     """Mean squared error of the pairs that were set apart."""
-    trial: Trial
+    trial: GeneratorTrial
     epochs: int
     """After which it did best."""
 
@@ -126,7 +128,7 @@ def fit_generator(
     learned: PlaintextPairs,
     check: PlaintextPairs,
     design: Design,
-    trial: Trial,
+    trial: GeneratorTrial,
     progress: Progress | None = None,
 ) -> FittedGenerator:
     """Fit a generator by the squared error; the epoch that does best on ``check`` counts.
@@ -179,7 +181,7 @@ def fit_generator(
     return FittedGenerator(estimate, best, trial, at)
 
 
-def _optimiser(network: nn.Module, trial: Trial) -> torch.optim.Optimizer:
+def _optimiser(network: nn.Module, trial: GeneratorTrial) -> torch.optim.Optimizer:
     if trial.optimiser == "sgd":
         return torch.optim.SGD(network.parameters(), trial.rate)
     return torch.optim.Adam(network.parameters(), trial.rate, fused=True)
@@ -189,7 +191,7 @@ def best_generator(
     learned: PlaintextPairs,
     check: PlaintextPairs,
     design: Design,
-    trials: Sequence[Trial],
+    trials: Sequence[GeneratorTrial],
     progress: Progress | None = None,
 ) -> FittedGenerator:
     """The trial that does best on ``check``; ``progress`` is told of trials.

@@ -208,7 +208,17 @@ def by_network(
     epochs: int,
     progress: Progress | None = None,
 ) -> Scores:
-    """Fit a network by AdamW; the epoch that does best on ``check`` counts."""
+    """Fit a network by AdamW; the epoch that does best on ``check`` counts.
+
+    Args:
+        learned: captures and answers to learn from.
+        check: to stop in time.
+        classes: how many answers there are.
+        build: makes the network.
+        trial: seed and settings.
+        epochs: most that it is fitted for.
+        progress: called with epochs done and to do.
+    """
     pixels = learned.vectors.shape[1]
     # One scale for all: what the length tells is kept.
     scale = 1 / float(learned.vectors.square().mean().sqrt())

@@ -83,7 +83,7 @@ def draw_pictures(study: Study) -> bytes:
                 axes.imshow(_as_picture(picture, shape), cmap="magma")
         axes_row[0].set_ylabel(title, rotation=0, ha="right", va="center", fontsize=13)
     stream = io.BytesIO()
-    figure.savefig(stream, dpi=110, facecolor="white", metadata={"Software": None})
+    figure.savefig(stream, dpi=200, facecolor="white", metadata={"Software": None})
     return stream.getvalue()
 
 

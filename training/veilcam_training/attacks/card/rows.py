@@ -49,7 +49,10 @@ def ciphertext_only(study: Study) -> Found:
         seen.labels.flatten(),
     )
     found = _read(study, "T1", contest.name, contest.scores, contest.shares)
-    found = found.model_copy(update={"notes": _sorted_by_mask(study)})
+    notes = _sorted_by_mask(study)
+    if study.subject.form == "raw" and not study.plan.recovered:
+        notes += ("Masks are looked for by gradient in a full card alone: it finds more.",)
+    found = found.model_copy(update={"notes": notes})
     if not study.plan.recovered or study.subject.form != "raw":
         return found
     by_mean = {
