@@ -63,7 +63,7 @@ def paraxial_errors(
     model = model.with_sampling(wavelengths=1, layers=1)
     parts = _PARTS if scene_pixel_tangent(model) > _WIDE else 1
     rays = Rays.of(*probe.tangents(model, parts))
-    plain, factored, grid = (probe.dark(parts) for _ in range(3))
+    plain, factored, grid, spread = (probe.dark(parts) for _ in range(4))
     for beam, scaled in probe.lights(model, channels):
         y, x = probe.axes(model, beam, parts)
         rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
@@ -73,14 +73,23 @@ def paraxial_errors(
         across = _powers(BoxFields(x, every, wavelength, reach.columns))
         found = _sums(down, across, scaled[:, rows])
         plain += found[0, 0].real
+        spread += rays.cosine**2 * (found[2, 0] + found[0, 2]).real
         turns = 2 * math.pi / wavelength * float(y.distance)
         for of, factor in factored_series(rays, turns).items():
             factored += 2 * (factor * found[of]).real
         for of, factor in grid_series(rays, turns).items():
             grid += 2 * (factor * found[of]).real
     fade = rays.cosine**4
-    seen, factored, grid = (_whole(fade * light, parts) for light in (plain, factored, grid))
-    return tuple(_all_orders(relative(seen + change, seen)) for change in (factored, grid))  # type: ignore[return-value]
+    seen, *changes, spread = (
+        _whole(fade * light, parts) for light in (plain, factored, grid, spread)
+    )
+    # An edge sends less light out at an angle than Fresnel's: of what strays by s the share
+    # 1 / (1 + s^2) arrives; half of that is the flux's. Where phases are off by more than a turn,
+    # their first order may hide it, and it is there all the same.
+    return tuple(  # type: ignore[return-value]
+        _all_orders(max(relative(seen + change, seen), share * relative(seen + spread, seen)))
+        for change, share in zip(changes, (1.0, 0.5), strict=True)
+    )
 
 
 def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -49,6 +50,8 @@ class Called:
     least: float = 2e-3
     camera: Camera = CAMERA
     method: Method = "transfer"
+    sampling: Mapping[str, object] = field(default_factory=dict)
+    """In the place of what others are looked at with."""
 
 
 FINE = Panel(pitch_y=3e-6, pitch_x=3e-6, aperture_y=3e-6, aperture_x=3e-6, filter_cycle=())
@@ -59,8 +62,10 @@ CALLED = {
     "diffraction": Called(),
     "non-paraxial diffraction": Called(
         panel=FINE,
-        camera=Camera(window=Window(6, 6), sensor=Sensor(16, 16, 1.5e-6), distance=60e-6),
+        camera=Camera(window=Window(6, 6), sensor=Sensor(16, 16, 1.5e-6), distance=40e-6),
         method="grid",
+        # Fine enough that nothing else tells the two apart.
+        sampling={"reach": Reach(5, 5), "step": 1e-7, "oversampling": 80.0},
     ),
     "spherical wavefront": Called(),
     "dead space": Called(),
@@ -124,7 +129,7 @@ def model_of(called: Called, **sampling: object) -> Model:
         SCENE,
         called.embedding,
         called.conditions,
-        Sampling(**{**settings, **sampling}),  # type: ignore[arg-type]
+        Sampling(**{**settings, **called.sampling, **sampling}),  # type: ignore[arg-type]
     )
 
 

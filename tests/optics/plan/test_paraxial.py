@@ -80,6 +80,14 @@ CASES = {
         1e-3,
         ((3, 2), (1, 1)),
     ),
+    "on a pixel that all of it falls on": Job(
+        camera(10e-6, (1, 1), 20e-6, 10e-6, 1e-6),
+        narrow(10e-6),
+        Embedding(1, 1),
+        Conditions(),
+        1e-3,
+        HALF_OPEN,
+    ),
 }
 
 
