@@ -43,6 +43,10 @@ def answer(name: str, lines: list[str]) -> None:
             light, ignored = zip(*found, strict=True)
             assert sorted(light) == list(light)
             assert sorted(ignored, reverse=True) == list(ignored)
+        case "break_mask":
+            (same,), (fresh,) = found
+            assert same > 0.5
+            assert fresh < 0.25
         case "own_loop":
             assert found[0][0] < 0.5
             assert found[1][1] < 0.8 * found[1][0]
