@@ -53,9 +53,9 @@ README: Figures = {
         "{:.2f} x",
     ),
     "step_peak_rss_mb": ("optics", "memory of that step, at its peak", "{:.0f} MB"),
-    "plan_honest_fraction": (
+    "oracle_honest_fraction": (
         "optics",
-        "plans whose measured error is at most twice the predicted one, pitch 40 to 110 um",
+        "plans whose error against exact light is at most twice the predicted one, any camera",
         "{:.3f}",
     ),
     "plan_worst_time_over_best": (
@@ -433,10 +433,129 @@ ATTRIBUTES: Figures = {
     for pairs in (1000, 10_000)
 }
 
+HONESTY: Figures = {
+    "oracle_jobs": ("optics", "random cameras, scenes and conditions", "{:.0f}"),
+    "oracle_honest_fraction": (
+        "optics",
+        "of those judged: true error at most twice the predicted one",
+        "{:.3f}",
+    ),
+    "oracle_worst_reached_ratio": (
+        "optics",
+        'worst plan that says "reached": true error over the predicted one, or tolerance / 10',
+        "{:.1f}",
+    ),
+    "oracle_sharpness_median": ("optics", "predicted over true error, median", "{:.1f}"),
+    "oracle_sharpness_95": ("optics", "predicted over true error, 95 % below", "{:.0f}"),
+    "oracle_reached_fraction": (
+        "optics",
+        'plans that say "reached", of those that the finest setting reaches',
+        "{:.3f}",
+    ),
+    "oracle_unjudged_fraction": ("optics", "refused, or the oracle is not sure", "{:.3f}"),
+    "default_scene_exact_error": (
+        "optics",
+        "default camera and scene, tolerance 1e-2: true error",
+        "{:.1e}",
+    ),
+    "exact_honest_fraction": ("optics", "100 everyday cameras: honest", "{:.3f}"),
+    "plan_cpu_ms": ("optics", "planning the default job, fresh process, CPU", "{:.0f} ms"),
+}
+
+LIMIT: Figures = {
+    "transfer_over_matmul": (
+        "optics",
+        "a mask's transfer over the largest of its products of matrices",
+        "{:.2f} x",
+    ),
+    "mask_batch_speedup": ("optics", "64 masks at once over one by one, 3 x 4", "{:.1f} x"),
+    "numpy_torch_max_difference": (
+        "optics",
+        "NumPy against torch: transfers, decoded scenes, releases, relative",
+        "{:.1e}",
+    ),
+}
+
+TOLERANCE: Figures = {
+    f"tolerance_{kind}_{way}": ("optics", f"{kind} mask, light in a fit: {words}", "{:.1f} %")
+    for kind in ("learned", "fixed")
+    for way, words in {
+        "shadows_of_whole_cells_gray": "shadows of whole cells, gray",
+        "shadows_without_dead_space": "shadows without dead space",
+        "shadows": "shadows",
+        "all_but_interference": "all but interference",
+        "nearest_interference": "nearest interference",
+        "all": "all",
+        "all_but_interference_all_at_the_end": "all in the last quarter alone",
+    }.items()
+}
+
+THREATS = {
+    "T0": ("digits read with the key, at least", "{:.1f} %"),
+    "T1": ("T1, points above chance", "{:.1f}"),
+    "T2": ("T2, points", "{:.1f}"),
+    "T3": ("T3, points", "{:.1f}"),
+    "T4": ("T4, points", "{:.1f}"),
+    "T5": ("T5, points", "{:.1f}"),
+    "T6": ("T6", "{:.1f} dB"),
+    "T7": ("T7, points", "{:.1f}"),
+    "T8": ("T8, AUC less one half", "{:.3f}"),
+    "T9": ("T9, AUC less one half", "{:.3f}"),
+}
+CARDS: Figures = {
+    f"card_{mode}_{row}": ("privacy", f"{words}, {what}", pattern)
+    for row, (what, pattern) in THREATS.items()
+    for mode, words in {
+        "fresh": "fresh, `white`",
+        "pairs1": "1 pair, `raw`",
+        "pairs10": "10 pairs, `raw`",
+        "pairs100": "100 pairs, `raw`",
+        "random": "random masks, `raw`",
+    }.items()
+} | {"card_quick_minutes": ("privacy", "a quick card, two cores", "{:.1f} min")}
+
+LEGACY: Figures = {
+    name: ("privacy", words, pattern)
+    for name, (words, pattern) in {
+        "white_length_digit_legacy": ("`white` with its length: digit by length alone", "{:.1f} %"),
+        "white_length_link_auc_legacy": ("the same scene behind two masks, AUC", "{:.3f}"),
+        "white_length_rank1_legacy": ("the same among 50, rank 1", "{:.1f} %"),
+        "white_length_presence_legacy": ("whether anything is there", "{:.1f} %"),
+        "white_length_skin_legacy": ("skin of drawn faces", "{:.1f} %"),
+        "flat_keyless_legacy": ("`flat`: network trained on other keys", "{:.1f} %"),
+        "raw_keyless_legacy": ("`raw`: the same", "{:.1f} %"),
+        "flat_cosine_auc_legacy": ("`flat`: the same scene behind two masks, AUC", "{:.3f}"),
+        **{
+            f"kpa_{masks}_{known}_legacy": (f"{words}: read after {said}", "{:.1f} %")
+            for masks, words in {
+                "raw": "`raw`, random mask",
+                "learned": "`raw`, learned mask",
+                "flat": "`flat`, random mask",
+            }.items()
+            for known, said in {
+                "one_pair": "one known picture",
+                "four_pairs": "four",
+                "zero_pairs": "none, but 500 captures",
+            }.items()
+        },
+        **{
+            f"white_known_{count}_legacy": (
+                f"`white`, many captures of a mask: read with {count:,} labelled ones",
+                "{:.1f} %",
+            )
+            for count in (30, 100, 1000, 2000)
+        },
+        "white_epoch_link_auc_legacy": ("the same scene behind one mask, AUC", "{:.3f}"),
+    }.items()
+}
+
 PAGES: dict[str, list[Figures]] = {
     "CONTRIBUTING.md": [CHECKS],
     "README.md": [README | KEYS],
-    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
+    "docs/accuracy.md": [LIMIT, TOLERANCE],
+    "docs/effects.md": [HONESTY],
+    "docs/privacy-card.md": [CARDS],
+    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES, LEGACY],
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/siege.md": [SIEGE],
