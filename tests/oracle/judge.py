@@ -32,9 +32,6 @@ LIMIT = 8.0
 _FINER_WORK = 3 * MOST_WORK
 """To which an oracle that is unsure of a job goes on: that still ends before the limit."""
 
-_TURNED = 4
-"""A turned cell is in the pixel that its middle is in: halving it tells that much too little."""
-
 _POINT = 3e-3
 """Angle up to which a scene pixel is a point without a doubt [rad]: 1e-5 of its light."""
 
@@ -108,7 +105,6 @@ def truth(job: Job, weights: Array, enough: Callable[[Array], float]) -> tuple[A
         fine = transfer(more, amplitudes[:1], finer=2 * finer, only=(0, 0))
         size = float(np.linalg.norm(fine)) or 1.0
         unsure = float(np.linalg.norm(fine - exact[:1, :1])) / size
-        unsure *= _TURNED if optics.rotation else 1
         exact = scattered(job, exact)
         optics = replace(optics, sources=optics.sources + 2 * (angle > _POINT))
         finer *= 2

@@ -231,19 +231,24 @@ def _binned(light: Light, beam: Beam, flux: Array, seen: tuple[Array, Array]) ->
     """Means over embedding pixels, blurred by a source's image: (masks, rows, columns)."""
     reduced = light.distance / beam.scene_distance / light.sources
     images = [axis.scene_pixel * reduced for axis in (light.y, light.x)]
+    cells = [at[1] - at[0] for at in seen]
     if not light.rotation:
-        rows = _trapezoids(light.y, images[0], seen[0])
-        columns = _trapezoids(light.x, images[1], seen[1])
+        rows, columns = (
+            cell * _trapezoids(axis, image, _axis(axis.pixels, 1.0)[:, None], at, cell)
+            for axis, image, at, cell in zip((light.y, light.x), images, seen, cells, strict=True)
+        )
         spread: Array = np.einsum("pn,bnm,qm->bpq", rows, flux, columns, optimize=True)
         return spread
-    world_y, world_x = _turned(seen[0][:, None], seen[1][None], light.rotation)
-    area = (seen[0][1] - seen[0][0]) * (seen[1][1] - seen[1][0])
+    turned = _turned(seen[0][:, None], seen[1][None], light.rotation)
+    # A turned cell's shadow on an axis is about a box that is as wide, root mean square.
+    cosine, sine = math.cos(light.rotation), math.sin(light.rotation)
+    widths = [math.hypot(one * cosine, other * sine) for one, other in (cells, cells[::-1])]
     found = np.empty((len(flux), light.y.pixels, light.x.pixels))
-    for p in range(light.y.pixels):
-        along_y = _trapezoid(light.y, images[0], p, world_y)
-        for q in range(light.x.pixels):
-            box = along_y * _trapezoid(light.x, images[1], q, world_x)
-            found[:, p, q] = area * (flux * box).sum((1, 2))
+    for p, middle_y in enumerate(_axis(light.y.pixels, 1.0)):
+        along_y = cells[0] * _trapezoids(light.y, images[0], middle_y, turned[0], widths[0])
+        for q, middle_x in enumerate(_axis(light.x.pixels, 1.0)):
+            along_x = cells[1] * _trapezoids(light.x, images[1], middle_x, turned[1], widths[1])
+            found[:, p, q] = (flux * along_y * along_x).sum((1, 2))
     return found
 
 
@@ -253,27 +258,22 @@ def _turned(y: Array | float, x: Array | float, angle: float) -> tuple[Array, Ar
     return y * cosine + x * sine, x * cosine - y * sine  # type: ignore[return-value]
 
 
-def _trapezoid(axis: Axis, image: float, pixel: int, at: Array) -> Array:
-    """Density of an embedding pixel's mean, blurred by a box as long as ``image``."""
+def _trapezoids(axis: Axis, image: float, middle: Array | float, at: Array, width: float) -> Array:
+    """Density of an embedding pixel's mean, blurred by a box as long as ``image``.
+
+    Its middle is in pixels from the sensor's.
+
+    It is the mean over ``width``, and so exact for light that is even over so much.
+    """
     side = axis.sensor / axis.pixels
-    away = np.abs(at - (pixel - (axis.pixels - 1) / 2) * side)
+    away = at - middle * side
     outer, inner = (side + image) / 2, abs(side - image) / 2
-    height = min(1 / side, 1 / image)
-    return np.clip((outer - away) / (outer - inner), 0, 1) * height
-
-
-def _trapezoids(axis: Axis, image: float, at: Array) -> Array:
-    """What each cell counts for each embedding pixel, exact for light that is even on a cell."""
-    side, cell = axis.sensor / axis.pixels, at[1] - at[0]
-    centres = (np.arange(axis.pixels) - (axis.pixels - 1) / 2) * side
-    edges = np.append(at - cell / 2, at[-1] + cell / 2) - centres[:, None]
-    outer, inner = (side + image) / 2, abs(side - image) / 2
-    below = sum(
-        sign * np.clip(edges - corner, 0, None) ** 2 / 2
-        for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1))
-    )
-    shares: Array = np.diff(below, axis=1) / (side * image)
-    return shares
+    found = np.zeros_like(away)
+    for end, (sign, corner) in itertools.product(
+        (1, -1), ((1, -outer), (-1, -inner), (-1, inner), (1, outer))
+    ):
+        found += end * sign * np.clip(away + end * width / 2 - corner, 0, None) ** 2 / 2
+    return found / (side * image * width)
 
 
 def _openings(axis: Axis, cells: int) -> Array:
