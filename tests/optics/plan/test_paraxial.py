@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.oracle.jobs import Job, masks
+from tests.oracle.jobs import Job, draw, masks
 from tests.oracle.judge import computed, judge_job, truth
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
@@ -97,6 +97,16 @@ def test_a_factored_field_is_as_far_from_exact_light_as_predicted(job: Job) -> N
     predicted, true = judged(job, "transfer")
     assert true > 1.5e-3
     assert true / 1.5 < predicted < 3 * true
+
+
+@pytest.mark.slow
+def test_shadows_miss_what_edges_lose() -> None:
+    """Of one aperture 49 waves wide, on a pixel that is twenty distances wide."""
+    seed = 3000054
+    result = judge_job(draw(seed), seed=seed)
+    assert result.method == "shadow"
+    assert result.true > 5e-3
+    assert result.true / 2 < result.predicted < 3 * result.true
 
 
 def test_a_grid_takes_oblique_flux_for_all_of_it() -> None:
