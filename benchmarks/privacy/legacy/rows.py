@@ -18,13 +18,7 @@ from torch import Tensor
 from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_training.attacks.known_pairs import KernelRidge, Mask, Reader, hits, tuned
-from veilcam_training.attacks.linkage import (
-    by_known_lengths,
-    by_known_spread,
-    first_ranks,
-    link_area,
-    links,
-)
+from veilcam_training.attacks.linkage import first_ranks, link_area, links
 from veilcam_training.attacks.mask_recovery import (
     RAW,
     UNIFORM,
@@ -195,8 +189,8 @@ def cosine(setting: Setting, seed: int) -> Found:
     """``flat``: the cosine of two captures of one scene behind two masks."""
     own, victim = setting.victim(flat, seed, purpose="own"), setting.victim(flat, seed)
     first, second = _twins(setting, victim, seed, victim.capture)
-    learned = _twins(setting, own, seed + 100, own.capture)
-    link = by_known_spread(learned, ridge=0.01)
+    learned, check = (_twins(setting, own, seed + more, own.capture) for more in (100, 200))
+    link = links("products", learned, check, trials=(), epochs=0)
     return {"flat_cosine_auc_legacy": link_area(link, first, second)}
 
 
@@ -227,7 +221,10 @@ def length(setting: Setting, seed: int) -> Found:
     victim = setting.victim(white_with_length, seed)
     own = setting.victim(white_with_length, seed, purpose="own")
     first, second = _twins(setting, victim, seed, partial(_lengths, victim))
-    link = by_known_lengths(_twins(setting, own, seed + 100, partial(_lengths, own)))
+    learned, check = (
+        _twins(setting, own, seed + more, partial(_lengths, own)) for more in (100, 200)
+    )
+    link = links("length", learned, check, trials=(), epochs=0)
     figures = {
         "white_length_link_auc_legacy": link_area(link, first, second),
         "white_length_rank1_legacy": percent(first_ranks(link(first, second))),
@@ -274,10 +271,8 @@ def _drawn(setting: Setting, question: Asked, seed: int, part: str) -> tuple[Ten
         return digits * there[:, None, None], there.long()
     assert setting.faces is not None, "skin is asked of faces"
     # Whoever was learned from is not asked about.
-    split = 2 * len(setting.faces.pixels) // 3
-    chosen = torch.randint(split, (count,), generator=random)
-    if part == "test":
-        chosen = split + chosen % (len(setting.faces.pixels) - split)
+    places = setting.faces_of(judged=part == "test")
+    chosen = places[torch.randint(len(places), (count,), generator=random)]
     pixels = torch.from_numpy(setting.faces.pixels)[chosen]
     return pixels.float() / 255, torch.from_numpy(setting.faces.classes)[chosen]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import torch
 import typer
 from benchmarks.privacy.keys.options import fresh_bundle
@@ -16,13 +17,22 @@ from veilcam_optics.transfer.operator import Reach, TransferOperator
 from veilcam_server.demo_data import BUNDLE, FRESH
 from veilcam_training.attacks.leaked import doubting, read_behind
 from veilcam_training.attacks.networks import judged
-from veilcam_training.attacks.victim import FreshMasks, MaskSource, ReleaseRule, StoredMasks, Victim
+from veilcam_training.attacks.victim import (
+    SNR_DB,
+    FreshMasks,
+    MaskSource,
+    ReleaseRule,
+    StoredMasks,
+    Victim,
+)
 from veilcam_training.bundle import build_classifier, read_bundle
 from veilcam_training.data import Images, open_source
+from veilcam_training.data.base import find
 from veilcam_training.seeding import stream
 
-DOUBT = 0.01
-"""Relative error that is expected of a mask that was found."""
+DOUBT = 10 ** (-SNR_DB / 20)
+"""Relative error that is expected of a mask that was found: that of the measurements that it was
+found from. No captures are attacked to choose it."""
 
 
 class Setting:
@@ -47,6 +57,7 @@ class Setting:
         self.training, self.test = source.training(), source.test()
         self.scenes: Scenes = load_scenes(bundle.scene.shape, data, faces)
         self.faces: Stock | None = None if faces is None else load_faces(faces, bundle.scene.shape)
+        self._persons = None if faces is None else _persons(faces)
         self._classifier: nn.Module = build_classifier(fresh.layers, fresh.weights)
 
     def learned_masks(self) -> tuple[Tensor, ...]:
@@ -82,16 +93,28 @@ class Setting:
         )
 
     def face_decoding(self) -> SceneDecoding:
-        """What a camera that is to read faces knows of scenes.
+        """What a camera that is to read faces knows of scenes: of persons who are not judged.
 
         Raises:
             typer.BadParameter: there are no faces.
         """
         if self.faces is None:
             raise typer.BadParameter("there are no faces: give --faces")
-        pixels = torch.from_numpy(self.faces.pixels).float() / 255
+        pixels = torch.from_numpy(self.faces.pixels)[self.faces_of(judged=False)].float() / 255
         statistics = fit_statistics([pixels], self.decoding.statistics.rank)
         return SceneDecoding(self.decoding.operator, statistics, self.decoding.noise)
+
+    def faces_of(self, *, judged: bool) -> Tensor:
+        """Places of the faces of the last third of the persons, who are judged, or of all others.
+
+        Raises:
+            typer.BadParameter: there are no faces.
+        """
+        if self._persons is None:
+            raise typer.BadParameter("there are no faces: give --faces")
+        known = torch.unique(self._persons)
+        last = known[2 * len(known) // 3 :]
+        return (torch.isin(self._persons, last) == judged).nonzero().flatten()
 
     def digits(self, part: Images, count: int, *purpose: str | int) -> tuple[Tensor, Tensor]:
         """Scenes (count, rows, columns), all different, and which digit they show."""
@@ -109,6 +132,15 @@ class Setting:
         decoding = doubting(self.decoding, DOUBT)
         read = read_behind(decoding, weights, measurements)
         return percent(judged(self._classifier, read).argmax(1) == labels)
+
+
+def _persons(folder: Path) -> Tensor:
+    """Of each face, who it is."""
+    path = find(folder / "faces.npz", advice="give the folder that holds it as --faces")
+    with np.load(path, allow_pickle=False) as content:
+        if "identity" not in content:
+            raise typer.BadParameter(f"{path} does not say whose faces they are")
+        return torch.from_numpy(content["identity"].astype(np.int64))
 
 
 def percent(hits: Tensor) -> float:

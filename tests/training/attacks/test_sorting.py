@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 from tests.training.attacks.optics import (
     hits,
     luck,
@@ -31,7 +31,9 @@ from veilcam_training.errors import TrainingError
 MASKS = 4
 EACH = 100
 EXPONENT, GROUND = 4.0, 0.7
-"""Masks that differ, before a scene that is lit: a camera as small as this tells them apart."""
+"""Masks that differ, before a scene that is lit. The ground is 0.7 of the light of every scene, so
+that captures of one mask have nearly one direction; ``u ** 4`` varies by 1.3 of its mean, so that
+those of two masks have not. That is checked: see :func:`apart`."""
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +56,14 @@ def captures(decoding: SceneDecoding, release: ReleaseRule, seed: int) -> tuple[
     return torch.cat(parts), torch.tensor(places)
 
 
+def apart(points: Tensor, places: Tensor) -> bool:
+    """Whether balls that hold the directions of each mask do not meet: sorting can be perfect."""
+    unit = points / points.norm(dim=1, keepdim=True)
+    middles = torch.stack([unit[places == place].mean(0) for place in range(MASKS)])
+    radius = float((unit - middles[places]).norm(dim=1).max())
+    return float(torch.pdist(middles).min()) > 2 * radius
+
+
 @pytest.mark.slow
 def test_raw_captures_are_sorted_and_read(decoding: SceneDecoding) -> None:
     generator = torch.Generator().manual_seed(0)
@@ -61,7 +71,8 @@ def test_raw_captures_are_sorted_and_read(decoding: SceneDecoding) -> None:
     chosen = best_sorter(own, masks, generator)
     points, places = captures(decoding, raw, seed=9)
     groups = SORTERS[chosen](points, MASKS, generator)
-    assert adjusted_rand_index(places, groups) > 0.8
+    assert apart(points, places)
+    assert adjusted_rand_index(places, groups) == 1
     said: list[tuple[int, int]] = []
     found = recover_groups(
         decoding,
@@ -73,7 +84,7 @@ def test_raw_captures_are_sorted_and_read(decoding: SceneDecoding) -> None:
     )
     assert said == [(number + 1, MASKS) for number in range(MASKS)]
     scenes = pictures(len(points), seed=109, ground=GROUND)
-    assert hits(read_groups(decoding, points, groups, found), scenes) > 3 * luck(len(points))
+    assert hits(read_groups(decoding, points, groups, found), scenes) > luck(len(points))
     with pytest.raises(TrainingError, match="group 0 is empty"):
         recover_groups(decoding, points, groups + 1, generator=generator)
 
@@ -107,7 +118,11 @@ def test_groups_of_one_mean_are_told_apart_by_their_covariance() -> None:
     points = 0.1 * torch.randn(600, 6, generator=generator)
     points[:300, :2] += torch.randn(300, 2, generator=generator)
     points[300:, 2:4] += torch.randn(300, 2, generator=generator)
+    # Either side of a plane through the mean has half of both groups: as little as luck, see above.
     by_means = adjusted_rand_index(labels, by_directions(points, 2, generator))
-    by_both = adjusted_rand_index(labels, by_moments(points, 2, generator, rank=2, rounds=30))
-    assert by_means < 0.6
-    assert by_both > 0.8
+    assert by_means < 2 * (chi2.isf(1e-4, 1) - 1) / len(points)
+    # Bayes' rule takes the plane in which a point is farther out. Squares there are exponential
+    # with means in the ratio of 1.01 to 0.01: it errs once in 102 times.
+    found = by_moments(points, 2, generator, rank=2, rounds=30)
+    wrong = int((found != labels).sum())
+    assert min(wrong, len(points) - wrong) <= binom.isf(1e-4, len(points), 1 / 102)

@@ -301,11 +301,12 @@ def links(
 ) -> Link:
     """The member of a family that links most of ``check``, whichever way round."""
     if family == "length":
-        by_length = [by_lengths, by_known_lengths(learned)]
+        by_length: list[Link] = [by_lengths]
+        by_length += [by_known_lengths(learned, width=width) for width in (0.1, 0.2, 0.4)]
         return max(by_length, key=lambda link: abs(link_area(link, *check) - 0.5))
     mean = torch.cat(learned).flatten(0, 1).mean(0)
     tried: list[Link] = [by_products, by_distances, partial(by_cosines, mean=mean)]
-    tried += [by_known_spread(learned, ridge=ridge) for ridge in (1e-3, 1e-1)]
+    tried += [by_known_spread(learned, ridge=ridge) for ridge in (1e-3, 1e-2, 1e-1)]
     if family == "networks":
         tried = [by_network(learned, check, trial=trial, epochs=epochs) for trial in trials]
         tried += [

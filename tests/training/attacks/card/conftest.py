@@ -19,7 +19,15 @@ CAMERA = Camera(panel=Panel(), window=Window(rows=24, columns=11))
 SCENE = Scene(8, 8)
 EMBEDDING = Embedding(6, 8)
 TINY = Plan(
-    own=40, seen=80, long=6, known=40, epochs=12, trials=TRIALS[1:2], recovered=0, quick=True
+    own=40,
+    seen=80,
+    long=6,
+    own_long=10,
+    known=40,
+    epochs=12,
+    trials=TRIALS[1:2],
+    recovered=0,
+    quick=True,
 )
 """800 captures: at chance, one in four, a share has a standard error of 1.5 points."""
 

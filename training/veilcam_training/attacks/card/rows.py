@@ -14,9 +14,7 @@ from veilcam_training.attacks.card.threats import KNOWN
 from veilcam_training.attacks.clustering import adjusted_rand_index
 from veilcam_training.attacks.intervals import Gain, accuracy_gain, area_gain, linkage_gain
 from veilcam_training.attacks.linkage import link_area, links
-from veilcam_training.attacks.mask_recovery import (
-    MeanCapture,
-)
+from veilcam_training.attacks.mask_recovery import MeanCapture
 from veilcam_training.attacks.metrics import mean_picture_advantage, psnr, ssim
 from veilcam_training.attacks.networks import Seen, by_network, judged, linear, perceptron
 from veilcam_training.attacks.sorting import by_directions
@@ -41,22 +39,17 @@ def with_the_key(study: Study) -> Found:
 
 def ciphertext_only(study: Study) -> Found:
     """T1: what leaves, by attackers who learned from cameras of their own."""
-    own, seen = study.own, study.seen
-    contest = study.contest(
-        study.of_release(),
-        (own.released, own.labels),
-        seen.released.flatten(0, 1),
-        seen.labels.flatten(),
-    )
+    contest = study.blind
     found = _read(study, "T1", contest.name, contest.scores, contest.shares)
     notes = _sorted_by_mask(study)
     if study.subject.form == "raw" and not study.plan.recovered:
         notes += ("Masks are looked for by gradient in a full card alone: it finds more.",)
     found = found.model_copy(update={"notes": notes})
-    if not study.plan.recovered or study.subject.form != "raw":
+    if not KNOWN[study.subject.form]:  # one capture leaves behind a mask
         return found
-    by_mean = {
-        "mask by gradient from the mean of captures": recovered(
+    given = dict(study.in_sets)
+    if study.plan.recovered and study.subject.form == "raw":
+        given["mask by gradient from the mean of captures"] = recovered(
             study,
             lambda shots: MeanCapture(
                 study.subject.decoding,
@@ -64,8 +57,7 @@ def ciphertext_only(study: Study) -> Found:
                 len(shots.captures.known.labels),
             ),
         )
-    }
-    other = of_masks(study, "T1", by_mean, f"{study.plan.known} captures of a mask, none known")
+    other = of_masks(study, "T1", given, "many captures of a mask, none known")
     worse = other if other.gain.value > found.gain.value else found
     return worse.model_copy(update={"others": found.others | other.others, "notes": found.notes})
 

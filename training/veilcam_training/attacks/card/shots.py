@@ -6,9 +6,9 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
-from veilcam_training.attacks.card.study import Shots, Study
+from veilcam_training.attacks.card.study import HELD, Shots, Study
 from veilcam_training.attacks.intervals import Gain, accuracy_gain
-from veilcam_training.attacks.known_pairs import KernelRidge, hits, readers
+from veilcam_training.attacks.known_pairs import FewNetwork, by_anchors, hits, readers
 from veilcam_training.attacks.leaked import estimates
 from veilcam_training.attacks.mask_recovery import Evidence, KnownPictures, recover_mask
 from veilcam_training.attacks.networks import judged
@@ -16,6 +16,10 @@ from veilcam_training.seeding import stream
 
 FEW = 4
 """Known pictures that a mask is looked for with."""
+RIDGES = (0.1, float("inf"))
+"""Of angles to known captures: freed of what these share, and as they are."""
+EPOCHS = 8
+"""Most that a network of such angles is fitted for."""
 
 
 class Found(BaseModel, frozen=True, extra="forbid"):
@@ -31,12 +35,22 @@ class Found(BaseModel, frozen=True, extra="forbid"):
 
 
 def known_pairs(study: Study, threat: str, known: int) -> Found:
-    """Readers of labelled captures; which of them is used is chosen behind a third of the masks."""
+    """All who know some captures of a mask, and those who know none.
+
+    Which of them is used is chosen behind a third of the masks.
+    """
     masks = [each.captures.of_first(known) for each in study.long]
+    own = [each.of_first(known) for each in study.own_long]
+    held = max(1, round(HELD * len(own)))
     tried = readers()
     if not study.plan.recovered:  # light attackers
-        tried = {name: each for name, each in tried.items() if isinstance(each, KernelRidge)}
+        tried = {name: each for name, each in tried.items() if not isinstance(each, FewNetwork)}
+    for ridge in RIDGES:
+        name = "angles to known captures" + (", freed" if ridge < float("inf") else "")
+        tried[name] = by_anchors(own[held:], own[:held], study.classes, ridge=ridge, epochs=EPOCHS)
     given = {name: hits(each, masks, study.classes) for name, each in tried.items()}
+    given |= study.in_sets
+    given[f"{study.blind.name}, one by one"] = _one_by_one(study)
     if study.plan.recovered and study.subject.form == "raw":
         few = min(known, FEW)
         given[f"mask by gradient from {few} known pictures"] = recovered(
@@ -48,6 +62,13 @@ def known_pairs(study: Study, threat: str, known: int) -> Found:
             ),
         )
     return of_masks(study, threat, given, f"{known} captures known")
+
+
+def _one_by_one(study: Study) -> Tensor:
+    """What the attacker of T1 reads, bool (masks, captures)."""
+    asked = [each.captures.asked for each in study.long]
+    read = [judged(study.blind.answer, each.vectors).argmax(1) == each.labels for each in asked]
+    return torch.stack(read)
 
 
 def of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) -> Found:

@@ -18,6 +18,7 @@ from veilcam_training.attacks.networks import (
     Seen,
     Trial,
     by_length,
+    by_length_density,
     by_means,
     by_neighbours,
     by_network,
@@ -26,6 +27,7 @@ from veilcam_training.attacks.networks import (
     linear,
     perceptron,
 )
+from veilcam_training.attacks.sets import VIEWS, SeenSets, by_sets
 from veilcam_training.data import Images
 from veilcam_training.errors import require
 from veilcam_training.seeding import stream
@@ -35,8 +37,12 @@ HELD = 0.2
 ATTACKERS = 0.6
 """Share of the pictures that attackers know; the camera sees the others."""
 
-ASKED = 100
+ASKED = 500
 """Captures that are to be read, behind each mask of many."""
+SET = 100
+"""Captures of one mask that are read together, by whoever knows nothing of them."""
+SET_EPOCHS = 12
+"""Most that a network on such sets is fitted for."""
 LEAST = 100
 """Pictures of either part."""
 
@@ -54,6 +60,8 @@ class Plan:
     """Masks of the camera itself, to be judged by."""
     long: int
     """Masks behind which many captures are taken: a third to tune by, the others to be judged."""
+    own_long: int
+    """Attackers' own masks of as many captures, to learn what these tell."""
     known: int
     """Labelled captures of each of those."""
     epochs: int
@@ -69,6 +77,7 @@ QUICK = Plan(
     own=100,
     seen=240,
     long=9,
+    own_long=30,
     known=400,
     epochs=25,
     trials=TRIALS[1:2],
@@ -76,7 +85,9 @@ QUICK = Plan(
     quick=True,
 )
 """2,400 captures: a gain of 0 is proven to be below three points."""
-FULL = Plan(own=800, seen=2400, long=60, known=1000, epochs=15, trials=TRIALS, recovered=6)
+FULL = Plan(
+    own=800, seen=2400, long=60, own_long=150, known=1000, epochs=15, trials=TRIALS, recovered=6
+)
 """24,000 captures: a gain of 0 is proven to be below one point."""
 
 
@@ -168,18 +179,63 @@ class Study:
 
     @cached_property
     def long(self) -> list[Shots]:
-        """Many captures behind each of a few masks."""
-        random, found = stream(self.seed, "long"), []
-        victim = self.subject.camera(own=False, generator=random)
-        for number in range(self.plan.long):
-            chosen = draw(self.ours, self.plan.known + ASKED, random)
-            scenes = self.ours.scenes(chosen)
-            whole = Seen(victim.capture(victim.mask(), scenes), self.ours.labels[chosen])
-            known, asked = torch.arange(len(chosen)).tensor_split([self.plan.known])
-            captures = Mask(whole.take(known), whole.take(asked))
-            found.append(Shots(captures, scenes[: self.plan.known]))
-            self.tell("masks of many captures", number + 1, self.plan.long)
+        """Many captures behind each of a few masks; the pictures that are known are the same."""
+        return self._many(self.ours, self.plan.long, own=False)
+
+    @cached_property
+    def own_long(self) -> list[Mask]:
+        """The same known pictures, and attackers' own, behind masks of attackers' own."""
+        return [each.captures for each in self._many(self.theirs, self.plan.own_long, own=True)]
+
+    def _many(self, images: Images, masks: int, *, own: bool) -> list[Shots]:
+        random, found = stream(self.seed, "long", own), []
+        chosen = draw(self.ours, self.plan.known, stream(self.seed, "known"))
+        scenes, labels = self.ours.scenes(chosen), self.ours.labels[chosen]
+        camera = self.subject.camera(own=own, generator=random)
+        what = "attackers' masks of many captures" if own else "masks of many captures"
+        for number in range(masks):
+            asked, mask = draw(images, ASKED, random), camera.mask()
+            captures = Mask(
+                Seen(camera.capture(mask, scenes), labels),
+                Seen(camera.capture(mask, images.scenes(asked)), images.labels[asked]),
+            )
+            found.append(Shots(captures, scenes))
+            self.tell(what, number + 1, masks)
         return found
+
+    @cached_property
+    def in_sets(self) -> dict[str, Tensor]:
+        """Which captures of :attr:`long` are read by whoever knows that they share a mask.
+
+        Of each view, bool (masks, captures).
+        """
+        held = max(1, round(HELD * len(self.own_long)))
+        learned, check = _sets(self.own_long[held:]), _sets(self.own_long[:held])
+        asked, found = _sets([each.captures for each in self.long]), dict[str, Tensor]()
+        for number, view in enumerate(VIEWS):
+            scores = by_sets(
+                learned,
+                check,
+                self.classes,
+                view=view,
+                trial=self.plan.trials[0],
+                epochs=SET_EPOCHS,
+            )
+            with torch.no_grad():
+                right = scores(asked.captures).argmax(2) == asked.labels
+            found[f"network on sets, {view.__name__}"] = right.reshape(self.plan.long, -1)
+            self.tell("sets of captures of a mask", number + 1, len(VIEWS))
+        return found
+
+    @cached_property
+    def blind(self) -> Contest:
+        """What leaves, read by attackers who learned from cameras of their own."""
+        return self.contest(
+            self.of_release(),
+            (self.own.released, self.own.labels),
+            self.seen.released.flatten(0, 1),
+            self.seen.labels.flatten(),
+        )
 
     def contest(
         self,
@@ -219,6 +275,7 @@ class Study:
         shape = None if self.subject.form == "sealed" else embedding.shape
         return {
             "length": partial(by_length, bins=32),
+            "density of lengths": partial(by_length_density, width=0.3),
             **_products(),
             **self._networks(shape),
         }
@@ -249,6 +306,12 @@ class Study:
             self.seen.right.flatten(2).flatten(0, 1),
             self.seen.labels.flatten(),
         )
+
+
+def _sets(masks: Sequence[Mask]) -> SeenSets:
+    asked = [mask.asked for mask in masks]
+    captures = torch.cat([each.vectors.reshape(-1, SET, each.vectors.shape[1]) for each in asked])
+    return SeenSets(captures, torch.cat([each.labels.reshape(-1, SET) for each in asked]))
 
 
 def _products() -> dict[str, Attacker]:

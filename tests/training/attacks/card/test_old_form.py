@@ -1,0 +1,44 @@
+"""A card of a form that leaks fails where one of the present form passes: so it can fail."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from tests.training.attacks.card.conftest import TINY, make_fresh, make_images
+from tests.training.attacks.legacy import white_with_length
+
+from veilcam_training.attacks.card.report import judge
+from veilcam_training.attacks.card.rows import linkage
+from veilcam_training.attacks.card.study import Study
+from veilcam_training.attacks.card.subject import make_subject
+from veilcam_training.attacks.victim import ReleaseRule, white
+from veilcam_training.bundle import CardRow
+
+PLAN = replace(TINY, own=100, seen=400)
+"""200 blocks of ten pairs: an area of one half has a standard error of .096 / sqrt(200), .007. Its
+upper end, 2.33 errors on, is within the bar of .05 unless the area errs by 4.8 errors."""
+
+
+def linked(release: ReleaseRule) -> CardRow:
+    """T9 of a quick card, of fresh masks whose captures leave in such a form."""
+    subject = make_subject(make_fresh(), make_images().scenes(slice(0, 300)), seed=1)
+    study = Study(
+        replace(subject, release=release),
+        make_images(),
+        PLAN,
+        seed=1,
+        folder=None,
+        tell=lambda *_: None,
+    )
+    return judge([linkage(study)], "white", quick=True)[0]
+
+
+@pytest.mark.slow
+def test_lengths_of_white_captures_would_fail_the_card() -> None:
+    old, present = linked(white_with_length), linked(white)
+    assert (old.threat, old.outcome) == ("T9", "FAIL")
+    # Not for want of captures: what is found is itself beyond the bar.
+    assert old.figure > old.threshold
+    assert present.outcome == "PASS"
+    assert present.threshold == old.threshold
