@@ -37,9 +37,9 @@ def shadow_error(model: Model, aperture: float) -> float:
     An edge blurs over ``sqrt(lambda d)``: that share of an aperture's light moves, and the pixels
     average it away in the same proportion. Measured within a factor of 2 from 20 um to 1 mm.
 
-    And an aperture passes less than what falls on it: of the light that its two edges spread, which
-    is ``lambda / (2 pi^2 a t^2)`` at the tangent t, ``1 / (1 + t^2)`` arrives. On a pixel that holds
-    all of it, ``lambda / (pi^2 a) atan(t)`` is missing along each axis.
+    And an aperture passes less than what falls on it. Of the light that its two edges spread,
+    ``lambda / (pi^2 a t^2)`` at the tangent t, exact waves bring ``1 / (1 + t^2)``. So on a pixel
+    that holds all of it, ``lambda / (pi^2 a) atan(t)`` is missing along each axis.
     """
     camera = actual_camera(model)
     sensor, embedding = camera.sensor, model.embedding
