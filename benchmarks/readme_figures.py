@@ -522,7 +522,7 @@ def cards() -> str:
     ]
     for row, (what, pattern) in CARD_ROWS.items():
         cells = [pattern.format(figures[f"card_{mode}_{row}"]["value"]) for mode in CARD_MODES]
-        lines.append(f"| {row} | {what} | " + " | ".join(cells) + " |")
+        lines.append(f"| [{row}](#{row.lower()}) | {what} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
