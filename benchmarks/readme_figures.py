@@ -59,21 +59,6 @@ README: Figures = {
         "plans whose error against exact light is at most twice the predicted one, any camera",
         "{:.3f}",
     ),
-    "plan_worst_time_over_best": (
-        "optics",
-        "a plan's time over the fastest setting's, at worst",
-        "{:.2f} x",
-    ),
-    "plan_step_ms_ordinary_scene_1e-3": (
-        "optics",
-        "64 scenes behind a new mask, by the plan of an ordinary scene, 1e-3",
-        "{:.1f} ms",
-    ),
-    "plan_step_ms_every_effect_1e-3": (
-        "optics",
-        "the same where every effect is there",
-        "{:.1f} ms",
-    ),
     **{
         f"mnist_FC800_learned_{size}": (
             "training",
@@ -454,6 +439,11 @@ HONESTY: Figures = {
         "{:.3f}",
     ),
     "oracle_unjudged_fraction": ("optics", "refused, or the oracle is not sure", "{:.3f}"),
+    "oracle_worst_time_over_best": (
+        "optics",
+        "a plan's predicted time over that of the fastest honest setting, at worst",
+        "{:.2f} x",
+    ),
     "default_scene_exact_error": (
         "optics",
         "default camera and scene, tolerance 1e-2: true error",
