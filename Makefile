@@ -30,13 +30,14 @@ unexport PYTHONDONTWRITEBYTECODE
 COMPUTING := $(BIN)/pytest -n 2 --dist worksteal
 WAITING := $(BIN)/pytest -n 4 --dist worksteal
 
-.PHONY: help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm mutants clean
+.PHONY: docs help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
-	@echo "make serve    the same daemon, left running on http://127.0.0.1:8787"
+	@echo "make serve    a simulated camera that looks by itself: open http://127.0.0.1:8787"
 	@echo "make check    lint, types, layers and the fast tests: before every commit"
 	@echo "make test     the same with all tests: before every merge"
+	@echo "make test-page   the page in a browser: needs Chromium, on Debian apt install chromium"
 	@echo "make stress   fuzzing, soak and long fits: hours; before a release"
 	@echo "make oracle   1,000 random plans against exact light: an hour or two; goes on where it stopped"
 	@echo "make siege    attackers and faults against a simulated daemon: up to an hour; before a release"
@@ -44,7 +45,12 @@ help:
 	@echo "make suite-SSE, suite-AVX2   all tests with the instructions of older processors"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
+	@echo "make deb      Debian packages in build/debian, for arm64 and amd64; see deploy/README.md"
+	@echo "make test-deb  the package in a root of Debian 12; needs root, see deploy/README.md"
+	@echo "make test-arm64  the same on an emulated processor of a Raspberry Pi"
+	@echo "make public-types   how much of the SDK's surface has known types, as pyright counts it"
 	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
+	@echo "make docs     the documentation as a site in build/site"
 	@echo "make clean    remove what the others made"
 
 $(INSTALLED): pyproject.toml
@@ -68,7 +74,8 @@ demo: $(INSTALLED)
 	$(BIN)/veilcamd demo --captures 250 --out demo
 
 serve: $(INSTALLED)
-	$(BIN)/veilcamd serve --simulate --port 8787
+	$(BIN)/veilcamd serve --simulate --scene-api --watch 2/s --port 8787 \
+		--bundle server/veilcam_server/demo_data/fresh.veilcam
 
 check: lint types layers fast
 
@@ -85,6 +92,11 @@ stress: $(INSTALLED)
 siege: $(INSTALLED)
 	$(BIN)/python -m tests.stress.siege --figures benchmarks/results/siege.json
 
+# The page in Chromium, Debian's. Not part of test: who changes optics needs no browser.
+.PHONY: test-page
+test-page: $(INSTALLED)
+	$(BIN)/pytest -m page tests/page
+
 # Not part of test: it needs Debian's package lists and its source of libcamera.
 test-libcamera: $(INSTALLED)
 	$(BIN)/python tests/system/real_picamera2/run.py
@@ -99,11 +111,16 @@ types: $(INSTALLED)
 layers: $(INSTALLED)
 	$(BIN)/lint-imports
 
+# Not part of test: pyright brings Node.js along, which it fetches when it runs first.
+.PHONY: public-types
+public-types: $(INSTALLED)
+	$(BIN)/python -m benchmarks.client.types
+
 fast: $(INSTALLED)
-	$(COMPUTING) -m "not slow and not system"
+	$(COMPUTING) -m "not slow and not system and not page"
 
 pytest: $(INSTALLED)
-	$(WAITING) -m "not system"
+	$(WAITING) -m "not system and not page"
 
 # Plans against exact light. Not part of test, which takes forty; it goes on where it stopped.
 .PHONY: oracle
@@ -129,18 +146,36 @@ numerical-AVX2-%: $(INSTALLED)
 # All tests; `python -m benchmarks.capabilities` runs those below the machine's best, and `test`.
 .PHONY: suite-SSE suite-AVX2
 suite-SSE: $(INSTALLED)
-	$(SSE) $(WAITING) -m "not system"
+	$(SSE) $(WAITING) -m "not system and not page"
 
 suite-AVX2: $(INSTALLED)
-	$(AVX2) $(WAITING) -m "not system"
+	$(AVX2) $(WAITING) -m "not system and not page"
 
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py
 
+.PHONY: deb test-deb
+deb: $(INSTALLED)
+	$(BIN)/python -m deploy.debian.build
+
+# Not part of test: it resolves a device's packages, and makes a root of Debian.
+test-deb: $(INSTALLED)
+	$(BIN)/python -m tests.system.debian_package
+
+# The same on an emulated processor: wants qemu-user-static and its entry in binfmt_misc, and hours.
+.PHONY: test-arm64
+test-arm64: $(INSTALLED)
+	$(BIN)/python -m tests.system.debian_package --architecture arm64
+
 # Not part of test: it runs tests a hundred times.
 mutants: $(INSTALLED)
 	$(BIN)/python -m tests.mutation --count 100 --seed 1 --figures benchmarks/results/house.json
+
+# The documentation as a site, for any browser; nothing is fetched while it is built or read.
+docs: $(INSTALLED)
+	$(BIN)/python docs/generate.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf $(VENV) demo build/mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

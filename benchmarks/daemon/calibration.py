@@ -35,8 +35,7 @@ from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.plot import write_picture
 from veilcam_server.calibration.procedure import Calibrated, calibrate
 from veilcam_server.calibration.record import imperfections_of
-from veilcam_server.calibration.rig import Geometry
-from veilcam_server.calibration.targets import CalibrationScene
+from veilcam_server.calibration.rig import CalibrationScene, Geometry
 from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.base import Device, Measurement
 from veilcam_server.devices.corrected import CalibratedSensor
@@ -166,12 +165,9 @@ class Tally:
     ) -> None:
         """Classify a measurement, and compare its decoded scene with the image."""
         self.right += reader.classify(measurement).label == label
-        with torch.inference_mode():
-            estimate = reader.decoder(torch.from_numpy(measurement)[None])[0].numpy()
+        estimate = reader.decoder(measurement[None])[0]
         self.error += float(np.square(estimate - image).sum())
-        self.power += float(
-            np.square(image - reader.decoder.mean.numpy().reshape(image.shape)).sum()
-        )
+        self.power += float(np.square(image - reader.decoder.mean.reshape(image.shape)).sum())
         self.count += 1
 
     @property

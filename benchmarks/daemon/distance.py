@@ -21,10 +21,9 @@ from veilcam_optics.camera.imperfections import NOMINAL, PARAXIAL
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import plan
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.calibration.alignment import Sight, align
-from veilcam_server.calibration.rig import Geometry
-from veilcam_server.calibration.targets import lamp, white
+from veilcam_server.calibration.rig import Geometry, lamp, white
 from veilcam_server.devices.simulated.device import TOLERANCE
 
 GEOMETRY = Geometry(
@@ -43,7 +42,7 @@ def distance(model: Model, weights: torch.Tensor) -> float:
             image = torch.from_numpy(scene.image)[None]
             seen = torch.cat([light.collect(image, response) for response in responses])
             sights.append(Sight(scene.image.astype(np.float64), seen.double().numpy()))
-    found = align(GEOMETRY, weights, sights, NOMINAL, reach=Reach())
+    found = align(GEOMETRY, weights.double().numpy(), sights, NOMINAL, reach=Reach())
     return 1e6 * found.imperfections.distance_error
 
 

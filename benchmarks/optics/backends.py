@@ -33,8 +33,9 @@ from veilcam_optics.camera.presets import PRESETS
 from veilcam_optics.decoding import Precision, SceneDecoding, SceneStatistics, fit_statistics
 from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.keys.masks import KEY_BYTES
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Transfer
+from veilcam_optics.transfer.tables import Reach
 
 Values = npt.NDArray[Any]
 KEY = bytes(range(KEY_BYTES))

@@ -56,7 +56,7 @@ from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
 from veilcam_optics.plan.search import MAX_NUMBERS
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 BATCH = 64
 

@@ -19,8 +19,8 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, half_field
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach
 from veilcam_optics.transfer.reference import reference_transfer
+from veilcam_optics.transfer.tables import Reach
 
 EMBEDDINGS = ((1, 1), (3, 4), (6, 8), (12, 16), (13, 17), (24, 32), (27, 36), (48, 64))
 

@@ -8,6 +8,9 @@ One run measures, with one thread and the contestants taking turns:
   as the encoder, differentiated through to the mask;
 - the step with a learned mask against one with a fixed mask, whose measurements were all computed
   beforehand, at batch 512;
+- the same ratio of their dense products of matrices alone, which no way of writing a step that
+  computes these gradients goes below: a learned mask encodes each batch (scenes times transfer) and
+  asks for the transfer's gradient (scenes times gradients), and both grow with the batch;
 - the peak memory of the learned-mask training step, in a process of its own.
 
 waveprop must be installed (docs/accuracy.md says how); without it its figures are left out.
@@ -24,7 +27,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -199,6 +202,37 @@ def compare_masks(images: Tensor, rounds: int) -> float:
     return _ratio(medians, "learned mask, batch 512", "fixed mask, batch 512")
 
 
+def compare_products(images: Tensor, rounds: int, batch: int = 512) -> float:
+    """As :func:`compare_masks`, of nothing but the products of matrices that both steps need.
+
+    Of the scenes count the pixels that are lit in the batch, of the mask the one product that
+    gathers the pairs along y, forward and backward. The first layer's inputs are normalised with
+    factors that are learned, so that a fixed mask's step needs their gradient, too.
+    """
+    camera, scene, embedding = Camera(), Scene(), Embedding()
+    lit = int(images[:batch].any(0).sum())
+    rows, offsets_y = camera.window.rows, scene.rows * embedding.rows
+    offsets_x, pixels = scene.columns * embedding.columns, embedding.size
+    hidden = 800
+    fixed = [(batch, pixels, hidden), (pixels, batch, hidden), (batch, hidden, pixels)]
+    learned = [(batch, lit, pixels), (lit, batch, pixels)]
+    learned += [(offsets_y, rows, offsets_x), (rows, offsets_y, offsets_x)]
+    medians = take_turns(
+        {
+            "products, learned mask, batch 512": (_products(fixed + learned), 1),
+            "products, fixed mask, batch 512": (_products(fixed), 1),
+        },
+        10 * rounds,
+    )
+    return _ratio(medians, "products, learned mask, batch 512", "products, fixed mask, batch 512")
+
+
+def _products(shapes: Sequence[tuple[int, int, int]]) -> Callable[[], object]:
+    """What multiplies matrices (a, b) and (b, c), all of them."""
+    factors = [(torch.rand(a, b), torch.rand(b, c), torch.empty(a, c)) for a, b, c in shapes]
+    return lambda: [torch.mm(one, other, out=product) for one, other, product in factors]
+
+
 def _ratio(medians: dict[str, float], over: str, under: str) -> float:
     for name, seconds in medians.items():
         print(f"{name:42s} {1e3 * seconds:10.2f} ms")
@@ -249,6 +283,7 @@ def main(
         values["transfer_time_waveprop_over_ours"] = compare_transfer(peer, weights, rounds)
         values["step_time_waveprop_over_ours"] = compare_steps(peer, images, rounds)
     values["step_ratio_learned_over_fixed_b512"] = compare_masks(images, rounds)
+    values["step_products_learned_over_fixed_b512"] = compare_products(images, rounds)
     for name, value in values.items():
         print(f"{name:42s} {value:10.3g}")
     record(figures, {name: float(f"{value:.4g}") for name, value in values.items()})

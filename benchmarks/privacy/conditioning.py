@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
@@ -44,7 +45,7 @@ MEASURES = ("directions", "spread", "own")
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
-def drawn(camera: Camera, exponent: float, count: int) -> Iterator[Tensor]:
+def drawn(camera: Camera, exponent: float, count: int) -> Iterator[npt.NDArray[np.float32]]:
     """Masks that keys draw, a key for each."""
     distribution, random = MaskDistribution.power(camera, exponent), np.random.default_rng(1)
     for _ in range(count):
@@ -100,7 +101,7 @@ def measure(
         values["conditioning_ms"] = 1e3 * (time.perf_counter() - begun) / (3 * count)
         kinds: dict[str, list[bool]] = {}
         for kind, mask in hiding_nothing(camera, count):
-            kinds.setdefault(kind, []).append(not is_taken(meter(mask)))
+            kinds.setdefault(kind, []).append(not is_taken(meter(mask.numpy())))
         for kind, refused in kinds.items():
             share = sum(refused) / len(refused)
             print(f"{embedding}: {kind}: {share:.3f} of {len(refused)} refused")

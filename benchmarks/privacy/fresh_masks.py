@@ -25,16 +25,11 @@ from veilcam_optics.decoding import Precision, SceneDecoding
 from veilcam_optics.decoding.release import ReleaseForm, Whitening
 from veilcam_optics.keys.masks import KEY_BYTES
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.attacks.clustering import adjusted_rand_index, k_means, subspace_clusters
 from veilcam_training.attacks.keyless import KeylessCamera
-from veilcam_training.bundle import (
-    LayerRecord,
-    build_classifier,
-    classifier_inputs,
-    read_bundle,
-    write_bundle,
-)
+from veilcam_training.bundle import LayerRecord, classifier_inputs, read_bundle, write_bundle
 from veilcam_training.bundle.layers import Conv2d, Linear, Residual
 from veilcam_training.config.recipes import TASKS
 from veilcam_training.config.settings import FreshSettings, load_fresh_settings
@@ -44,6 +39,7 @@ from veilcam_training.experiments.keyring import as_fresh_bundle
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_camera, make_fresh_model
 from veilcam_training.models.classifiers import SceneTask, make_layers
 from veilcam_training.models.lensless import FreshClassifier
+from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import seeded
 from veilcam_training.trainer.callbacks import Epoch, FitProgress, MovingAverage, make_progress
 from veilcam_training.trainer.loop import fit
@@ -155,7 +151,9 @@ def clusters(
     generator = torch.Generator().manual_seed(7)
     released: dict[ReleaseForm, list[Tensor]] = {form: [] for form in ReleaseForm}
     for index in range(masks):
-        weights = to_weights(fresh.draw_levels("clusters", index), fresh.setup.camera.panel)
+        weights = torch.from_numpy(
+            to_weights(fresh.draw_levels("clusters", index), fresh.setup.camera.panel)
+        )
         mask = fresh.prepare(weights, fresh.panels("clusters"), generator)
         part = slice(index * captures, (index + 1) * captures)
         measurements = shot_noise(mask.embed(images.scenes(part)), 40.0, generator)
@@ -244,7 +242,10 @@ def dials(
     fresh = contents.fresh
     if fresh is None:
         raise typer.BadParameter("use a bundle of mode fresh")
-    classifier = build_classifier(fresh.layers, fresh.weights)
+    classifier, statistics = (
+        build_classifier(fresh.layers, fresh.weights),
+        fresh.statistics.in_torch(),
+    )
     source = open_source(contents.task, data)
     shown = split(source.training()).validation.take(torch.arange(images))
     weights = _masks(masks)
@@ -274,10 +275,10 @@ def dials(
             dtype=getattr(torch, precision.products),
         )
         times, accuracies = [], []
-        ranks = [rank for rank in (32, 64, 128, 256, 384) if rank <= fresh.statistics.rank]
+        ranks = [rank for rank in (32, 64, 128, 256, 384) if rank <= statistics.rank]
         for rank in ranks:
             decoding = SceneDecoding(
-                operator, fresh.statistics.truncate(rank), fresh.noise, precision=precision
+                operator, statistics.truncate(rank), fresh.noise, precision=precision
             )
             with torch.no_grad():
                 milliseconds = _milliseconds(decoding.prepare, weights[:15])

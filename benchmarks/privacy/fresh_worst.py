@@ -35,7 +35,8 @@ from benchmarks.privacy.keys.white import tell
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.decoding import SceneDecoding
 from veilcam_optics.files import write_whole
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.demo_data import FRESH
 from veilcam_training.attacks.intervals import Gain, holm
 from veilcam_training.attacks.keyless import Asked, gain, worst_upper
@@ -71,7 +72,8 @@ class Collector:
             for reach in (Reach(6, 1), Reach())
         ]
         self._light = operators[0]
-        self._decoding = SceneDecoding(operators[1], bundle.fresh.statistics, bundle.fresh.noise)
+        statistics = bundle.fresh.statistics.in_torch()
+        self._decoding = SceneDecoding(operators[1], statistics, bundle.fresh.noise)
 
     def chunk(self, number: int) -> dict[str, npt.NDArray[np.generic]]:
         """What leaves of ``CHUNK`` masks: ``FORM QUESTION`` and ``label QUESTION``.

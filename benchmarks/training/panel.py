@@ -43,7 +43,9 @@ def accuracy(model: LenslessClassifier, built: Imperfections, images: Images, se
     """Accuracy [percent] of ``model`` behind the panel of a camera as it was built."""
     encoder = model.encoder
     assert isinstance(encoder, Mask)
-    weights = built.shown(to_weights(encoder.levels(), encoder.setup.camera.panel))
+    weights = built.shown(
+        torch.from_numpy(to_weights(encoder.levels(), encoder.setup.camera.panel))
+    )
     operators = make_operators(encoder.setup, built)
     shown = LenslessClassifier(
         FixedEncoder(encoder.setup, [operator(weights) for operator in operators]),

@@ -41,7 +41,7 @@ def main(
     source = open_source("mnist", data)
     change = Rescale(source.scene)
     setup = Setup(camera, change.scene, found.embedding, finer=change.finer)
-    weights = to_weights(pair.levels, camera.panel)
+    weights = torch.from_numpy(to_weights(pair.levels, camera.panel))
     encoder = FixedEncoder(setup, [operator(weights) for operator in make_operators(setup)])
     model = LenslessClassifier(encoder, pair.layers, SNR_DB, change=change)
     model.classifier.load_state_dict(pair.weights)

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import torch
+import numpy as np
 import typer
 from benchmarks.figures import FiguresOption, record
 
@@ -90,7 +90,9 @@ def bundles(first: Path, second: Path) -> bool:
         pairs = [read_bundle(path).pairs[0] for path in (one, other)]
         if (pairs[0].levels != pairs[1].levels).any():
             return False
-        if any(not torch.equal(pairs[0].weights[k], pairs[1].weights[k]) for k in pairs[0].weights):
+        if any(
+            not np.array_equal(pairs[0].weights[k], pairs[1].weights[k]) for k in pairs[0].weights
+        ):
             return False
     return True
 

@@ -29,8 +29,8 @@ from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.camera.imperfections import IDEAL, half_field
 from veilcam_optics.effects.model import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach
 from veilcam_optics.transfer.regions import Region
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import parse_embedding
 from veilcam_training.data import Images, open_source

@@ -2,33 +2,43 @@
 
 from __future__ import annotations
 
+import asyncio
+import copy
 import os
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
 
 import numpy.typing as npt
 
-from veilcam_client.camera import DEFAULT_URL, KeySource, opened, opener_of
+from veilcam_client.camera import KeySource, opened, opener_of
+from veilcam_client.discovery import FoundCamera, discover
 from veilcam_client.http import calls
+from veilcam_client.http.answers import RawResponse, raw_response
+from veilcam_client.http.async_streams import AsyncEventStream
+from veilcam_client.http.async_transport import AsyncHttpClient, AsyncTransport
 from veilcam_client.http.credentials import Credentials
-from veilcam_client.http.transport import AsyncHttpClient, AsyncTransport, Options, RetryPolicy
+from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
+from veilcam_client.http.options import Options, RetryPolicy, address, follow_environment
 from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.wire.captures import Capture, Classification
-from veilcam_client.wire.diagnostics import Diagnostics
-from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
-from veilcam_client.wire.status import Status
+from veilcam_client.wire.status import Diagnostics, Status
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
+from veilcam_client.wire.watch import Watch, WatchPolicy
 
 if TYPE_CHECKING:
     from veilcam_client.keys.receivers import Receiver
+
+
+P = ParamSpec("P")
+ResultT = TypeVar("ResultT")
 
 
 class AsyncCamera:
@@ -36,8 +46,9 @@ class AsyncCamera:
 
     def __init__(
         self,
-        url: str = DEFAULT_URL,
+        url: str | None = None,
         *,
+        timeout: float | None = 120.0,
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
         max_retries: int = 2,
@@ -47,9 +58,10 @@ class AsyncCamera:
         ca_file: str | os.PathLike[str] | None = None,
         http_client: AsyncHttpClient | None = None,
     ) -> None:
+        follow_environment()
         self._opener = opener_of(key, device)
         retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
-        options = Options(url, connect_timeout, read_timeout, retry, credentials)
+        options = Options(address(url), timeout, connect_timeout, read_timeout, retry, credentials)
         self._transport = AsyncTransport(options, http_client)
 
     async def __aenter__(self) -> Self:
@@ -63,159 +75,313 @@ class AsyncCamera:
     ) -> None:
         await self.close()
 
+    @classmethod
+    async def discover(cls, seconds: float = 3.0) -> tuple[FoundCamera, ...]:
+        """Cameras that announce themselves, as :meth:`Camera.discover` finds them."""
+        return await asyncio.to_thread(discover, seconds)
+
     async def close(self) -> None:
         """Close the connection."""
         await self._transport.close()
 
-    async def status(self) -> Status:
+    async def status(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Status:
         """State, device, bundle, rotation and queue of the daemon."""
-        return await self._transport.send(calls.STATUS)
+        return await self._transport.send(calls.STATUS, timeout)
 
-    async def calibration(self) -> CalibrationStatus:
+    async def calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
         """What the camera found out about itself, and how finding out goes on."""
-        return await self._transport.send(calls.CALIBRATION)
+        return await self._transport.send(calls.CALIBRATION, timeout)
 
-    async def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
+    async def start_calibration(
+        self, *, repeats: int = 2, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> CalibrationRun:
         """Begin to measure the camera with itself; it takes no captures meanwhile.
 
         It goes on by itself but for scenes that somebody must set: see ``stage`` and
         ``instruction`` of :meth:`calibration` or of the events, and :meth:`confirm_scene`.
         """
-        return await self._transport.send(calls.start_calibration(repeats))
+        return await self._transport.send(calls.start_calibration(repeats), timeout, wait=wait)
 
-    async def confirm_scene(self, scene: SceneName) -> CalibrationRun:
+    async def confirm_scene(
+        self, scene: SceneName, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> CalibrationRun:
         """Confirm that the scene that the calibration waits for is set."""
-        return await self._transport.send(calls.confirm_scene(scene))
+        return await self._transport.send(calls.confirm_scene(scene), timeout)
 
-    async def cancel_calibration(self) -> CalibrationRun:
+    async def cancel_calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""
-        return await self._transport.send(calls.CANCEL_CALIBRATION)
+        return await self._transport.send(calls.CANCEL_CALIBRATION, timeout)
 
-    async def capture(self) -> Capture:
+    async def capture(
+        self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> Capture:
         """Take one embedding, as :meth:`Camera.capture` does."""
-        return opened(await self._transport.send(calls.CAPTURE), self._opener)
+        return opened(await self._transport.send(calls.CAPTURE, timeout, wait=wait), self._opener)
 
-    async def classify(self, *, include_embedding: bool = False) -> Classification:
+    async def classify(
+        self,
+        *,
+        include_embedding: bool = False,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Classification:
         """Take one embedding and classify it on the device."""
-        answer = await self._transport.send(calls.classify(include_embedding))
+        answer = await self._transport.send(calls.classify(include_embedding), timeout, wait=wait)
         return opened(answer, self._opener)
 
-    async def rotation(self) -> Rotation:
+    async def rotation(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
         """The rotation policy and the present mask epoch."""
-        return await self._transport.send(calls.ROTATION)
+        return await self._transport.send(calls.ROTATION, timeout)
 
-    async def set_rotation(self, policy: RotationPolicy) -> Rotation:
+    async def set_rotation(
+        self,
+        policy: RotationPolicy,
+        *,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Rotation:
         """Change when masks change."""
-        return await self._transport.send(calls.set_rotation(policy))
+        return await self._transport.send(calls.set_rotation(policy), timeout, wait=wait)
 
-    async def rotate(self) -> Rotation:
+    async def rotate(
+        self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> Rotation:
         """Show another mask now."""
-        return await self._transport.send(calls.ROTATE)
+        return await self._transport.send(calls.ROTATE, timeout, wait=wait)
 
-    async def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
+    async def watch(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
+        """When the camera looks by itself, and what it believes to see."""
+        return await self._transport.send(calls.WATCH, timeout)
+
+    async def set_watch(
+        self,
+        policy: WatchPolicy,
+        *,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Watch:
+        """Let the camera look by itself, or on request alone, or not at all."""
+        return await self._transport.send(calls.set_watch(policy), timeout, wait=wait)
+
+    async def take_lease(
+        self,
+        *,
+        seconds: float,
+        owner: str = "veilcam_client",
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
-        taken = await self._transport.send(calls.take_lease(seconds, owner))
+        taken = await self._transport.send(calls.take_lease(seconds, owner), timeout, wait=wait)
         self._transport.options.credentials.lease = taken.secret
         return taken
 
-    async def release_lease(self) -> Lease:
+    async def release_lease(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Hold the camera no longer."""
-        released = await self._transport.send(calls.release_lease())
+        released = await self._transport.send(calls.release_lease(), timeout)
         self._transport.options.credentials.lease = None
         return released
 
     @asynccontextmanager
     async def lease(
-        self, *, seconds: float, owner: str = "veilcam_client"
+        self,
+        *,
+        seconds: float,
+        owner: str = "veilcam_client",
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> AsyncIterator[NewLease]:
         """Hold the camera within the context; :meth:`take_lease` within it renews."""
-        taken = await self.take_lease(seconds=seconds, owner=owner)
+        taken = await self.take_lease(seconds=seconds, owner=owner, wait=wait, timeout=timeout)
         try:
             yield taken
         finally:
-            await self.release_lease()
+            await self.release_lease(timeout=timeout)
 
-    async def break_lease(self) -> Lease:
+    async def break_lease(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
-        return await self._transport.send(calls.release_lease(force=True))
+        return await self._transport.send(calls.release_lease(force=True), timeout)
 
-    async def lease_state(self) -> Lease:
+    async def lease_state(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Who holds the camera, and how long."""
-        return await self._transport.send(calls.LEASE_STATE)
+        return await self._transport.send(calls.LEASE_STATE, timeout)
 
-    async def diagnostics(self) -> Diagnostics:
+    async def diagnostics(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Diagnostics:
         """Versions, settings, and the last states and faults of the daemon."""
-        return await self._transport.send(calls.DIAGNOSTICS)
+        return await self._transport.send(calls.DIAGNOSTICS, timeout)
 
-    async def tokens(self, *, limit: int = TOKENS_AT_ONCE, after: str | None = None) -> Tokens:
+    async def tokens(
+        self,
+        *,
+        limit: int = TOKENS_AT_ONCE,
+        after: str | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Tokens:
         """Return tokens, as :meth:`Camera.tokens` does."""
-        return await self._transport.send(calls.tokens(limit, after))
+        return await self._transport.send(calls.tokens(limit, after), timeout)
 
     async def create_token(
-        self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
+        self,
+        label: str,
+        scopes: Sequence[Scope],
+        *,
+        seconds: int | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewToken:
         """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        return await self._transport.send(calls.create_token(label, scopes, seconds))
+        return await self._transport.send(calls.create_token(label, scopes, seconds), timeout)
 
-    async def revoke_token(self, token_id: str) -> Token:
+    async def revoke_token(self, token_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Token:
         """Let a token do nothing any more."""
-        return await self._transport.send(calls.revoke_token(token_id))
+        return await self._transport.send(calls.revoke_token(token_id), timeout)
 
-    async def log(self, *, limit: int = RECORDS_AT_ONCE, after: int | None = None) -> LogRecords:
+    async def log(
+        self,
+        *,
+        limit: int = RECORDS_AT_ONCE,
+        after: int | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> LogRecords:
         """Return signed records of what was answered, the oldest first; see docs/capture-log.md.
 
         Args:
             limit: so many at most.
             after: those that follow this position, as ``next`` of an answer names it.
+            timeout: of the call in all [s].
         """
-        return await self._transport.send(calls.log(limit, after))
+        return await self._transport.send(calls.log(limit, after), timeout)
 
-    async def log_head(self) -> LogHead:
+    async def log_head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
         """Where the log ends now, signed: keep it, and what is dropped from that end shows."""
-        return await self._transport.send(calls.LOG_HEAD)
+        return await self._transport.send(calls.LOG_HEAD, timeout)
 
-    async def receivers(self) -> Receivers:
+    async def receivers(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:
         """To whom embeddings are sealed, and the key of the device that seals them."""
-        return await self._transport.send(calls.RECEIVERS)
+        return await self._transport.send(calls.RECEIVERS, timeout)
 
-    async def add_receiver(self, label: str, key: Receiver | str) -> PairedReceiver:
+    async def add_receiver(
+        self, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> PairedReceiver:
         """Seal to one receiver more, as :meth:`Camera.add_receiver` does."""
-        return await self._transport.send(calls.add_receiver(label, str(key)))
+        return await self._transport.send(calls.add_receiver(label, str(key)), timeout)
 
-    async def remove_receiver(self, receiver_id: str) -> None:
+    async def remove_receiver(
+        self, receiver_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> None:
         """Seal to a receiver no more, from the next mask on; what it has it still opens."""
-        await self._transport.send(calls.remove_receiver(receiver_id))
+        await self._transport.send(calls.remove_receiver(receiver_id), timeout)
 
-    async def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
+    async def hold_scene(
+        self, picture: npt.ArrayLike | bytes | None, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> HeldScene:
         """Hold a picture up, or take it away, as :meth:`Camera.hold_scene` does."""
         if picture is None:
-            return await self._transport.send(calls.TAKE_SCENE_AWAY)
-        return await self._transport.send(calls.hold_scene(picture_bytes(picture)))
+            return await self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
+        return await self._transport.send(calls.hold_scene(picture_bytes(picture)), timeout)
 
-    async def set_faults(self, faults: Faults) -> Faults:
+    async def set_faults(self, faults: Faults, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Faults:
         """Break a simulated camera, or mend it, as :meth:`Camera.set_faults` does."""
-        return await self._transport.send(calls.set_faults(faults))
+        return await self._transport.send(calls.set_faults(faults), timeout)
 
-    async def bundles(self) -> tuple[InstalledBundle, ...]:
+    async def bundles(
+        self, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> tuple[InstalledBundle, ...]:
         """All bundles; one of them is ``active``."""
-        return (await self._transport.send(calls.BUNDLES)).bundles
+        return (await self._transport.send(calls.BUNDLES, timeout)).bundles
 
-    async def install_bundle(self, bundle: bytes) -> InstalledBundle:
+    async def install_bundle(
+        self, bundle: bytes, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> InstalledBundle:
         """Hand over the content of a bundle; it is checked, and not used yet."""
-        return await self._transport.send(calls.install_bundle(bundle))
+        return await self._transport.send(calls.install_bundle(bundle), timeout)
 
-    async def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
+    async def activate_bundle(
+        self,
+        digest: str,
+        *,
+        allow_older: bool = False,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> InstalledBundle:
         """Take masks and classifiers from this bundle from now on.
 
         One of an older version than that in use is refused unless ``allow_older``, and always where
         the daemon wants its owner's signature.
         """
-        return await self._transport.send(calls.activate_bundle(digest, allow_older))
+        return await self._transport.send(
+            calls.activate_bundle(digest, allow_older), timeout, wait=wait
+        )
 
-    async def remove_bundle(self, digest: str) -> tuple[InstalledBundle, ...]:
+    async def remove_bundle(
+        self, digest: str, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> tuple[InstalledBundle, ...]:
         """Remove a bundle that is not in use for good; return those that are left."""
-        return (await self._transport.send(calls.remove_bundle(digest))).bundles
+        return (await self._transport.send(calls.remove_bundle(digest), timeout)).bundles
 
-    def events(self, *, last_event_id: str | None = None) -> AsyncIterator[Event]:
-        """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""
-        return self._transport.events(last_event_id)
+    def events(
+        self, *, last_event_id: str | None = None, reconnect: bool = True
+    ) -> AsyncEventStream:
+        """Events as they happen, as :meth:`Camera.events` gives them."""
+        return AsyncEventStream(self._transport, last_event_id, reconnect)
+
+    @property
+    def with_raw_response(self) -> _RawCamera:
+        """The same methods, with the answer as it came, as :attr:`Camera.with_raw_response`."""
+        return _RawCamera(self)
+
+
+class _RawMethod(Generic[P, ResultT]):
+    """A method of :class:`AsyncCamera` that returns the answer as it came."""
+
+    def __init__(self, method: Callable[Concatenate[AsyncCamera, P], Awaitable[ResultT]]) -> None:
+        self._method = method
+
+    def __get__(
+        self, raw: _RawCamera, kind: type[_RawCamera]
+    ) -> Callable[P, Awaitable[RawResponse[ResultT]]]:
+        async def ask(*args: P.args, **options: P.kwargs) -> RawResponse[ResultT]:
+            camera = copy.copy(raw.camera)
+            camera._transport = transport = raw.camera._transport.for_one_caller()  # noqa: SLF001
+            result = await self._method(camera, *args, **options)
+            return raw_response(transport.last, result)
+
+        return ask
+
+
+class _RawCamera:
+    """Methods of :class:`AsyncCamera` that return answers as they came."""
+
+    def __init__(self, camera: AsyncCamera) -> None:
+        self.camera: AsyncCamera = camera
+
+    status: Final = _RawMethod(AsyncCamera.status)
+    calibration: Final = _RawMethod(AsyncCamera.calibration)
+    start_calibration: Final = _RawMethod(AsyncCamera.start_calibration)
+    confirm_scene: Final = _RawMethod(AsyncCamera.confirm_scene)
+    cancel_calibration: Final = _RawMethod(AsyncCamera.cancel_calibration)
+    capture: Final = _RawMethod(AsyncCamera.capture)
+    classify: Final = _RawMethod(AsyncCamera.classify)
+    rotation: Final = _RawMethod(AsyncCamera.rotation)
+    set_rotation: Final = _RawMethod(AsyncCamera.set_rotation)
+    rotate: Final = _RawMethod(AsyncCamera.rotate)
+    watch: Final = _RawMethod(AsyncCamera.watch)
+    set_watch: Final = _RawMethod(AsyncCamera.set_watch)
+    take_lease: Final = _RawMethod(AsyncCamera.take_lease)
+    release_lease: Final = _RawMethod(AsyncCamera.release_lease)
+    break_lease: Final = _RawMethod(AsyncCamera.break_lease)
+    lease_state: Final = _RawMethod(AsyncCamera.lease_state)
+    diagnostics: Final = _RawMethod(AsyncCamera.diagnostics)
+    tokens: Final = _RawMethod(AsyncCamera.tokens)
+    create_token: Final = _RawMethod(AsyncCamera.create_token)
+    revoke_token: Final = _RawMethod(AsyncCamera.revoke_token)
+    log: Final = _RawMethod(AsyncCamera.log)
+    log_head: Final = _RawMethod(AsyncCamera.log_head)
+    receivers: Final = _RawMethod(AsyncCamera.receivers)
+    add_receiver: Final = _RawMethod(AsyncCamera.add_receiver)
+    remove_receiver: Final = _RawMethod(AsyncCamera.remove_receiver)
+    hold_scene: Final = _RawMethod(AsyncCamera.hold_scene)
+    set_faults: Final = _RawMethod(AsyncCamera.set_faults)
+    bundles: Final = _RawMethod(AsyncCamera.bundles)
+    install_bundle: Final = _RawMethod(AsyncCamera.install_bundle)
+    activate_bundle: Final = _RawMethod(AsyncCamera.activate_bundle)
+    remove_bundle: Final = _RawMethod(AsyncCamera.remove_bundle)

@@ -2,38 +2,44 @@
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Concatenate, Final, Generic, ParamSpec, Self, TypeAlias, TypeVar
 
 import numpy.typing as npt
 
+from veilcam_client.discovery import FoundCamera, discover
 from veilcam_client.http import calls
+from veilcam_client.http.answers import RawResponse, raw_response
 from veilcam_client.http.credentials import Credentials
-from veilcam_client.http.transport import HttpClient, Options, RetryPolicy, Transport
+from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
+from veilcam_client.http.options import Options, RetryPolicy, address, follow_environment
+from veilcam_client.http.streams import EventStream
+from veilcam_client.http.transport import HttpClient, Transport
 from veilcam_client.wire.bundles import InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRun, CalibrationStatus, SceneName
 from veilcam_client.wire.captures import Capture, Classification
-from veilcam_client.wire.diagnostics import Diagnostics
-from veilcam_client.wire.events import Event
 from veilcam_client.wire.lease import Lease, NewLease
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecords
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import PairedReceiver, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_bytes
-from veilcam_client.wire.status import Status
+from veilcam_client.wire.status import Diagnostics, Status
 from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, Tokens
+from veilcam_client.wire.watch import Watch, WatchPolicy
 
 if TYPE_CHECKING:
     from veilcam_client.keys.blocks import Opener
     from veilcam_client.keys.receivers import Receiver, ReceiverKey
 
-DEFAULT_URL = "http://127.0.0.1:8787"
 KeySource: TypeAlias = "str | os.PathLike[str] | ReceiverKey"
 """A receiver's private key, or its file."""
 
+P = ParamSpec("P")
+ResultT = TypeVar("ResultT")
 TakenT = TypeVar("TakenT", Capture, Classification)
 
 
@@ -64,8 +70,17 @@ def opened(answer: TakenT, opener: Opener | None) -> TakenT:
 class Camera:
     """One connection to a ``veilcamd``.
 
+    While another holds the camera, a method raises ``LeasedError`` at once. Those that take
+    ``wait=`` wait so long for the lease to end [s], before their ``timeout`` begins.
+
+    Repetitions stand in the log ``veilcam`` of ``logging``; ``VEILCAM_LOG=debug`` shows every
+    request on the terminal.
+
     Args:
-        url: ``http://HOST:PORT``, or ``unix:///PATH`` for a unix socket.
+        url: ``http://HOST:PORT``, or ``unix:///PATH`` for a unix socket; that in ``VEILCAM_URL`` if
+            None, else that of a daemon on this machine.
+        timeout: for a call in all, repetitions and their pauses included [s]; None: no limit. Every
+            method takes one of its own.
         connect_timeout: to reach the daemon [s].
         read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
         max_retries: how often a request that may succeed later is repeated.
@@ -78,7 +93,8 @@ class Camera:
             https, unix sockets, and http to this machine, nowhere else.
         ca_file: PEM file of the authority that vouches for an https daemon; that in
             ``VEILCAM_CA_FILE`` if None, else those that the system trusts.
-        http_client: an ``httpx.Client`` to use instead of an own one; it is not closed.
+        http_client: an ``httpx.Client`` to use instead of an own one; it is not closed. A deadline
+            is then asked for between two pieces of an answer, and not on the socket.
 
     Raises:
         ValueError: a URL, timeout, token, file or device that cannot be used.
@@ -87,8 +103,9 @@ class Camera:
 
     def __init__(
         self,
-        url: str = DEFAULT_URL,
+        url: str | None = None,
         *,
+        timeout: float | None = 120.0,
         connect_timeout: float = 2.0,
         read_timeout: float = 30.0,
         max_retries: int = 2,
@@ -98,9 +115,10 @@ class Camera:
         ca_file: str | os.PathLike[str] | None = None,
         http_client: HttpClient | None = None,
     ) -> None:
+        follow_environment()
         self._opener = opener_of(key, device)
         retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
-        options = Options(url, connect_timeout, read_timeout, retry, credentials)
+        options = Options(address(url), timeout, connect_timeout, read_timeout, retry, credentials)
         self._transport = Transport(options, http_client)
 
     def __enter__(self) -> Self:
@@ -114,176 +132,343 @@ class Camera:
     ) -> None:
         self.close()
 
+    @classmethod
+    def discover(cls, seconds: float = 3.0) -> tuple[FoundCamera, ...]:
+        """Cameras that announce themselves on the local network; none is asked or told anything.
+
+        Args:
+            seconds: how long to listen [s].
+
+        Raises:
+            DiscoveryError: the extra ``discover`` is not installed, or there is no network.
+        """
+        return discover(seconds)
+
     def close(self) -> None:
         """Close the connection."""
         self._transport.close()
 
-    def status(self) -> Status:
+    def status(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Status:
         """State, device, bundle, rotation and queue of the daemon."""
-        return self._transport.send(calls.STATUS)
+        return self._transport.send(calls.STATUS, timeout)
 
-    def calibration(self) -> CalibrationStatus:
+    def calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
         """What the camera found out about itself, and how finding out goes on."""
-        return self._transport.send(calls.CALIBRATION)
+        return self._transport.send(calls.CALIBRATION, timeout)
 
-    def start_calibration(self, *, repeats: int = 2) -> CalibrationRun:
+    def start_calibration(
+        self, *, repeats: int = 2, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> CalibrationRun:
         """Begin to measure the camera with itself; it takes no captures meanwhile.
 
         It goes on by itself but for scenes that somebody must set: see ``stage`` and
         ``instruction`` of :meth:`calibration` or of the events, and :meth:`confirm_scene`.
         """
-        return self._transport.send(calls.start_calibration(repeats))
+        return self._transport.send(calls.start_calibration(repeats), timeout, wait=wait)
 
-    def confirm_scene(self, scene: SceneName) -> CalibrationRun:
+    def confirm_scene(
+        self, scene: SceneName, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> CalibrationRun:
         """Confirm that the scene that the calibration waits for is set."""
-        return self._transport.send(calls.confirm_scene(scene))
+        return self._transport.send(calls.confirm_scene(scene), timeout)
 
-    def cancel_calibration(self) -> CalibrationRun:
+    def cancel_calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationRun:
         """End the calibration that is under way; what was in use before stays in use."""
-        return self._transport.send(calls.CANCEL_CALIBRATION)
+        return self._transport.send(calls.CANCEL_CALIBRATION, timeout)
 
-    def capture(self) -> Capture:
+    def capture(
+        self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> Capture:
         """Take one embedding; ``np.asarray`` of the result is the array, if ``key`` opens it."""
-        return opened(self._transport.send(calls.CAPTURE), self._opener)
+        return opened(self._transport.send(calls.CAPTURE, timeout, wait=wait), self._opener)
 
-    def classify(self, *, include_embedding: bool = False) -> Classification:
+    def classify(
+        self,
+        *,
+        include_embedding: bool = False,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Classification:
         """Take one embedding and classify it on the device."""
-        answer = self._transport.send(calls.classify(include_embedding))
+        answer = self._transport.send(calls.classify(include_embedding), timeout, wait=wait)
         return opened(answer, self._opener)
 
-    def rotation(self) -> Rotation:
+    def rotation(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
         """The rotation policy and the present mask epoch."""
-        return self._transport.send(calls.ROTATION)
+        return self._transport.send(calls.ROTATION, timeout)
 
-    def set_rotation(self, policy: RotationPolicy) -> Rotation:
+    def set_rotation(
+        self,
+        policy: RotationPolicy,
+        *,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Rotation:
         """Change when masks change."""
-        return self._transport.send(calls.set_rotation(policy))
+        return self._transport.send(calls.set_rotation(policy), timeout, wait=wait)
 
-    def rotate(self) -> Rotation:
+    def rotate(
+        self, *, wait: float | None = None, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> Rotation:
         """Show another mask now."""
-        return self._transport.send(calls.ROTATE)
+        return self._transport.send(calls.ROTATE, timeout, wait=wait)
 
-    def take_lease(self, *, seconds: float, owner: str = "veilcam_client") -> NewLease:
+    def watch(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
+        """When the camera looks by itself, and what it believes to see."""
+        return self._transport.send(calls.WATCH, timeout)
+
+    def set_watch(
+        self,
+        policy: WatchPolicy,
+        *,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Watch:
+        """Let the camera look by itself, or on request alone, or not at all."""
+        return self._transport.send(calls.set_watch(policy), timeout, wait=wait)
+
+    def take_lease(
+        self,
+        *,
+        seconds: float,
+        owner: str = "veilcam_client",
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> NewLease:
         """Hold the camera, or go on holding it: for so long, others take no captures [s]."""
-        taken = self._transport.send(calls.take_lease(seconds, owner))
+        taken = self._transport.send(calls.take_lease(seconds, owner), timeout, wait=wait)
         self._transport.options.credentials.lease = taken.secret
         return taken
 
-    def release_lease(self) -> Lease:
+    def release_lease(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Hold the camera no longer."""
-        released = self._transport.send(calls.release_lease())
+        released = self._transport.send(calls.release_lease(), timeout)
         self._transport.options.credentials.lease = None
         return released
 
     @contextmanager
-    def lease(self, *, seconds: float, owner: str = "veilcam_client") -> Iterator[NewLease]:
+    def lease(
+        self,
+        *,
+        seconds: float,
+        owner: str = "veilcam_client",
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Iterator[NewLease]:
         """Hold the camera within the context; :meth:`take_lease` within it renews."""
-        taken = self.take_lease(seconds=seconds, owner=owner)
+        taken = self.take_lease(seconds=seconds, owner=owner, wait=wait, timeout=timeout)
         try:
             yield taken
         finally:
-            self.release_lease()
+            self.release_lease(timeout=timeout)
 
-    def break_lease(self) -> Lease:
+    def break_lease(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """End the lease of whoever holds the camera; wants the scope ``admin:tokens`` too."""
-        return self._transport.send(calls.release_lease(force=True))
+        return self._transport.send(calls.release_lease(force=True), timeout)
 
-    def lease_state(self) -> Lease:
+    def lease_state(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
         """Who holds the camera, and how long."""
-        return self._transport.send(calls.LEASE_STATE)
+        return self._transport.send(calls.LEASE_STATE, timeout)
 
-    def diagnostics(self) -> Diagnostics:
+    def diagnostics(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Diagnostics:
         """Versions, settings, and the last states and faults of the daemon."""
-        return self._transport.send(calls.DIAGNOSTICS)
+        return self._transport.send(calls.DIAGNOSTICS, timeout)
 
-    def tokens(self, *, limit: int = TOKENS_AT_ONCE, after: str | None = None) -> Tokens:
+    def tokens(
+        self,
+        *,
+        limit: int = TOKENS_AT_ONCE,
+        after: str | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> Tokens:
         """Return tokens, the oldest first, revoked and expired ones included.
 
         Args:
             limit: so many at most.
             after: those that follow the token of this id, as ``next`` of an answer names it.
+            timeout: of the call in all [s].
         """
-        return self._transport.send(calls.tokens(limit, after))
+        return self._transport.send(calls.tokens(limit, after), timeout)
 
     def create_token(
-        self, label: str, scopes: Sequence[Scope], *, seconds: int | None = None
+        self,
+        label: str,
+        scopes: Sequence[Scope],
+        *,
+        seconds: int | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
     ) -> NewToken:
         """Make a token that is valid for so long [s]; its ``secret`` is told this once."""
-        return self._transport.send(calls.create_token(label, scopes, seconds))
+        return self._transport.send(calls.create_token(label, scopes, seconds), timeout)
 
-    def revoke_token(self, token_id: str) -> Token:
+    def revoke_token(self, token_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Token:
         """Let a token do nothing any more."""
-        return self._transport.send(calls.revoke_token(token_id))
+        return self._transport.send(calls.revoke_token(token_id), timeout)
 
-    def log(self, *, limit: int = RECORDS_AT_ONCE, after: int | None = None) -> LogRecords:
+    def log(
+        self,
+        *,
+        limit: int = RECORDS_AT_ONCE,
+        after: int | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> LogRecords:
         """Return signed records of what was answered, the oldest first; see docs/capture-log.md.
 
         Args:
             limit: so many at most.
             after: those that follow this position, as ``next`` of an answer names it.
+            timeout: of the call in all [s].
         """
-        return self._transport.send(calls.log(limit, after))
+        return self._transport.send(calls.log(limit, after), timeout)
 
-    def log_head(self) -> LogHead:
+    def log_head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
         """Where the log ends now, signed: keep it, and what is dropped from that end shows."""
-        return self._transport.send(calls.LOG_HEAD)
+        return self._transport.send(calls.LOG_HEAD, timeout)
 
-    def receivers(self) -> Receivers:
+    def receivers(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:
         """To whom embeddings are sealed, and the key of the device that seals them."""
-        return self._transport.send(calls.RECEIVERS)
+        return self._transport.send(calls.RECEIVERS, timeout)
 
-    def add_receiver(self, label: str, key: Receiver | str) -> PairedReceiver:
+    def add_receiver(
+        self, label: str, key: Receiver | str, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> PairedReceiver:
         """Seal to one receiver more, from the next mask on.
 
         Args:
             label: for whom or what it is; it stands in the status and in the audit log.
             key: its public key, as ``veilcam receiver keygen`` prints it.
+            timeout: of the call in all [s].
         """
-        return self._transport.send(calls.add_receiver(label, str(key)))
+        return self._transport.send(calls.add_receiver(label, str(key)), timeout)
 
-    def remove_receiver(self, receiver_id: str) -> None:
+    def remove_receiver(self, receiver_id: str, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> None:
         """Seal to a receiver no more, from the next mask on; what it has it still opens."""
-        self._transport.send(calls.remove_receiver(receiver_id))
+        self._transport.send(calls.remove_receiver(receiver_id), timeout)
 
-    def hold_scene(self, picture: npt.ArrayLike | bytes | None) -> HeldScene:
+    def hold_scene(
+        self, picture: npt.ArrayLike | bytes | None, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> HeldScene:
         """Hold a picture up before a simulated camera that allows it; None takes it away.
 
         Args:
             picture: the content of a PNG, JPEG or ``.npy`` file, or an array (rows, columns) or
                 (rows, columns, 3), uint8, or floats in [0, 1].
+            timeout: of the call in all [s].
         """
         if picture is None:
-            return self._transport.send(calls.TAKE_SCENE_AWAY)
-        return self._transport.send(calls.hold_scene(picture_bytes(picture)))
+            return self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
+        return self._transport.send(calls.hold_scene(picture_bytes(picture)), timeout)
 
-    def set_faults(self, faults: Faults) -> Faults:
+    def set_faults(self, faults: Faults, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Faults:
         """Break a simulated camera that allows it; ``Faults()`` mends it.
 
         Returns:
             What is wrong with it from now on.
         """
-        return self._transport.send(calls.set_faults(faults))
+        return self._transport.send(calls.set_faults(faults), timeout)
 
-    def bundles(self) -> tuple[InstalledBundle, ...]:
+    def bundles(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> tuple[InstalledBundle, ...]:
         """All bundles; one of them is ``active``."""
-        return self._transport.send(calls.BUNDLES).bundles
+        return self._transport.send(calls.BUNDLES, timeout).bundles
 
-    def install_bundle(self, bundle: bytes) -> InstalledBundle:
+    def install_bundle(
+        self, bundle: bytes, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> InstalledBundle:
         """Hand over the content of a bundle; it is checked, and not used yet."""
-        return self._transport.send(calls.install_bundle(bundle))
+        return self._transport.send(calls.install_bundle(bundle), timeout)
 
-    def activate_bundle(self, digest: str, *, allow_older: bool = False) -> InstalledBundle:
+    def activate_bundle(
+        self,
+        digest: str,
+        *,
+        allow_older: bool = False,
+        wait: float | None = None,
+        timeout: CallTimeout = CAMERA_TIMEOUT,
+    ) -> InstalledBundle:
         """Take masks and classifiers from this bundle from now on.
 
         One of an older version than that in use is refused unless ``allow_older``, and always where
         the daemon wants its owner's signature.
         """
-        return self._transport.send(calls.activate_bundle(digest, allow_older))
+        return self._transport.send(calls.activate_bundle(digest, allow_older), timeout, wait=wait)
 
-    def remove_bundle(self, digest: str) -> tuple[InstalledBundle, ...]:
+    def remove_bundle(
+        self, digest: str, *, timeout: CallTimeout = CAMERA_TIMEOUT
+    ) -> tuple[InstalledBundle, ...]:
         """Remove a bundle that is not in use for good; return those that are left."""
-        return self._transport.send(calls.remove_bundle(digest)).bundles
+        return self._transport.send(calls.remove_bundle(digest), timeout).bundles
 
-    def events(self, *, last_event_id: str | None = None) -> Iterator[Event]:
-        """Yield events as they happen; resumes by itself, a ``Gap`` tells of missed ones."""
-        return self._transport.events(last_event_id)
+    def events(self, *, last_event_id: str | None = None, reconnect: bool = True) -> EventStream:
+        """Events as they happen; a context, or a loop that ends when the stream is closed.
+
+        It is opened again by itself when it breaks, after the last event; a ``Gap`` tells of missed
+        ones.
+
+        Args:
+            last_event_id: go on after this event; None: from now on.
+            reconnect: whether it is opened again; False: what broke it is raised.
+        """
+        return EventStream(self._transport, last_event_id, reconnect)
+
+    @property
+    def with_raw_response(self) -> _RawCamera:
+        """The same methods, each with the answer as it came: ``request_id``, headers, content.
+
+        ``camera.with_raw_response.classify().parse()`` is ``camera.classify()``.
+        """
+        return _RawCamera(self)
+
+
+class _RawMethod(Generic[P, ResultT]):
+    """A method of :class:`Camera` that returns the answer as it came."""
+
+    def __init__(self, method: Callable[Concatenate[Camera, P], ResultT]) -> None:
+        self._method = method
+
+    def __get__(self, raw: _RawCamera, kind: type[_RawCamera]) -> Callable[P, RawResponse[ResultT]]:
+        def ask(*args: P.args, **options: P.kwargs) -> RawResponse[ResultT]:
+            camera = copy.copy(raw.camera)
+            camera._transport = transport = raw.camera._transport.for_one_caller()  # noqa: SLF001
+            result = self._method(camera, *args, **options)
+            return raw_response(transport.last, result)
+
+        return ask
+
+
+class _RawCamera:
+    """Methods of :class:`Camera` that return answers as they came."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera: Camera = camera
+
+    status: Final = _RawMethod(Camera.status)
+    calibration: Final = _RawMethod(Camera.calibration)
+    start_calibration: Final = _RawMethod(Camera.start_calibration)
+    confirm_scene: Final = _RawMethod(Camera.confirm_scene)
+    cancel_calibration: Final = _RawMethod(Camera.cancel_calibration)
+    capture: Final = _RawMethod(Camera.capture)
+    classify: Final = _RawMethod(Camera.classify)
+    rotation: Final = _RawMethod(Camera.rotation)
+    set_rotation: Final = _RawMethod(Camera.set_rotation)
+    rotate: Final = _RawMethod(Camera.rotate)
+    watch: Final = _RawMethod(Camera.watch)
+    set_watch: Final = _RawMethod(Camera.set_watch)
+    take_lease: Final = _RawMethod(Camera.take_lease)
+    release_lease: Final = _RawMethod(Camera.release_lease)
+    break_lease: Final = _RawMethod(Camera.break_lease)
+    lease_state: Final = _RawMethod(Camera.lease_state)
+    diagnostics: Final = _RawMethod(Camera.diagnostics)
+    tokens: Final = _RawMethod(Camera.tokens)
+    create_token: Final = _RawMethod(Camera.create_token)
+    revoke_token: Final = _RawMethod(Camera.revoke_token)
+    log: Final = _RawMethod(Camera.log)
+    log_head: Final = _RawMethod(Camera.log_head)
+    receivers: Final = _RawMethod(Camera.receivers)
+    add_receiver: Final = _RawMethod(Camera.add_receiver)
+    remove_receiver: Final = _RawMethod(Camera.remove_receiver)
+    hold_scene: Final = _RawMethod(Camera.hold_scene)
+    set_faults: Final = _RawMethod(Camera.set_faults)
+    bundles: Final = _RawMethod(Camera.bundles)
+    install_bundle: Final = _RawMethod(Camera.install_bundle)
+    activate_bundle: Final = _RawMethod(Camera.activate_bundle)
+    remove_bundle: Final = _RawMethod(Camera.remove_bundle)

@@ -60,8 +60,6 @@ class SceneDecoder:
             VeilcamError: the answer holds no sealed embedding (code ``no_embedding``), or the frame
                 is of another camera (code ``decoding_failed``).
         """
-        import torch  # noqa: PLC0415 - an extra
-
         from veilcam_client.keys.blocks import open_block  # noqa: PLC0415 - late, as cryptography is
         from veilcam_client.keys.envelopes import open_key  # noqa: PLC0415
         from veilcam_optics.errors import OpticsError  # noqa: PLC0415 - an extra
@@ -80,10 +78,10 @@ class SceneDecoder:
             self._device = sealed.envelope.device
             levels = draw_levels(key.levels(), camera=frame.camera, distribution=frame.distribution)
             decoder = self._decoding.prepare(frame.shown(levels))
-            scenes = decoder(torch.from_numpy(np.asarray(embedding))[None])
+            scenes = decoder(np.asarray(embedding)[None])
         except OpticsError as error:
             raise VeilcamError(str(error), code="decoding_failed") from None
         finally:
             key.erase()
-        scene: npt.NDArray[np.float32] = scenes[0].float().numpy()
+        scene: npt.NDArray[np.float32] = scenes[0]
         return scene

@@ -3,7 +3,13 @@
 import sys
 from importlib import import_module
 
-_PACKAGES = ("veilcam_client", "veilcam_optics", "veilcam_training", "veilcam_server")
+_PACKAGES = (
+    "veilcam_client",
+    "veilcam_mqtt",
+    "veilcam_optics",
+    "veilcam_training",
+    "veilcam_server",
+)
 
 
 def veilcam_optics() -> None:
@@ -14,6 +20,11 @@ def veilcam_optics() -> None:
 def veilcam_train() -> None:
     """Run ``veilcam-train``."""
     _run("veilcam-train", "veilcam_training.cli.main", "training")
+
+
+def veilcam_mqtt() -> None:
+    """Run ``veilcam-mqtt``."""
+    _run("veilcam-mqtt", "veilcam_mqtt.cli", "mqtt")
 
 
 def veilcamd() -> None:

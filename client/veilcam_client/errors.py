@@ -8,6 +8,7 @@
     ``KeyFileError``: a key of a receiver that cannot be written or read.
     ``SealedError``: a sealed embedding that cannot be opened.
     ``LogFileError``: a log of captures that cannot be written or read, or gone on with.
+    ``DiscoveryError``: cameras cannot be looked for.
     ``ApiError``: the daemon answered with a problem.
         ``UnauthorizedError``: HTTP 401, the token is missing or not valid any more.
         ``ForbiddenError``: the token lacks a scope.
@@ -82,10 +83,17 @@ class ProtocolError(VeilcamError):
 
 
 class RecordingError(VeilcamError):
-    """A recording that cannot be written or read."""
+    """A recording, or a file of measurements, that cannot be written or read."""
 
     def __init__(self, why: str) -> None:
         super().__init__(why, code="recording_failed")
+
+
+class CatalogueError(VeilcamError):
+    """A bundle that cannot be pulled from a catalogue, or is not what its owner signed."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, code="pull_failed")
 
 
 class KeyFileError(VeilcamError):
@@ -107,6 +115,13 @@ class LogFileError(VeilcamError):
 
     def __init__(self, why: str) -> None:
         super().__init__(why, code="log_file_failed")
+
+
+class DiscoveryError(VeilcamError):
+    """Cameras cannot be looked for: an extra is not installed, or there is no network."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(why, code="discovery_failed")
 
 
 class ApiError(VeilcamError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from veilcam_client.errors import LogFileError
 from veilcam_client.wire.captures import Capture, Classification
@@ -14,7 +14,9 @@ from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecord, LogReco
 if TYPE_CHECKING:
     from veilcam_client.keys.log_check import Examination
 
-_ANSWER: TypeAdapter[Capture | Classification] = TypeAdapter(Classification | Capture)
+_ANSWER: TypeAdapter[Capture | Classification] = TypeAdapter(
+    Classification | Capture, config=ConfigDict(defer_build=True)
+)
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 

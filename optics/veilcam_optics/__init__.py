@@ -6,20 +6,35 @@ chosen = plan(Camera(), Scene(), Embedding(24, 32), tolerance=1e-2)
 print(chosen.explain())
 """
 
-from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.errors import OpticsError
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
 
-try:
+if TYPE_CHECKING:
+    from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
     from veilcam_optics.camera.imperfections import Conditions, Imperfections
     from veilcam_optics.camera.masks import quantise, random_mask, to_levels, to_weights
+    from veilcam_optics.errors import OpticsError
     from veilcam_optics.plan import Plan, plan
     from veilcam_optics.sensor.noise import shot_noise
     from veilcam_optics.transfer.grid import GridLight
-    from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
-except ModuleNotFoundError as missing:
-    # What a device computes in NumPy is imported from its own modules.
-    if missing.name != "torch":
-        raise
+    from veilcam_optics.transfer.operator import TransferOperator
+    from veilcam_optics.transfer.tables import Reach, Variables
+
+_OWNERS = {
+    "camera.geometry": ("Camera", "Embedding", "Panel", "Scene", "Sensor", "Window"),
+    "camera.imperfections": ("Conditions", "Imperfections"),
+    "camera.masks": ("quantise", "random_mask", "to_levels", "to_weights"),
+    "errors": ("OpticsError",),
+    "plan": ("Plan", "plan"),
+    "sensor.noise": ("shot_noise",),
+    "transfer.grid": ("GridLight",),
+    "transfer.operator": ("TransferOperator",),
+    "transfer.tables": ("Reach", "Variables"),
+}
+"""Modules of the public names, which are imported when a name is asked for (PEP 562): torch takes
+seconds of a Raspberry Pi, and a device computes in NumPy, by modules of its own."""
 
 __all__ = [
     "Camera",
@@ -43,3 +58,29 @@ __all__ = [
     "to_levels",
     "to_weights",
 ]
+
+
+def __getattr__(name: str) -> object:
+    for owner, names in _OWNERS.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{owner}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """``plan`` is the function, although a subpackage has that name too."""
+
+    @property
+    def plan(self) -> object:
+        return __getattr__("plan")
+
+    @plan.setter
+    def plan(self, _: ModuleType) -> None:
+        """Whoever imports a subpackage has it put here."""
+
+
+sys.modules[__name__].__class__ = _Package

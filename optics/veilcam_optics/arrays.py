@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from array_api_compat import array_namespace as namespace
-from array_api_compat import device, is_torch_array, to_device
+from array_api_compat import array_namespace, device, is_torch_array, to_device
 from typing_extensions import TypeVar
 
 if TYPE_CHECKING:
@@ -22,11 +21,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Array",
+    "Scalar",
+    "as_numpy",
     "as_type",
     "cholesky",
     "detached",
     "device",
     "ends",
+    "is_torch_array",
     "joined",
     "namespace",
     "needs_gradient",
@@ -38,8 +40,21 @@ __all__ = [
 Array = TypeVar("Array", "npt.NDArray[Any]", "Tensor", default="Tensor")
 """Of NumPy or of torch; what takes one gives the same back."""
 
+Scalar: TypeAlias = Any
+"""A float, or a scalar array of any library, so that gradients reach a length or an angle."""
+
 _BLOCK = 64
 """Rows that are solved for at once: a matrix of so many a side stays in a processor's cache."""
+
+
+_STANDARD = hasattr(np, "cumulative_sum")
+"""NumPy keeps to the standard by itself, as it does from 2.1 on."""
+
+
+def namespace(array: Array) -> Any:
+    """The functions of the array's library, as the standard has them."""
+    # What makes older ones compatible loads all that NumPy has, its front of Fortran included.
+    return np if _STANDARD and isinstance(array, np.ndarray) else array_namespace(array)
 
 
 def as_type(array: Array, name: str) -> Array:
@@ -47,6 +62,11 @@ def as_type(array: Array, name: str) -> Array:
     xp = namespace(array)
     same: Array = xp.astype(array, getattr(xp, name), copy=False)
     return same
+
+
+def as_numpy(array: Array) -> npt.NDArray[Any]:
+    """The same numbers in NumPy, in the same memory where that is possible."""
+    return np.asarray(to_device(detached(array), "cpu"))
 
 
 def detached(array: Array) -> Array:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 import structlog
-import torch
 import uvicorn
 
 from veilcam_client.wire.status import Device as DeviceInfo
@@ -24,7 +23,12 @@ from veilcam_server.bundles.loader import (
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
-from veilcam_server.calibration.loading import open_calibration, settle_time, source_opener
+from veilcam_server.calibration.loading import (
+    mask_tests,
+    open_calibration,
+    settle_time,
+    source_opener,
+)
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
@@ -33,6 +37,8 @@ from veilcam_server.camera.epochs import Preparation
 from veilcam_server.camera.self_test import OpticalSelfTest
 from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import open_device
+from veilcam_server.doctor.checkup import examine_beside
+from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import (
     BundleOlderError,
     BundleRevealsError,
@@ -58,6 +64,7 @@ from veilcam_server.system.logs import log_defect
 from veilcam_server.system.memory import forbid_core_files
 from veilcam_server.system.state_file import HeldDirectory
 from veilcam_server.system.systemd import notify
+from veilcam_server.watch.watcher import open_watch
 from veilcam_training.bundle import BundleError, read_bundle
 
 log = structlog.get_logger()
@@ -92,7 +99,8 @@ def build_service(settings: Settings) -> Service:
             policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
-            preparation = Preparation(keys.source, key, terms, budget)
+            tests = mask_tests(bundle, signed, full_scale=device.sensor.full_scale)
+            preparation = Preparation(keys.source, key, terms, budget, tests)
             undo.callback(preparation.close)
             camera = MaskedCamera(
                 device,
@@ -112,7 +120,8 @@ def build_service(settings: Settings) -> Service:
             undo.pop_all()
             undo.callback(held.close)
             undo.callback(camera.stop)
-            _begin(camera)
+            watch = open_watch(settings, signed, faults.append)
+            _begin(camera, watch.rests)
             undo.pop_all()
     except (
         *(BundleError, BundleUnfitError, BundleUntrustedError, BundleOlderError),
@@ -144,19 +153,23 @@ def build_service(settings: Settings) -> Service:
         faults=faults,
         policies=policies,
         capture_log=CaptureLog.of(settings.state_dir, key),
+        watch=watch,
         held=held,
     )
 
 
-def _begin(camera: MaskedCamera) -> None:
-    """Test the panel and show the first mask.
+def _begin(camera: MaskedCamera, rests: str | None) -> None:
+    """Test the panel and show the first mask; or be opaque, and test nothing, for a reason.
 
     What stands in the way of that is no reason to end: in a dark room nothing can be told before
     there is light, and a cable can be put back. The state says why no capture is taken, and it is
     tried again.
     """
     try:
-        camera.rotate()
+        if rests is None:
+            camera.rotate()
+        else:
+            camera.rest(rests)
     except ProblemError as error:
         log.warning("no capture yet", reason=str(error), remedy=error.remedy)
     except Exception as error:
@@ -187,15 +200,6 @@ class _Server(GateServer):
         await super().shutdown(sockets)
 
 
-def configure_torch() -> None:
-    """Make inference fit for a small machine and a sandbox."""
-    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
-    torch.set_num_threads(1)
-    # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
-    # Torch's own are as fast for one embedding at a time (deploy/README.md).
-    torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
-
-
 def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
     """Serve until told to stop, then show opaque.
 
@@ -206,7 +210,6 @@ def serve(settings: Settings, on_listening: Callable[[str], None]) -> None:
     Raises:
         StartError: the daemon cannot start; nothing else on this machine was disturbed.
     """
-    configure_torch()
     forbid_core_files()
     # The default would end the process at once and leave the mask on the panel.
     default = signal.signal(signal.SIGTERM, _exit)
@@ -235,7 +238,12 @@ def _serve(
         with open_admission(settings, service.report) as admission:
             gate = open_gate(settings)
             config = uvicorn.Config(
-                create_app(service, admission, gate.connections),
+                create_app(
+                    service,
+                    admission,
+                    gate.connections,
+                    lambda: examine_beside(Machine(), settings),
+                ),
                 http="h11",
                 log_config=None,
                 access_log=False,

@@ -146,6 +146,20 @@ class FenceError(
     """A measurement that was not wholly exposed under one settled mask; it is thrown away."""
 
 
+class MaskNotSeenError(
+    ProblemError,
+    code="mask_not_seen",
+    status=503,
+    title="The capture does not show the mask that it names",
+    retryable=True,
+    detail=(
+        "this capture does not show the mask that it names and was thrown away; the panel was made "
+        "opaque and is tested: try again"
+    ),
+):
+    """A measurement that the mask which should be there cannot have made."""
+
+
 class NotReadyError(
     ProblemError,
     code="not_ready",
@@ -154,6 +168,15 @@ class NotReadyError(
     retryable=True,
 ):
     """The camera is in no state to take a capture."""
+
+
+class NotLookingError(
+    NotReadyError,
+    code="not_looking",
+    status=409,
+    title="The camera does not look",
+):
+    """The panel is opaque because that is wanted now; the message says by what."""
 
 
 class SelfTestError(NotReadyError, remedy="check_panel_wiring"):
@@ -183,6 +206,17 @@ class PolicyStoreError(
     remedy="check_disk",
 ):
     """A rotation policy could not be made durable."""
+
+
+class WatchStoreError(
+    ProblemError,
+    code="watch_not_stored",
+    status=503,
+    title="The watch policy is not durable",
+    retryable=True,
+    remedy="check_disk",
+):
+    """A watch policy could not be made durable."""
 
 
 class WithheldError(
@@ -329,6 +363,20 @@ class SceneNotWantedError(
     def __init__(self, given: str, wanted: str | None) -> None:
         what = "no scene is" if wanted is None else f"the scene {wanted!r} is"
         super().__init__(f"{what} waited for, not {given!r}: see GET /v1/calibration")
+
+
+class CalibrationDueError(
+    ProblemError,
+    code="calibration_due",
+    status=500,
+    title="The camera has drifted away from its calibration",
+    detail=(
+        "the last captures fit their masks worse than the calibration says they should: calibrate "
+        "this camera soon, before labels are wrong"
+    ),
+    remedy="calibrate",
+):
+    """Masks are still seen, but not as well as they should be."""
 
 
 class CalibrationError(

@@ -12,10 +12,23 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, JsonValue, field_validator, model_validator
-from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    NoDecode,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
 
-from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import RotationPolicy
+from veilcam_client.wire.sealing import Release
+from veilcam_client.wire.watch import (
+    OnRequest,
+    Watching,
+    WatchOff,
+    WatchPolicy,
+    parse_hours,
+    parse_rate,
+)
 from veilcam_server.demo_data import BUNDLE
 
 PREFIX = "VEILCAM_"
@@ -24,12 +37,16 @@ STATE_DIRECTORY = f"{PREFIX}STATE_DIRECTORY"
 """Says what systemd's ``STATE_DIRECTORY`` says, where systemd does not."""
 _OTHERS = frozenset(
     (
-        *(f"{PREFIX}URL", f"{PREFIX}TOKEN", f"{PREFIX}CA_FILE"),  # of the client
+        # Of the client.
+        *(f"{PREFIX}URL", f"{PREFIX}TOKEN", f"{PREFIX}CA_FILE", f"{PREFIX}LOG"),
+        *(f"{PREFIX}TOKEN_FILE", f"{PREFIX}PROFILE"),
         f"{PREFIX}TEST_THREADS",  # of the tests
         STATE_DIRECTORY,
     )
 )
 """Names in the environment that are no settings of a daemon, and may stand beside them."""
+_OF_THE_HOUSE = f"{PREFIX}MQTT_"
+"""Begins the names of ``veilcam-mqtt``, which may too."""
 
 
 def default_state_dir() -> Path:
@@ -46,7 +63,12 @@ class Wiring(BaseSettings):
 
     # Of the docstrings below 'veilcamd --help' is made, one command-line option of each.
     model_config = SettingsConfigDict(
-        env_prefix=PREFIX, extra="forbid", frozen=True, use_attribute_docstrings=True
+        env_prefix=PREFIX,
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+        # What checks them takes a tenth of a second to build, and --help checks none.
+        defer_build=True,
     )
 
     panel: str = "ST7735R"
@@ -94,8 +116,8 @@ SCENE_NAME = "scene.npy"
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
 """Name or address, and perhaps a port."""
 
-_WORDS = frozenset(("auth", "device", "log_level", "release"))
-"""Settings that are one of a few words."""
+_WORDS = frozenset(("auth", "device", "log_level", "release", "watch", "quiet_hours"))
+"""Settings that are one of a few words, a rate or times of day."""
 
 _REPLAYED = frozenset(
     (
@@ -146,6 +168,12 @@ class Settings(Wiring):
     """Where the device's key, its receivers, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None
     """When masks change; by default after every capture for fresh masks, after ten for pairs."""
+    watch: str | None = None
+    """Look without being asked, so often: 2/s, 30/min or 6/h; or off, and the panel is opaque until
+    a caller says otherwise. Default: it looks when it is asked to."""
+    quiet_hours: str | None = None
+    """From when to when it never looks, by the clock on the wall, as in 22-7 or 22:30-7: the panel
+    is opaque then."""
     calibration: Path | None = None
     """Record of 'veilcamd calibrate'; by default the one in the state directory, if there is
     one."""
@@ -233,6 +261,20 @@ class Settings(Wiring):
                 )
         return origins
 
+    @field_validator("watch")
+    @classmethod
+    def _a_rate(cls, given: str | None) -> str | None:
+        if given not in (None, "off"):
+            parse_rate(given)
+        return given
+
+    @field_validator("quiet_hours")
+    @classmethod
+    def _hours(cls, given: str | None) -> str | None:
+        if given is not None:
+            parse_hours(given)
+        return given
+
     @field_validator("host")
     @classmethod
     def _an_address(cls, host: str) -> str:
@@ -291,6 +333,8 @@ class Settings(Wiring):
             raise ValueError("only a simulated camera is given --imperfections: add --simulate")
         if self.allow_older and self.owner_keys is not None:
             raise ValueError("with --owner-keys no older bundle is taken: leave out --allow-older")
+        if self.watch == "off" and self.quiet_hours is not None:
+            raise ValueError("with --watch off the panel is always opaque: leave out --quiet-hours")
         if self.data_line == self.reset_line:
             raise ValueError("--data-line and --reset-line are two lines: give two numbers")
         if self.wrong_classifier and self.device != "simulated":
@@ -328,6 +372,16 @@ class Settings(Wiring):
         return shown
 
     @property
+    def watch_policy(self) -> WatchPolicy:
+        """When the camera looks, unless a caller said otherwise."""
+        quiet = None if self.quiet_hours is None else parse_hours(self.quiet_hours)
+        if self.watch == "off":
+            return WatchOff()
+        if self.watch is None:
+            return OnRequest(quiet=quiet)
+        return Watching(rate_hz=parse_rate(self.watch), quiet=quiet)
+
+    @property
     def connections(self) -> int:
         """Connections that may be open."""
         if self.connection_limit is not None:
@@ -352,15 +406,35 @@ class Settings(Wiring):
         return self.state_dir / SCENE_NAME
 
 
+class GivenSettings(Settings):
+    """Settings that come from nowhere else: the environment has no part in them."""
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],  # noqa: ARG003 - the signature is pydantic's
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """What was given, and nothing else."""
+        return (init_settings,)
+
+
 def unknown_names() -> dict[str, str]:
     """Every ``VEILCAM_...`` in the environment that is nobody's, with what to do about it.
 
     Values are left out: they may be secret.
     """
     known = _OTHERS | {f"{PREFIX}{name.upper()}" for name in Settings.model_fields}
-    given = (name for name in sorted(os.environ) if name.upper().startswith(PREFIX))
     # As pydantic-settings reads them, in capitals or not.
-    return {name: _remedy(name.upper(), known) for name in given if name.upper() not in known}
+    given = {name: name.upper() for name in sorted(os.environ)}
+    return {
+        name: _remedy(upper, known)
+        for name, upper in given.items()
+        if upper.startswith(PREFIX) and not upper.startswith(_OF_THE_HOUSE) and upper not in known
+    }
 
 
 def _remedy(name: str, known: Set[str]) -> str:

@@ -72,7 +72,9 @@ def test_every_test_is_asked_for_with_the_variables_of_the_makefile(
     script = 'echo "torch: ${ATEN_CPU_CAPABILITY:-BEST}, threads: 1"; echo "asked: $*"'
     done = run(target, environment(tmp_path, script))
     assert done == Run(target, level or "BEST", passed=True)
-    assert re.search(r"asked: -n \d --dist worksteal -m not system\n", capfd.readouterr().out)
+    assert re.search(
+        r"asked: -n \d --dist worksteal -m not system and not page\n", capfd.readouterr().out
+    )
 
 
 def test_a_suite_that_fails_is_not_green(tmp_path: Path) -> None:

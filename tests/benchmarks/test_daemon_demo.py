@@ -1,41 +1,57 @@
-"""The accuracy of the demonstration as a figure, of a few captures."""
+"""The accuracy of the demonstration as a figure; that it runs, the tests of the server show."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from benchmarks.daemon import demo
-from tests.server.conftest import make_bundle, make_fresh_bundle
+from rich.console import Console
 
-from veilcam_training.bundle import Bundle, write_bundle
+from veilcam_server.demo.run import Plan
+from veilcam_server.demo.tally import Sample, Tally
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("make", "options", "name"),
+    ("fresh", "wrong_classifier", "name"),
     [
-        (make_bundle, {"wrong_classifier": True}, "demo_wrong_classifier_accuracy"),
-        (make_fresh_bundle, {"fresh": True}, "demo_fresh_accuracy"),
+        (False, False, "demo_accuracy"),
+        (False, True, "demo_wrong_classifier_accuracy"),
+        (True, False, "demo_fresh_accuracy"),
     ],
 )
 def test_the_accuracy_is_kept(
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     *,
-    make: Callable[[], Bundle],
-    options: dict[str, bool],
+    fresh: bool,
+    wrong_classifier: bool,
     name: str,
 ) -> None:
-    figures = tmp_path / "figures.json"
+    plans: list[Plan] = []
+
+    def demonstrated(plan: Plan, console: Console) -> Tally:
+        plans.append(plan)
+        rights = [True, False, True, True, False, True]
+        return Tally([Sample("a", 0, right, settle=0, capture=0, rest=0) for right in rights])
+
+    monkeypatch.setattr(demo, "demonstrate", demonstrated)
+    figures, bundle, out = (tmp_path / each for each in ("figures.json", "a.veilcam", "out"))
     figures.write_text('{"other": {"value": 1}}')
-    bundle = tmp_path / "made.veilcam"
-    write_bundle(bundle, make())
-    demo.main(bundle=bundle, captures=6, out=tmp_path / "out", figures=figures, **options)
+    plan = Plan(fresh=fresh, bundle=bundle, out=out, captures=6, wrong_classifier=wrong_classifier)
+    demo.main(
+        fresh=fresh,
+        wrong_classifier=wrong_classifier,
+        bundle=bundle,
+        captures=6,
+        out=out,
+        figures=figures,
+    )
+    assert plans == [plan]
     written = json.loads(figures.read_text())
     assert written["other"] == {"value": 1}
-    figure = written[name]
-    assert set(figure) == {"value", "command", "commit", "date", "machine"}
-    assert f"accuracy={figure['value']:.3f} captures=6" in capsys.readouterr().out
+    assert set(written[name]) == {"value", "command", "commit", "date", "machine"}
+    assert written[name]["value"] == 0.6667
+    assert "accuracy=0.667 captures=6" in capsys.readouterr().out

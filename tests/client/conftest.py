@@ -17,6 +17,31 @@ ROTATION = {
     "captures": 2,
     "preparation": {"ready": True, "prepared": 4, "last_s": 0.1, "late": 0, "reused": 0},
 }
+WATCH = {
+    "policy": {
+        "mode": "watching",
+        "rate_hz": 2.0,
+        "quiet": {"begin": "22:00", "end": "07:00"},
+    },
+    "activity": "looking",
+    "looks": 7200,
+    "belief": {
+        "label": "3",
+        "confidence": 0.998,
+        "since": "2026-01-02T03:04:05Z",
+        "duration_s": 12.5,
+        "looks": 25,
+    },
+    "history": [
+        {
+            "label": "3",
+            "confidence": 0.998,
+            "seen_at": "2026-01-02T03:04:05Z",
+            "gone_at": None,
+            "duration_s": 12.5,
+        }
+    ],
+}
 CAPTURE = {
     "id": "c1",
     "epoch": "e1",
@@ -84,6 +109,13 @@ DIAGNOSTICS = {
     "events": {"capture": 5},
     "fault_counts": {"sensor_failed": 1},
     "audit_lost": 0,
+    "proof": {
+        "captures": 100,
+        "undecided": 0.02,
+        "margin": 353.0,
+        "departure": 0.98,
+        "light": 0.4,
+    },
 }
 BUNDLE: dict[str, Any] = {
     "digest": "ab" * 32,
@@ -125,6 +157,10 @@ ANSWERS: dict[tuple[str, str], dict[str, Any]] = {
     ("GET", "/v1/rotation"): ROTATION,
     ("PUT", "/v1/rotation"): ROTATION,
     ("POST", "/v1/rotation/advance"): ROTATION,
+    ("PUT", "/v1/simulation/scene"): {"scene": 1},
+    ("DELETE", "/v1/simulation/scene"): {"scene": 2},
+    ("GET", "/v1/watch"): WATCH,
+    ("PUT", "/v1/watch"): WATCH,
 }
 
 

@@ -51,7 +51,7 @@ def answer(number: int) -> dict[str, Any]:
         "embedding": {
             "form": "white",
             "shape": [2, 3],
-            "values": [number + k / 7 for k in range(6)],
+            "values": [number + k / 8 for k in range(6)],
         },
     }
 

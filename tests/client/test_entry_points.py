@@ -13,7 +13,7 @@ import pytest
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 SCRIPTS: dict[str, str] = PROJECT["scripts"]
-EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "safetensors", "pooch", "fastapi")
+EXTRAS = ("torch", "scipy", "matplotlib", "PIL", "safetensors", "pooch", "fastapi", "aiomqtt")
 """First imports of every extra: without them there is the base install alone."""
 
 
@@ -37,6 +37,7 @@ def run(command: str, *arguments: str, without: Iterable[str]) -> subprocess.Com
         ("veilcamd", ["serve", "--simulate"], ["uvicorn"], "server"),
         ("veilcam-train", ["--help"], EXTRAS, "training"),
         ("veilcam-optics", ["--help"], EXTRAS, "optics"),
+        ("veilcam-mqtt", ["--help"], EXTRAS, "mqtt"),
     ],
 )
 def test_a_command_names_the_extra_that_it_needs(
@@ -72,7 +73,7 @@ def test_a_command_that_has_its_extra_runs(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "fcntl"])
+@pytest.mark.parametrize("missing", ["veilcam_server", "veilcam_server.settings", "getpass"])
 def test_what_no_extra_brings_is_a_defect_that_is_not_hidden(missing: str) -> None:
     done = run("veilcamd", "--help", without=[missing])
     assert done.returncode == 1

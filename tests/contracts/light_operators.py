@@ -9,7 +9,7 @@ from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.effects.composition import read
 from veilcam_optics.effects.model import Method
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 from .setting import Bound, Operator, Setting, measurement_model, symmetric_weights
 

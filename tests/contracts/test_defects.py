@@ -21,7 +21,8 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.algorithm1 import Algorithm1
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.kernels import Approximation
-from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Beam, Reach
 
 from .contracts import relative
 

@@ -16,7 +16,8 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.transfer.factored import aperture_fields
-from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach, Variables
 
 from .contracts import relative
 

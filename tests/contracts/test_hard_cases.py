@@ -17,7 +17,8 @@ from veilcam_optics.propagation import AngularSpectrum, FresnelImpulse
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import GridLight
-from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach, Variables
 
 from .contracts import apply_one, relative
 from .registry import OPERATORS

@@ -9,7 +9,8 @@ from veilcam_optics.decoding import Precision, SceneDecoding
 from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
 from veilcam_optics.transfer.kernels import EXACT, Approximation, box_kernel, double_integral
-from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator, Variables
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Beam, Reach, Variables
 
 from .setting import LENGTHS, Bound, Operator, Setting, centred, symmetric_weights
 

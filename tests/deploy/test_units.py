@@ -10,7 +10,11 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from deploy import config
+from typer.main import get_command
 
+from veilcam_client.discovery import TYPE
+from veilcam_mqtt.cli import app as mqtt
 from veilcam_server.settings import DEFAULT_PORT, Settings
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
@@ -29,18 +33,18 @@ def analyze(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def units(tmp_path: Path) -> Path:
     """The units in a folder, with a program that exists."""
-    for name in ("veilcamd.service", "veilcamd.socket"):
+    for name in ("veilcamd.service", "veilcamd.socket", "veilcam-mqtt.service"):
         text = (DEPLOY / name).read_text()
-        (tmp_path / name).write_text(
-            text.replace("/opt/veilcam/current/bin/veilcamd", sys.executable)
-        )
+        program = r"/usr/(bin/veilcam[a-z-]*|lib/veilcam/release)"
+        (tmp_path / name).write_text(re.sub(program, sys.executable, text))
     return tmp_path
 
 
 @analyses
 def test_systemd_understands_every_line(units: Path) -> None:
     service, socket = units / "veilcamd.service", units / "veilcamd.socket"
-    done = analyze("verify", "--recursive-errors=no", service, socket)
+    bridge = units / "veilcam-mqtt.service"
+    done = analyze("verify", "--recursive-errors=no", service, socket, bridge)
     assert (done.returncode, done.stderr) == (0, "")
     service.write_text(service.read_text() + "[Service]\nProtectEverything=yes\n")
     assert "ProtectEverything" in analyze("verify", "--recursive-errors=no", service).stderr
@@ -56,8 +60,32 @@ def test_the_sandbox_leaves_little_exposed(units: Path) -> None:
     assert analyze("security", "--offline=true", "--threshold=10", service).returncode != 0
 
 
-def test_a_daemon_that_fails_is_started_again_for_ever() -> None:
-    unit = (DEPLOY / "veilcamd.service").read_text()
+@analyses
+def test_the_bridge_to_a_house_has_a_network_and_little_else(units: Path) -> None:
+    # In tenths: exposure 1.4 of 10, of which the network and its addresses are 1.0.
+    bridge = units / "veilcam-mqtt.service"
+    done = analyze("security", "--offline=true", "--threshold=14", bridge)
+    assert done.returncode == 0, done.stdout
+    unit = (DEPLOY / "veilcam-mqtt.service").read_text().splitlines()
+    assert {"DynamicUser=yes", "SupplementaryGroups=veilcam"} <= set(unit)
+    # No token, no password: what stands in a unit everybody may read.
+    assert [line for line in unit if "Credential" in line] == [
+        "LoadCredential=house:/etc/veilcam/house"
+    ]
+
+
+def test_the_settings_of_the_bridge_that_come_along_are_settings() -> None:
+    text = (DEPLOY / "mqtt.env").read_text()
+    given = set(re.findall(r"(?m)^#?(VEILCAM_\w+)=", text))
+    command = get_command(mqtt)
+    known = {each.envvar for each in command.params}
+    assert len(given) > 3
+    assert given <= known
+
+
+@pytest.mark.parametrize("name", ["veilcamd", "veilcam-mqtt"])
+def test_a_service_that_fails_is_started_again_for_ever(name: str) -> None:
+    unit = (DEPLOY / f"{name}.service").read_text()
     given = dict(re.findall(r"(?m)^(\w+)=(.*)$", unit))
     assert (given["Restart"], given["StartLimitIntervalSec"]) == ("always", "0")
     assert float(given["RestartSec"]) >= 5
@@ -79,14 +107,30 @@ def test_no_path_of_its_own_slips_through_the_rule_for_everything() -> None:
     assert {f"/var/lib/{state[1]}", "/tmp", "/var/tmp", "/dev/shm"} <= set(paths["NoExecPaths"])
 
 
-def test_the_settings_that_come_along_are_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Those that are commented out too.
-    given = dict(re.findall(r"(?m)^#?(VEILCAM_\w+)=(.*)$", (DEPLOY / "veilcam.env").read_text()))
-    names = {name.removeprefix("VEILCAM_").lower() for name in given}
-    assert {"bundle", "device", "rotation"} <= names <= set(Settings.model_fields)
+def test_every_setting_is_explained_in_the_file_that_comes_along() -> None:
+    text = (DEPLOY / "veilcam.env").read_text()
+    assert text == config.template(), "run python -m deploy.config"
+    explained = re.findall(r"(?m)^# \S.*\n#?VEILCAM_(\w+)=", text)
+    assert {name.lower() for name in explained} == set(Settings.model_fields)
+    # But for the bundle, nothing is said that a later release could not say otherwise.
+    assert re.findall(r"(?m)^[^#\n]+", text) == [f"VEILCAM_BUNDLE={config.BUNDLE}"]
+
+
+def test_a_value_in_that_file_may_stay_or_be_taken_into_force(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given = dict(re.findall(r"(?m)^#?(VEILCAM_\w+)=(.+)$", (DEPLOY / "veilcam.env").read_text()))
+    untouched = Settings(bundle=Path(config.BUNDLE))
     for name, value in given.items():
         monkeypatch.setenv(name, value)
-    assert names <= Settings().model_fields_set  # type: ignore[call-arg]
+    read = Settings()  # type: ignore[call-arg]
+    assert {name.removeprefix("VEILCAM_").lower() for name in given} == read.model_fields_set
+    examples = {"panel_tab", "owner_keys", "rotation", "hosts"}
+    differ = {
+        name for name in Settings.model_fields if getattr(read, name) != getattr(untouched, name)
+    }
+    assert differ == examples
+    assert len(given) > 30
 
 
 def test_keys_reach_neither_a_core_file_nor_swap() -> None:
@@ -98,8 +142,14 @@ def test_keys_reach_neither_a_core_file_nor_swap() -> None:
 
 def test_one_port_everywhere() -> None:
     assert f"ListenStream=127.0.0.1:{DEFAULT_PORT}\n" in (DEPLOY / "veilcamd.socket").read_text()
-    announced = ET.parse(DEPLOY / "veilcam.avahi").findtext("service/port")
-    assert announced == str(DEFAULT_PORT)
+    avahi = ET.parse(DEPLOY / "veilcam.avahi")
+    assert avahi.findtext("service/port") == str(DEFAULT_PORT)
+    resolved = dict(re.findall(r"(?m)^(\w+)=(.*)$", (DEPLOY / "veilcam.dnssd").read_text()))
+    assert resolved["Port"] == str(DEFAULT_PORT)
+    # What `veilcam discover` looks for.
+    assert f"{avahi.findtext('service/type')}.local." == f"{resolved['Type']}.local." == TYPE
+    told = {each.text for each in avahi.findall("service/txt-record")}
+    assert told == set(resolved["TxtText"].split()) == {"api=v1", "scheme=https"}
 
 
 CONVOLVE = """
@@ -107,10 +157,15 @@ import ctypes, sys
 PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
 if ctypes.CDLL(None).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0) != 0:
     sys.exit(77)
-import torch
-from veilcam_server.daemon import configure_torch
-configure_torch()
+import numpy, torch
+from veilcam_server.devices.simulated.device import use_torch_sparingly
+from veilcam_training.bundle import Network
+from veilcam_training.bundle.layers import Conv2d
+use_torch_sparingly()
 print(torch.nn.Conv2d(1, 8, 5)(torch.ones(1, 1, 24, 32)).shape)
+weights = {"0.weight": numpy.ones((8, 1, 5, 5), "f4"), "0.bias": numpy.ones(8, "f4")}
+layers = (Conv2d(inputs=1, outputs=8, kernel=5, padding=0),)
+print(Network.load(layers, weights)(numpy.ones((1, 1, 24, 32), "f4")).shape)
 """
 
 
@@ -120,5 +175,5 @@ def test_classifiers_run_without_memory_that_is_both_written_and_executed() -> N
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == 77:
         pytest.skip("this kernel cannot forbid it to one process (Linux 6.3 can)")
-    assert "torch.Size([1, 8, 20, 28])" in done.stdout, done.stderr
+    assert done.stdout == "torch.Size([1, 8, 20, 28])\n(1, 8, 20, 28)\n", done.stderr
     assert "MemoryDenyWriteExecute=yes\n" in (DEPLOY / "veilcamd.service").read_text()

@@ -13,7 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-PACKAGES = [f"{name}/veilcam_{name}" for name in ("client", "optics", "training", "server")]
+PACKAGES = [
+    "client/veilcam_mqtt",
+    *(f"{name}/veilcam_{name}" for name in ("client", "optics", "training", "server")),
+]
 CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
     "contracts"
 ]

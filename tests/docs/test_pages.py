@@ -21,16 +21,17 @@ PAGES = [
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 PROGRAMS = {
     "veilcam": "veilcam_client.cli.main",
+    "veilcam-mqtt": "veilcam_mqtt.cli",
     "veilcamd": "veilcam_server.cli.main",
     "veilcam-train": "veilcam_training.cli.main",
     "veilcam-optics": "veilcam_optics.cli.main",
 }
 BLOCK = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"(?:^|[\s/])(veilcam(?:d|-train|-optics)?) ([a-z][a-z-]*(?=\s|$).*)")
+COMMAND = re.compile(r"(?:^|[\s/])(veilcam(?:d|-train|-optics|-mqtt)?) ([a-z][a-z-]*(?=\s|$).*)")
 
 
-OTHERS = {"--purge", "--long"}
-"""Options of uninstall.sh and of the tests."""
+OTHERS = {"--long"}
+"""Options of the tests."""
 Command = TyperCommand | TyperGroup
 
 

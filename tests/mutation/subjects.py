@@ -39,7 +39,16 @@ SUBJECTS = (
     Subject(
         "panel",
         ("server/veilcam_server/camera/panel.py",),
-        ("tests/server/camera/test_panel.py", "tests/server/camera/test_camera.py"),
+        (
+            "tests/server/camera/test_panel.py",
+            "tests/server/camera/test_camera.py",
+            "tests/server/camera/test_proof.py",
+        ),
+    ),
+    Subject(
+        "proof",
+        ("server/veilcam_server/camera/proof.py",),
+        ("tests/server/camera/test_proof.py",),
     ),
     Subject(
         "epochs",

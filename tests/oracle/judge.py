@@ -18,10 +18,10 @@ from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 from .jobs import MOST_WORK, Job, draw, light, masks, read, scattered, shown
-from .physics import Array, transfer
+from .physics import Array, Light, extrapolated, transfer
 
 UNSURE = 0.3
 """An oracle that is itself this share of the larger of both errors off cannot judge them."""
@@ -29,8 +29,16 @@ UNSURE = 0.3
 LIMIT = 8.0
 """Seconds of the processor that a job may take."""
 
-_FINER_WORK = 3 * MOST_WORK
-"""To which an oracle that is unsure of a job goes on: that still ends before the limit."""
+_SURE_WITHIN = 0.8 * LIMIT
+"""Seconds of the processor in which an oracle that is unsure of a job tries again."""
+
+_PARTS = 3
+"""Cells are taken in halves first, and in thirds where that is not enough: by quarters, both are
+judged."""
+
+_COARSER, _FINER, _SAFE = 0.6, 2.0, 1.2
+"""Factors on the number of cells when it does: fewer where points in scene pixels are lacking,
+and somewhat more than a series says."""
 
 _POINT = 3e-3
 """Angle up to which a scene pixel is a point without a doubt [rad]: 1e-5 of its light."""
@@ -53,7 +61,8 @@ class Result:
     true: float = 0.0
     reached: bool = False
     oracle_error: float = 0.0
-    """Of one scene pixel, against cells half as wide and more points in it: relative L2."""
+    """Of scene pixels in the corner and in the middle: what cells half as wide and smaller change,
+    and what more points in them do, taken together; relative L2."""
     finest: float = math.nan
     """True error with all interference, where the plan reaches nothing."""
     time_over_best: float = 1.0
@@ -89,7 +98,7 @@ class Result:
 
 
 def truth(job: Job, weights: Array, enough: Callable[[Array], float]) -> tuple[Array, float]:
-    """Exact transfers of masks, and how far they are from those of cells half as wide.
+    """Exact transfers of masks, and how far they may be off.
 
     Args:
         job: whose.
@@ -97,19 +106,96 @@ def truth(job: Job, weights: Array, enough: Callable[[Array], float]) -> tuple[A
         enough: error that will do, of the transfers; below it cells and points are made no finer.
     """
     optics, amplitudes = light(job), shown(job, weights)
-    angle = optics.y.scene_pixel / job.scene.distance
-    finer = optics.affordable(MOST_WORK) or 1.0
+    narrow = optics.y.scene_pixel / job.scene.distance <= _POINT
+    finer, end = (optics.affordable(MOST_WORK) or 1.0) / 2, time.process_time() + _SURE_WITHIN
     while True:
-        exact = transfer(optics, amplitudes, finer=finer)
-        more = replace(optics, sources=optics.sources + (angle > _POINT))
-        fine = transfer(more, amplitudes[:1], finer=2 * finer, only=(0, 0))
-        size = float(np.linalg.norm(fine)) or 1.0
-        unsure = float(np.linalg.norm(fine - exact[:1, :1])) / size
-        exact = scattered(job, exact)
-        optics = replace(optics, sources=optics.sources + 2 * (angle > _POINT))
-        finer *= 2
-        if unsure <= enough(exact) or optics.work(finer) > _FINER_WORK:
-            return exact, unsure
+        start, done = time.process_time(), _work_of_all(optics, finer)
+        found = [transfer(optics, amplitudes, finer=finer)]
+        began = time.process_time()
+        found.append(transfer(optics, amplitudes, finer=finer, times=2))
+        took = time.process_time() - began
+        picked, fine = _by_finer_cells(optics, amplitudes[:1], found[1][:1], finer)
+        while True:
+            parts = len(found)
+            # Where larger cells are too large for a series, the smaller alone are closer.
+            ways = [found[-1], extrapolated(found[-2], found[-1], parts / (parts - 1))]
+            coarse = [distance(way[:1, picked], fine) for way in ways]
+            exact, cells = scattered(job, ways[int(np.argmin(coarse))]), min(coarse)
+            few = 0.0 if narrow else _by_more_points(optics, amplitudes[:1], found, finer)
+            wanted = enough(exact)
+            if cells + few <= wanted:
+                return exact, cells + few
+            now = time.process_time()
+            if parts == _PARTS or cells < wanted / 2 or now + (parts + 1) ** 2 / 4 * took > end:
+                break
+            found.append(transfer(optics, amplitudes, finer=finer, times=parts + 1))
+        better = _better(optics, finer, 2 * cells / wanted, 2 * few / wanted)
+        allowed = (end - now) / (now - start) * done
+        fitting = [one for one in better if _work_of_all(*one) <= allowed]
+        if not fitting:
+            return exact, cells + few
+        optics, finer = fitting[0]
+
+
+def _better(optics: Light, finer: float, cells: float, few: float) -> list[tuple[Light, float]]:
+    """More points and finer cells, from as many as would do to hardly more.
+
+    Args:
+        optics: what was not enough.
+        finer: and its cells.
+        cells: factor by which these are too coarse: of the fourth power of a side.
+        few: factor by which points in a scene pixel are too few: of the square of their distance.
+    """
+    factor = min(_FINER, max(_COARSER, _SAFE * cells**0.25))
+    least = int(few > 1 / 2)
+    more = max(least, math.ceil(optics.sources * (min(2.0, math.sqrt(few)) - 1)))
+    return [
+        (
+            replace(optics, sources=optics.sources + max(least, round(part * more))),
+            finer * (factor if factor < 1 else 1 + part * (factor - 1)),
+        )
+        for part in (1.0, 0.75, 0.5, 0.25)
+    ]
+
+
+def _by_finer_cells(
+    optics: Light, amplitudes: Array, halves: Array, finer: float
+) -> tuple[list[int], Array]:
+    """Scene pixels in the corner and in the middle, and their transfers by half as wide cells.
+
+    Args:
+        optics: the job.
+        amplitudes: of one mask.
+        halves: its transfer by cells in halves.
+        finer: the cells.
+    """
+    columns = optics.x.scene_pixels
+    pixels = sorted({(0, 0), (optics.y.scene_pixels // 2, columns // 2)})
+    picked = [row * columns + column for row, column in pixels]
+    quarters = [transfer(optics, amplitudes, finer=finer, times=4, only=pixel) for pixel in pixels]
+    return picked, extrapolated(halves[:, picked], np.concatenate(quarters, axis=1), 2.0)
+
+
+def _by_more_points(optics: Light, amplitudes: Array, found: list[Array], finer: float) -> float:
+    """What more points in the scene pixel in the corner change: relative L2.
+
+    Args:
+        optics: the job.
+        amplitudes: of one mask.
+        found: transfers by cells in one, two, ... parts; the last is looked at.
+        finer: the cells.
+    """
+    more = replace(optics, sources=optics.sources + 1)
+    other = transfer(more, amplitudes, finer=finer, times=len(found), only=(0, 0))
+    return distance(found[-1][:1, :1], other)
+
+
+def _work_of_all(optics: Light, finer: float) -> float:
+    """Samples times waves of a transfer and of the doubts about it."""
+    pixels = optics.y.scene_pixels * optics.x.scene_pixels
+    once, halves, fourths = (optics.work(finer, times) for times in (1, 2, 4))
+    checked = min(2, pixels) * fourths + halves * (1 + 1 / optics.sources) ** 2
+    return once + halves + checked / pixels / 2  # one mask takes half as long as three
 
 
 def computed(chosen: Plan, weights: Array) -> Array:
@@ -136,7 +222,7 @@ def measured(chosen: Plan, weights: Array) -> Array:
 def distance(values: Array, exact: Array, size: Array | None = None) -> float:
     """Relative L2, against the norm of ``size`` or of ``exact``."""
     norm = float(np.linalg.norm(exact if size is None else size))
-    return float(np.linalg.norm(values - exact)) / norm
+    return float(np.linalg.norm(values - exact)) / (norm or 1.0)
 
 
 def finest(chosen: Plan) -> Plan:

@@ -51,6 +51,9 @@ class Axis:
     scene_pixels: int
     scene_pixel: float
     shift: float = 0.0
+    """Of the mask's middle from the sensor's."""
+    scene_shift: float = 0.0
+    """Of the scene's middle from the sensor's."""
 
     @property
     def mask(self) -> float:
@@ -86,15 +89,15 @@ class Light:
             wanted = min(wanted, beam.wavelength / sine / LEAST_SAMPLES)
         return min(wanted, self.distance / 6, axis.sensor / axis.pixels / 8)
 
-    def cells(self, axis: Axis, finer: float = 1.0) -> int:
-        """Cells in a part of the pitch."""
-        return max(1, math.ceil(axis.pitch / axis.parts / self.finest(axis) * finer))
+    def cells(self, axis: Axis, finer: float = 1.0, times: int = 1) -> int:
+        """Cells in a part of the pitch, in ``times`` equal parts."""
+        return times * max(1, math.ceil(axis.pitch / axis.parts / self.finest(axis) * finer))
 
-    def lengths(self, finer: float = 1.0) -> tuple[int, int]:
+    def lengths(self, finer: float = 1.0, times: int = 1) -> tuple[int, int]:
         """Samples of mask and sensor together along each axis."""
         found = []
         for axis in (self.y, self.x):
-            cell = axis.pitch / axis.parts / self.cells(axis, finer)
+            cell = axis.pitch / axis.parts / self.cells(axis, finer, times)
             found.append(_fast(math.ceil((axis.mask + self.seen(axis)) / cell) + 2))
         return found[0], found[1]
 
@@ -106,9 +109,9 @@ class Light:
             length += abs(self.rotation) * max(self.y.sensor, self.x.sensor) + image
         return length
 
-    def work(self, finer: float = 1.0) -> float:
+    def work(self, finer: float = 1.0, times: int = 1) -> float:
         """Samples times waves."""
-        rows, columns = self.lengths(finer)
+        rows, columns = self.lengths(finer, times)
         points = self.y.scene_pixels * self.x.scene_pixels * self.sources**2
         return float(rows) * columns * len(self.beams) * points
 
@@ -117,8 +120,22 @@ class Light:
         return next((finer for finer in _COARSER if self.work(finer) <= work), 0.0)
 
 
+def extrapolated(larger: Array, smaller: Array, ratio: float) -> Array:
+    """Of transfers by larger and smaller cells, what cells of no size would give.
+
+    A cell's light is right to first order: what is wrong shrinks by the square of the side
+    (Richardson 1911).
+    """
+    return smaller + (smaller - larger) / (ratio**2 - 1)
+
+
 def transfer(
-    light: Light, amplitudes: Array, *, finer: float = 1.0, only: tuple[int, int] | None = None
+    light: Light,
+    amplitudes: Array,
+    *,
+    finer: float = 1.0,
+    times: int = 1,
+    only: tuple[int, int] | None = None,
 ) -> Array:
     """The transfer matrices of masks.
 
@@ -126,6 +143,7 @@ def transfer(
         light: the job.
         amplitudes: what each channel's light passes, (masks, 3, rows, columns).
         finer: factor on the number of cells.
+        times: parts along each side of such a cell.
         only: one scene pixel (row, column); None for all.
 
     Returns:
@@ -133,8 +151,9 @@ def transfer(
         a scene pixel on the axis, times the number of scene pixels.
     """
     y, x = light.y, light.x
-    open_y, open_x = _openings(y, light.cells(y, finer)), _openings(x, light.cells(x, finer))
-    cell_y, cell_x = (a.pitch / a.parts / light.cells(a, finer) for a in (y, x))
+    cells_y, cells_x = light.cells(y, finer, times), light.cells(x, finer, times)
+    open_y, open_x = _openings(y, cells_y), _openings(x, cells_x)
+    cell_y, cell_x = y.pitch / y.parts / cells_y, x.pitch / x.parts / cells_x
     masks = np.einsum("nr,bcrk,mk->bcnm", open_y, amplitudes, open_x)
     at_y, at_x = _positions(y, cell_y), _positions(x, cell_x)
     seen_y = _axis(math.ceil(light.seen(y) / cell_y) + 1, cell_y)
@@ -160,7 +179,8 @@ def transfer(
 def _sources(light: Light, row: int, column: int) -> list[tuple[float, float]]:
     """Points of a scene pixel [m]."""
     y, x = (
-        (at - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
+        axis.scene_shift
+        + (at - (axis.scene_pixels - 1) / 2) * axis.scene_pixel
         + _axis(light.sources, axis.scene_pixel / light.sources)
         for axis, at in ((light.y, row), (light.x, column))
     )

@@ -18,7 +18,7 @@ from . import judge as judging
 from . import quadrature, run
 from .jobs import DISTANCES, PITCHES, WAVELENGTHS, Job, draw, draw_everyday, read
 from .judge import Result, judge, judge_job
-from .physics import Axis, Beam, Light, transfer
+from .physics import Axis, Beam, Light, extrapolated, transfer
 from .run import draw_chart, figures_of, kept, main, reasons
 
 WAVELENGTH = 0.5e-6
@@ -89,6 +89,14 @@ def test_finer_cells_change_nothing() -> None:
     amplitudes = np.random.default_rng(0).random((1, 3, 3, 3))
     coarse, fine = (transfer(turned, amplitudes, finer=finer) for finer in (1, 2))
     assert np.linalg.norm(coarse - fine) < 2e-3 * np.linalg.norm(fine)
+
+
+def test_cells_of_two_sizes_stand_for_none() -> None:
+    """What two coarse sizes say together is closer than the finer of them, by far."""
+    light = hole(20e-6, 2e-3, sensor=150e-6, pixels=5)
+    once, twice, fine = (transfer(light, np.ones((1, 3, 1, 1)), times=n) for n in (1, 2, 5))
+    off = [np.linalg.norm(found - fine) for found in (extrapolated(once, twice, 2.0), twice)]
+    assert off[0] < off[1] / 3
 
 
 def test_an_odd_closed_part_leaves_apertures_in_the_middle() -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -18,13 +18,15 @@ import pytest
 import structlog
 import torch
 
-from veilcam_client.wire.captures import Release
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import RotationOff, RotationPolicy
+from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.status import Device as DeviceInfo
-from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
+from veilcam_client.wire.watch import OnRequest, WatchPolicy
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
+from veilcam_optics.proof import PROOF, Finding, MaskTest, MaskTests
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.manager import BundleManager
@@ -37,6 +39,7 @@ from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
+from veilcam_server.devices.base import Levels, Measurement
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
@@ -49,7 +52,9 @@ from veilcam_server.service.pairing import Pairing
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import make_directory
-from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained, read_bundle, write_bundle
+from veilcam_server.watch.policy import WatchStore
+from veilcam_server.watch.watcher import WatchSetup
+from veilcam_training.bundle import Bundle, Fresh, Pair, read_bundle, write_bundle
 from veilcam_training.bundle.layers import (
     BatchNorm,
     Conv2d,
@@ -60,9 +65,13 @@ from veilcam_training.bundle.layers import (
     ReLU,
     Reshape,
 )
+from veilcam_training.models.network import build_untrained, weights_of
 
 LABELS = tuple("0123456789")
-CAMERA = Camera(panel=Panel(), window=Window(rows=9, columns=5))
+# A quarter of the sensor along each side: simulated light takes a sixth of the time.
+CAMERA = Camera(
+    panel=Panel(), window=Window(rows=9, columns=5), sensor=Sensor(rows=760, columns=1014)
+)
 EMBEDDING = Embedding(4, 5)
 DIGEST = "b0" * 32
 """Of a bundle that was read from no file."""
@@ -79,8 +88,8 @@ def make_bundle(pairs: int = 3) -> Bundle:
             levels=levels.to(torch.uint8).numpy(),
             layers=(Linear(inputs=EMBEDDING.size, outputs=len(LABELS)),),
             weights={
-                "0.weight": torch.randn(len(LABELS), EMBEDDING.size, generator=generator),
-                "0.bias": torch.zeros(len(LABELS)),
+                "0.weight": torch.randn(len(LABELS), EMBEDDING.size, generator=generator).numpy(),
+                "0.bias": np.zeros(len(LABELS), np.float32),
             },
         )
 
@@ -108,10 +117,10 @@ def make_fresh_bundle() -> Bundle:
         Flatten(),
         Linear(inputs=3 * 7 * 7, outputs=len(LABELS)),
     )
-    digits = torch.from_numpy(load_digits().images[:300] / np.float32(255))
+    digits = load_digits().images[:300] / np.float32(255)
     with torch.random.fork_rng():
         torch.manual_seed(11)
-        weights = build_untrained(layers).state_dict()
+        weights = weights_of(build_untrained(layers))
     return Bundle(
         task="mnist",
         labels=LABELS,
@@ -169,6 +178,47 @@ class FakeTest:
             raise fault
 
 
+class FakeMaskTest(MaskTest):
+    """Finds what the tests say that it was made by; ``before`` is what it was given last."""
+
+    def __init__(self, tests: FakeMaskTests, levels: Levels) -> None:
+        self.tests, self.levels = tests, levels.copy()
+        self.before: list[MaskTest] = []
+        self.erased = False
+
+    def find(
+        self,
+        measurement: Measurement,
+        clipped: npt.NDArray[np.bool_],
+        before: Sequence[MaskTest] = (),
+    ) -> Finding:
+        self.before = list(before)
+        assert not any(each.erased for each in (self, *before) if isinstance(each, FakeMaskTest))
+        assert measurement.shape == clipped.shape == PROOF.shape
+        return self.tests.findings.pop(0) if self.tests.findings else SEEN
+
+    def erase(self) -> None:
+        self.erased = True
+        self.levels.fill(0)
+
+
+class FakeMaskTests(MaskTests):
+    """Tests that see the mask, unless ``findings`` say what they find, one for each capture."""
+
+    def __init__(self) -> None:
+        self.findings: list[Finding] = []
+        self.made: list[FakeMaskTest] = []
+
+    def prepare(self, levels: Levels) -> FakeMaskTest:
+        self.made.append(FakeMaskTest(self, levels))
+        return self.made[-1]
+
+
+SEEN = Finding("seen", margin=100.0, nearest="before", departure=1.0, light=0.5)
+UNDECIDED = replace(SEEN, verdict="undecided", margin=1.0)
+NOT_SEEN = replace(SEEN, verdict="not seen", margin=-1000.0, nearest="transparent")
+
+
 class FakeSensor:
     """Reads ones at once; ``early`` [s] makes it start before it may, ``before`` runs first."""
 
@@ -177,6 +227,8 @@ class FakeSensor:
 
     def __init__(self) -> None:
         self.measurement = np.ones(EMBEDDING.shape, np.float32)
+        self.proof = np.ones(PROOF.shape, np.float32)
+        self.clipped = np.zeros(PROOF.shape, np.bool_)
         self.early = 0.0
         self.before: Callable[[], None] = lambda: None
         self.captures = 0
@@ -188,7 +240,13 @@ class FakeSensor:
         time.sleep(max(0.0, not_before - time.monotonic()))
         now = time.monotonic()
         started = now if not self.early else not_before - self.early
-        return Exposure(self.measurement, started, max(now, started))
+        return Exposure(
+            self.measurement,
+            started,
+            max(now, started),
+            proof=self.proof,
+            clipped=self.clipped,
+        )
 
     def close(self) -> None:
         self.closed = True
@@ -206,10 +264,12 @@ class Bench:
     display: FakeDisplay = field(default_factory=FakeDisplay)
     sensor: FakeSensor = field(default_factory=FakeSensor)
     test: FakeTest = field(default_factory=FakeTest)
+    mask_tests: FakeMaskTests = field(default_factory=FakeMaskTests)
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
     calibration: CalibrationService | None = None
     owners: Owners = field(default_factory=Owners)
+    watch: WatchPolicy = field(default_factory=OnRequest)
 
     def note(self, make: Callable[..., Event]) -> None:
         """Remember new epochs and states."""
@@ -240,7 +300,7 @@ class Bench:
         budget = ReleaseBudget(self.state_dir, self.raw_budget)
         camera = MaskedCamera(
             Device(self.display, self.sensor, simulated=True),
-            Preparation(self.source, self.key, lambda: self.terms, budget),
+            Preparation(self.source, self.key, lambda: self.terms, budget, self.mask_tests),
             self.bundle.embedding.shape,
             self.test,
             budget=budget,
@@ -291,6 +351,7 @@ class Bench:
             queue_limit=queue_limit,
             heartbeat=0.05,
             capture_log=CaptureLog.of(self.state_dir, self.key),
+            watch=WatchSetup(self.watch, WatchStore(self.state_dir, self.watch)),
         )
         publish = camera._panel.publish
 

@@ -12,6 +12,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,8 @@ from veilcam_client import (
     EverySeconds,
     RotationOff,
     VeilcamError,
+    Watching,
+    WatchOff,
 )
 from veilcam_client.cli.main import app as client_cli
 from veilcam_client.errors import SealedError
@@ -289,6 +292,35 @@ def test_a_journey_through_fresh_masks(fresh_file: Path, scene_file: Path, tmp_p
         with stranger, pytest.raises(SealedError, match="not sealed to receiver"):
             stranger.capture()
         process.kill()
+
+
+@pytest.mark.slow
+def test_it_looks_by_itself_and_what_is_switched_off_stays_off(
+    options: list[str], tmp_path: Path
+) -> None:
+    """Over a kill, too; and no panel was open for a self test meanwhile."""
+    log, watching = tmp_path / "log", (*options, "--port", "0", "--watch", "5/s")
+    with daemon(log, *watching) as (process, url), Camera(url) as camera:
+        while camera.watch().looks < 3:
+            time.sleep(0.1)
+        assert camera.watch().activity == "looking"
+        assert camera.status().captures == 0
+        assert camera.set_watch(WatchOff()).activity == "off"
+        looks = camera.watch().looks
+        process.kill()
+    with daemon(log, *watching) as (process, url), Camera(url) as camera:
+        status, found = camera.status(), camera.watch()
+        assert (status.state, status.rotation.preparation.prepared) == ("off", 0)
+        assert (found.policy, found.activity, found.looks) == (WatchOff(), "off", 0)
+        assert looks >= 3
+        assert [past.state for past in camera.diagnostics().states] == ["off"]
+        with pytest.raises(VeilcamError, match="switched off"):
+            camera.classify()
+        camera.set_watch(Watching(rate_hz=5.0))
+        while camera.watch().looks < 1:
+            time.sleep(0.1)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0
 
 
 def settings(tmp_path: Path, bundle: Path, scene: Path, **more: object) -> Settings:

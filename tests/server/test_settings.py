@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_client.wire.watch import OnRequest, QuietHours, Watching, WatchOff, WatchPolicy
 from veilcam_server.cli.main import app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.demo_data import BUNDLE
@@ -72,6 +73,25 @@ def test_one_name_or_several_come_from_the_environment(monkeypatch: pytest.Monke
     for given, hosts in (("a.example", ("a.example",)), ('["a", "b:1"]', ("a", "b:1"))):
         monkeypatch.setenv("VEILCAM_HOSTS", given)
         assert Settings(bundle=Path("a.veilcam")).hosts == hosts
+
+
+def test_when_it_looks_is_a_rate_and_hours() -> None:
+    def policy(**given: str) -> WatchPolicy:
+        return Settings.model_validate({"bundle": Path("a.veilcam"), **given}).watch_policy
+
+    night = QuietHours(begin="22:00", end="07:00")
+    assert policy() == OnRequest()
+    assert policy(quiet_hours="22-7") == OnRequest(quiet=night)
+    assert policy(watch="2/s") == Watching(rate_hz=2.0)
+    assert policy(watch="30/min", quiet_hours="22-7") == Watching(rate_hz=0.5, quiet=night)
+    assert policy(watch="off") == WatchOff()
+    assert refused(watch="on") == (
+        "--watch: 'on' is no rate: use 2/s, 30/min or 6/h, from 1/h to 10/s"
+    )
+    assert "are no hours: use 22-7" in refused(quiet_hours="at night")
+    assert "leave out --quiet-hours" in refused(watch="off", quiet_hours="22-7")
+    made = Settings(bundle=Path("a.veilcam"), watch="2/s", quiet_hours="22-7").redacted()
+    assert (made["watch"], made["quiet_hours"]) == ("2/s", "22-7")
 
 
 def test_a_recording_has_names_too() -> None:

@@ -45,7 +45,8 @@ from veilcam_client.keys.envelopes import open_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture, Release, SealedEmbedding
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture, SealedEmbedding
+from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.demo.daemon import running
 from veilcam_server.demo_data import BUNDLE, FRESH, load_digits

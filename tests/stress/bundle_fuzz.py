@@ -69,13 +69,13 @@ def contents(bundle: Bundle) -> bytes:
     if bundle.fresh is not None:
         fresh = bundle.fresh
         arrays += [getattr(fresh.distribution, name).tobytes() for name in ("lowest", "highest")]
-        arrays += [getattr(fresh.statistics, name).numpy().tobytes() for name in ("mean", "basis")]
+        arrays += [getattr(fresh.statistics, name).tobytes() for name in ("mean", "basis")]
         weights.append(fresh.weights)
     for array in arrays:
         found.update(array)
     for one in weights:
         for name in sorted(one):
-            found.update(name.encode() + one[name].numpy().tobytes())
+            found.update(name.encode() + one[name].tobytes())
     return found.digest()
 
 

@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
+from tests.server.conftest import FakeMaskTests
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.captures import Prediction, Release
+from veilcam_client.wire.captures import Prediction
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_client.wire.sealing import Release
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
@@ -39,15 +41,16 @@ from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.masks.fresh import FreshSource
-from veilcam_server.masks.source import Mask, Reader, Terms
+from veilcam_server.masks.source import Evidence, Mask, Reader, Terms
 from veilcam_server.sealing.identity import DeviceKey
-from veilcam_training.bundle import Bundle, Fresh, build_untrained
+from veilcam_training.bundle import Bundle, Fresh
 from veilcam_training.bundle.layers import AveragePool, Flatten, Linear, Reshape
+from veilcam_training.models.network import build_untrained, weights_of
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(), Embedding(8, 8)
 DIGEST = "0f" * 32
 """Of a bundle that comes from no file."""
-MODE = SensorMode(16, 16, line_time=0.0, frame_duration=0.0)
+MODE = SensorMode(48, 64, line_time=0.0, frame_duration=0.0)
 CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
 SETTLE, TIMEOUT = 1e-3, 0.05
 """What the engine grants the crystal, and how long it waits for a frame [s]."""
@@ -61,7 +64,7 @@ def make_bundle() -> Bundle:
         Flatten(),
         Linear(inputs=32, outputs=10),
     )
-    digits = torch.from_numpy(load_digits().images[:200] / np.float32(255))
+    digits = load_digits().images[:200] / np.float32(255)
     return Bundle(
         task="mnist",
         labels=tuple("0123456789"),
@@ -75,7 +78,7 @@ def make_bundle() -> Bundle:
             statistics=fit_statistics([digits], 32),
             noise=MeasurementNoise(),
             layers=layers,
-            weights=build_untrained(layers).state_dict(),
+            weights=weights_of(build_untrained(layers)),
         ),
     )
 
@@ -90,6 +93,10 @@ class Marked:
     def classify(self, measurement: Measurement) -> Prediction:
         """Classify as the reader does."""
         return self.reader.classify(measurement)
+
+    def evidence(self, measurement: Measurement) -> Evidence:
+        """Tell what the reader does."""
+        return self.reader.evidence(measurement)
 
     def whiten(self, measurement: Measurement) -> Measurement:
         """Whiten as the reader does."""
@@ -140,8 +147,8 @@ class CornerLight:
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
         """Return it on raw pixels."""
-        factor = MODE.rows // EMBEDDING.rows
-        boxes = response[0].repeat_interleave(factor, 0).repeat_interleave(factor, 1)
+        down, across = MODE.rows // EMBEDDING.rows, MODE.columns // EMBEDDING.columns
+        boxes = response[0].repeat_interleave(down, 0).repeat_interleave(across, 1)
         return boxes.expand(len(scenes), -1, -1)
 
 
@@ -244,7 +251,8 @@ class Rig:
         signer = DeviceKey.open(directory)
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),
-            Preparation(supply.source, signer, lambda: terms, budget),
+            # This light is of no camera that real tests could know.
+            Preparation(supply.source, signer, lambda: terms, budget, FakeMaskTests()),
             EMBEDDING.shape,
             Passed(),
             budget=budget,

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from rich.progress import track
 
 from veilcam_client.keys.epoch_key import EpochKey
@@ -138,10 +137,10 @@ def plant(bundle: Bundle, tokens: Sequence[str]) -> Planted:
     for index, pair in enumerate(bundle.pairs):
         planted.add_levels(f"mask {index}", pair.levels)
         for name, weights in pair.weights.items():
-            planted.add_weights(f"weights of pair {index}, {name}", weights.numpy())
+            planted.add_weights(f"weights of pair {index}, {name}", weights)
     if bundle.fresh is not None:
         for name, weights in bundle.fresh.weights.items():
-            planted.add_weights(f"weights, {name}", weights.numpy())
+            planted.add_weights(f"weights, {name}", weights)
     for token in tokens:
         planted.add_bytes("a token", bytes.fromhex(token[16:]), 1)
         planted.add_bytes("a token", token[16:].encode(), 1)
@@ -194,10 +193,10 @@ def _tensors(holder: object, name: str = "decoder", depth: int = 3) -> Iterator[
     for slot in [*getattr(holder, "__slots__", ()), *getattr(holder, "__dict__", ())]:
         value = getattr(holder, slot, None)
         if (
-            isinstance(value, torch.Tensor)
-            and value.is_floating_point()
-            and value.numel() > NUMBERS
+            isinstance(value, np.ndarray)
+            and np.issubdtype(value.dtype, np.floating)
+            and value.size > NUMBERS
         ):
-            yield f"{name}.{slot}", value.numpy()
+            yield f"{name}.{slot}", value
         elif depth and type(value).__module__.startswith("veilcam"):
             yield from _tensors(value, f"{name}.{slot}", depth - 1)

@@ -11,7 +11,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_server.demo_data import load_digits
-from veilcam_training.bundle import Bundle, Fresh, Pair, build_untrained
+from veilcam_training.bundle import Bundle, Fresh, Pair
 from veilcam_training.bundle.layers import (
     GELU,
     Affine,
@@ -29,6 +29,7 @@ from veilcam_training.bundle.layers import (
     Residual,
     Resize,
 )
+from veilcam_training.models.network import build_untrained, weights_of
 
 CAMERA, SCENE, EMBEDDING = Camera(window=Window(rows=9, columns=5)), Scene(), Embedding(4, 5)
 LABELS = tuple("0123456789")
@@ -65,9 +66,9 @@ def make_bundles() -> list[Bundle]:
 
     def pair(layers: tuple[LayerRecord, ...]) -> Pair:
         levels = torch.randint(0, 64, CAMERA.mask_shape, dtype=torch.uint8).numpy()
-        return Pair(levels, layers, build_untrained(layers).state_dict())
+        return Pair(levels, layers, weights_of(build_untrained(layers)))
 
-    digits = torch.from_numpy(load_digits().images[:100] / np.float32(255))
+    digits = load_digits().images[:100] / np.float32(255)
     pairs = Bundle(
         task="mnist",
         labels=LABELS,
@@ -83,6 +84,6 @@ def make_bundles() -> list[Bundle]:
         statistics=fit_statistics([digits], 8),
         noise=MeasurementNoise(40.0),
         layers=fresh,
-        weights=build_untrained(fresh).state_dict(),
+        weights=weights_of(build_untrained(fresh)),
     )
     return [pairs, dataclasses.replace(pairs, mode="fresh", pairs=(), fresh=keyed)]

@@ -38,7 +38,8 @@ from tests.stress.engine import CAMERA, SETTLE, Marked, Rig, Supply
 
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.blocks import Opener
-from veilcam_client.wire.captures import Capture, Release
+from veilcam_client.wire.captures import Capture
+from veilcam_client.wire.sealing import Release
 from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Captured, MaskedCapture
 from veilcam_server.devices import DeviceError

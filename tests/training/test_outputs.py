@@ -88,6 +88,7 @@ FIT, KEYRING, FRESH = ("fit",), ("keyring",), ("fit-fresh", "--masks", "5", "--e
         (*FIT, "--work", "/proc/a"),
         (*FIT, "--work", "file"),
         (*FIT, "--tensorboard", "file"),
+        (*FIT, "--csv", "/proc/a.csv"),
         (*KEYRING, "--out", "/proc/a.veilcam"),
         (*KEYRING, "--out", "a.veilcam", "--work", "file"),
         (*FRESH, "--out", "folder.veilcam"),

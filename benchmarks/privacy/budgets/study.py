@@ -14,7 +14,8 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.decoding import SceneDecoding
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.attacks.known_pairs import Mask, Reader, by_anchors, hits, readers, tuned
 from veilcam_training.attacks.linkage import by_products, link_area
 from veilcam_training.attacks.networks import (
@@ -92,7 +93,7 @@ def camera(bundle: Bundle, cell: tuple[Form, Embedding], generator: torch.Genera
     form, embedding = cell
     light = TransferOperator(bundle.camera, bundle.scene, embedding, reach=Reach(6, 1))
     assumed = TransferOperator(bundle.camera, bundle.scene, embedding)
-    decoding = SceneDecoding(assumed, bundle.fresh.statistics, bundle.fresh.noise)
+    decoding = SceneDecoding(assumed, bundle.fresh.statistics.in_torch(), bundle.fresh.noise)
     return Victim(
         light,
         FreshMasks(bundle.camera, bundle.fresh.distribution),

@@ -19,15 +19,18 @@ from veilcam_client.keys.blocks import Opener, Sealer
 from veilcam_client.keys.envelopes import open_key, seal_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.captures import Capture, Exposure, Notes, Release, Timing
+from veilcam_client.wire.captures import Capture, Exposure, Notes, Timing
+from veilcam_client.wire.sealing import Release
 from veilcam_optics.keys.masks import draw_levels
+from veilcam_optics.proof import MaskTests
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Terms
 from veilcam_server.sealing.identity import DeviceKey
-from veilcam_training.bundle import Bundle, build_classifier, classifier_inputs
+from veilcam_training.bundle import Bundle, classifier_inputs
 from veilcam_training.data import Images
+from veilcam_training.models.network import build_classifier
 
 NOTES = Notes(
     exposure=Exposure(started_after_shown_s=0.104, settle_s=0.1, duration_s=0.01),
@@ -98,9 +101,9 @@ def preparation_times(bundle: Bundle, folder: Path, rounds: int) -> dict[str, fl
     source, ends = FreshSource(bundle), Ends(bundle.digest)
     key = EpochKey.generate(device=ends.device.public, bundle=bundle.digest)
     forms: Sequence[Release] = ("none", "sealed", "white")
-    budget = ReleaseBudget(folder, raw=0)
+    budget, tests = ReleaseBudget(folder, raw=0), MaskTests(bundle.camera)
     prepare = {
-        form: Preparation(source, ends.device, _terms(form, ends.receiver), budget)
+        form: Preparation(source, ends.device, _terms(form, ends.receiver), budget, tests)
         for form in forms
     }
     took: dict[str, list[float]] = {name: [] for name in ("mask", *forms)}
@@ -149,7 +152,7 @@ def read_sealed(bundle: Bundle, images: Images, seed: int) -> Iterator[Read]:
     if fresh is None:
         raise ValueError("a bundle of mode pairs has no fresh masks")
     camera, ends = Camera(bundle), Ends(bundle.digest)
-    frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
+    frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding).in_torch()
     decoding, noise = frame.decoding(), torch.Generator().manual_seed(seed)
     classifier = build_classifier(fresh.layers, fresh.weights).eval()
     for number, label in enumerate(images.labels.tolist()):

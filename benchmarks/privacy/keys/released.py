@@ -18,11 +18,12 @@ from benchmarks.privacy.keys.scenes import Question, Scene, Scenes
 from tests.training.attacks.legacy import white_lengths
 
 from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.wire.captures import Release
+from veilcam_client.wire.sealing import Release
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_server.masks.source import Mask
 from veilcam_training.bundle import Bundle
@@ -94,7 +95,7 @@ class Camera:
 
     def read(self, mask: Mask, scenes: list[Scene], noise: torch.Generator) -> Floats32:
         """Measurements of scenes, (count, rows, columns) float32."""
-        weights = to_weights(mask.levels, self.bundle.camera.panel).float()
+        weights = torch.from_numpy(to_weights(mask.levels, self.bundle.camera.panel)).float()
         with torch.no_grad():
             light = self._light.embed(torch.from_numpy(np.stack(scenes)), weights)
         measured: Floats32 = shot_noise(light, SNR_DB, noise).numpy()
@@ -131,7 +132,7 @@ def collect(
         white = np.stack([mask.reader.whiten(each).ravel() for each in measured])
         lengths = np.zeros(len(measured))
         if legacy and isinstance(mask.reader, FreshReader):
-            lengths = white_lengths(mask.reader.decoder, torch.from_numpy(measured)).numpy()
+            lengths = white_lengths(mask.reader.decoder, measured)
         mask.erase()
         place = 0
         for question, each in drawn.items():

@@ -31,11 +31,11 @@ from veilcam_training.attacks.mask_recovery import (
 )
 from veilcam_training.attacks.networks import (
     TRIALS,
+    Correlations,
     Seen,
     attackers,
     best_of,
     by_network,
-    convolutions,
     judged,
 )
 from veilcam_training.attacks.victim import SNR_DB, Victim, VictimMask, raw
@@ -47,6 +47,8 @@ JUDGED = 1000
 """Captures of one mask that an attack is judged by."""
 POOL = 30
 """Masks of one seed whose captures are compared by their lengths or cosines."""
+MANY = 50
+"""Masks behind which a class is told by lengths: to learn from, to choose by, and to be judged."""
 UNLABELLED = 500
 GALLERY = 50
 """Scenes that a capture is looked up in."""
@@ -133,33 +135,31 @@ def flat_known(setting: Setting, number: int) -> Found:
 
 # Networks that learned behind other masks.
 
-NETWORK_MASKS, NETWORK_EACH, NETWORK_EPOCHS = 6000, 10, 5
+NETWORK_MASKS, NETWORK_EACH = 12_000, 10
+"""Masks are an attacker's to draw, as many as they like: none is seen in more than one epoch."""
 
 
 def keyless(form: Literal["flat", "raw"], setting: Setting, seed: int) -> Found:
-    """A convolutional network that learned behind other masks, one capture a mask."""
-    train, check = (
-        setting.training.take(torch.arange(50_000)),
-        setting.training.take(torch.arange(50_000, len(setting.training))),
-    )
-    learned = _behind_many(setting, form, train, seed, masks=NETWORK_MASKS, each=NETWORK_EACH)
-    tuning = _behind_many(setting, form, check, seed, masks=200, each=5)
-    test = _behind_many(setting, form, setting.test, seed, masks=2 * JUDGED, each=1)
+    """A network on correlations that learned behind other masks, one capture a mask."""
+    behind = partial(_behind_many, setting, form, seed=seed)
+    learned = behind(setting.learned, masks=NETWORK_MASKS, each=NETWORK_EACH)
+    tuning = behind(setting.check, masks=200, each=5)
+    test = behind(setting.test, masks=4 * JUDGED, each=1)
     shape = setting.decoding.operator.embedding.shape
     scores = by_network(
         learned,
         tuning,
         DIGITS,
-        build=partial(convolutions, shape),
+        build=partial(Correlations, shape),
         trial=TRIALS[1],
-        epochs=NETWORK_EPOCHS,
+        epochs=1,
     )
     hit = judged(scores, test.vectors).argmax(1) == test.labels
     return {f"{form}_keyless_legacy": percent(hit)}
 
 
 def _behind_many(
-    setting: Setting, form: str, images: Images, seed: int, *, masks: int, each: int
+    setting: Setting, form: str, images: Images, *, seed: int, masks: int, each: int
 ) -> Seen:
     """Captures of digits behind masks of their own, so bright or so flat as they leave."""
     generator = stream(seed, "many", form, masks)
@@ -248,7 +248,7 @@ def _by_length(setting: Setting, victim: Victim, question: Asked, seed: int) -> 
     seen = []
     for part in ("learned", "check", "test"):
         scenes, labels = _drawn(setting, question, seed, part)
-        behind = [victim.mask() for _ in range(POOL // 3)]
+        behind = [victim.mask() for _ in range(MANY)]
         chunks = zip(behind, scenes.tensor_split(len(behind)), strict=True)
         seen.append(Seen(torch.cat([_lengths(victim, *each) for each in chunks]), labels))
     learned, check, test = seen
@@ -259,10 +259,9 @@ def _by_length(setting: Setting, victim: Victim, question: Asked, seed: int) -> 
 
 def _drawn(setting: Setting, question: Asked, seed: int, part: str) -> tuple[Tensor, Tensor]:
     """Scenes and answers, in the shares of their data set; half of the scenes are empty."""
-    count = (20 if part == "learned" else 6) * JUDGED
-    digits, labels = setting.digits(
-        setting.test if part == "test" else setting.training, count, question, seed, part
-    )
+    images = {"learned": setting.learned, "check": setting.check, "test": setting.test}[part]
+    count = len(images)
+    digits, labels = setting.digits(images, count, question, seed, part)
     if question == "digit":
         return digits, labels
     random = stream(seed, question, part)

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import SceneDecoding, fit_statistics
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.demo_data import BUNDLE, FRESH
 from veilcam_training.attacks.leaked import doubting, read_behind
 from veilcam_training.attacks.networks import judged
@@ -25,9 +26,10 @@ from veilcam_training.attacks.victim import (
     StoredMasks,
     Victim,
 )
-from veilcam_training.bundle import build_classifier, read_bundle
+from veilcam_training.bundle import read_bundle
 from veilcam_training.data import Images, open_source
 from veilcam_training.data.base import find
+from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import stream
 
 DOUBT = 10 ** (-SNR_DB / 20)
@@ -48,13 +50,19 @@ class Setting:
         fresh = bundle.fresh
         assert fresh is not None, "a bundle of mode fresh"
         self.camera, self.distribution = bundle.camera, fresh.distribution
-        self.decoding = fresh.frame(bundle.camera, bundle.scene, bundle.embedding).decoding()
+        self.decoding = (
+            fresh.frame(bundle.camera, bundle.scene, bundle.embedding).in_torch().decoding()
+        )
         self.light = TransferOperator(
             bundle.camera, bundle.scene, bundle.embedding, reach=Reach(6, 1)
         )
         """Interferes further than the operator of ``decoding`` says."""
         source = open_source("mnist", data)
         self.training, self.test = source.training(), source.test()
+        held = len(self.training) // 6
+        self.learned = self.training.take(torch.arange(held, len(self.training)))
+        self.check = self.training.take(torch.arange(held))
+        """What settings are chosen by, of those who learn from ``learned`` alone."""
         self.scenes: Scenes = load_scenes(bundle.scene.shape, data, faces)
         self.faces: Stock | None = None if faces is None else load_faces(faces, bundle.scene.shape)
         self._persons = None if faces is None else _persons(faces)
@@ -63,7 +71,7 @@ class Setting:
     def learned_masks(self) -> tuple[Tensor, ...]:
         """Of the pairs that come along."""
         pairs = read_bundle(BUNDLE).pairs
-        return tuple(to_weights(pair.levels, self.camera.panel) for pair in pairs)
+        return tuple(torch.from_numpy(to_weights(pair.levels, self.camera.panel)) for pair in pairs)
 
     def victim(
         self,

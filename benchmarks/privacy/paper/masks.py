@@ -72,7 +72,7 @@ def learn_mask(camera: Camera, scene: Scene, scenes: Tensor, labels: Tensor, see
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         encoder.project()
-    return to_weights(encoder.levels(), camera.panel)
+    return torch.from_numpy(to_weights(encoder.levels(), camera.panel))
 
 
 def stored_mask(
@@ -81,7 +81,7 @@ def stored_mask(
     """Mask ``place``: the same for every number of learned masks, and learned once."""
     if not kind.learned:
         drawn = random_mask(camera, stream(place, "random mask"))
-        return to_weights(to_levels(drawn, camera.panel), camera.panel)
+        return torch.from_numpy(to_weights(to_levels(drawn, camera.panel), camera.panel))
     path = folder / f"mask-{place:03}.npy"
     if not path.exists():
         scenes = images.scenes()
@@ -89,7 +89,7 @@ def stored_mask(
         weights = learn_mask(camera, scene, scenes, images.labels, place)
         with replacing(path) as file:
             np.save(file, to_levels(weights, camera.panel))
-    return to_weights(np.load(path), camera.panel)
+    return torch.from_numpy(to_weights(np.load(path), camera.panel))
 
 
 def embedded(

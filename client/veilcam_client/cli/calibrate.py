@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from veilcam_client.camera import DEFAULT_URL, Camera
+from veilcam_client.camera import Camera
 from veilcam_client.cli.format import record_in_words, run_in_words
 from veilcam_client.cli.terminal import (
     DEVICE,
@@ -17,6 +17,7 @@ from veilcam_client.cli.terminal import (
     fail,
 )
 from veilcam_client.errors import VeilcamError
+from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.calibration import CalibrationRun
 
 _EVERY = 0.5
@@ -36,6 +37,7 @@ def calibrate(
 
     Three scenes are asked for: darkness, a white card, and a small lamp. The daemon uses what is
     found from then on. Wants a token of the scope calibrate; Ctrl-C ends it, and nothing changes.
+    Where no daemon runs: 'veilcamd calibrate' on the device.
     """
     with errors(), Camera(url, read_timeout=timeout) as camera:
         run = camera.start_calibration(repeats=repeats)

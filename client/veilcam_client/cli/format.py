@@ -1,6 +1,5 @@
 """Answers in words, for a terminal."""
 
-from datetime import UTC, datetime
 from json import dumps
 
 import numpy as np
@@ -9,7 +8,6 @@ from pydantic import ValidationError
 from veilcam_client.wire.bundles import BundleInfo, InstalledBundle
 from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun, Quantity
 from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
-from veilcam_client.wire.diagnostics import Diagnostics
 from veilcam_client.wire.events import (
     BundleChanged,
     CalibrationChanged,
@@ -18,9 +16,12 @@ from veilcam_client.wire.events import (
     Event,
     Fault,
     Gap,
+    Gone,
     MaskChanged,
     RotationChanged,
+    Seen,
     StateChanged,
+    WatchChanged,
 )
 from veilcam_client.wire.lease import Lease
 from veilcam_client.wire.rotation import (
@@ -31,8 +32,8 @@ from veilcam_client.wire.rotation import (
     RotationPolicy,
 )
 from veilcam_client.wire.sealing import PairedReceiver
-from veilcam_client.wire.status import Remedy, Status
-from veilcam_client.wire.tokens import Token
+from veilcam_client.wire.status import Diagnostics, Remedy, Status
+from veilcam_client.wire.watch import Activity, Watching, WatchOff, WatchPolicy
 
 _ROWS = (
     ("settling", "settling_s", 1e3, "ms"),
@@ -200,8 +201,8 @@ def capture_in_words(capture: Capture) -> str:
 
 def classification_in_words(found: Classification) -> str:
     """What is in front of the camera."""
-    sure = "" if found.confidence is None else f"  {100 * found.confidence:.1f} %"
-    return f"{found.label}{sure}  epoch {found.epoch}{replay_in_words(found)}"
+    label = f"{found.label}{sure_in_words(found.confidence)}"
+    return f"{label}  epoch {found.epoch}{replay_in_words(found)}"
 
 
 def diagnostics_in_words(found: Diagnostics) -> str:
@@ -220,6 +221,12 @@ def diagnostics_in_words(found: Diagnostics) -> str:
         f"{_remedy(fault.remedy)}"
         for fault in found.faults
     ]
+    if found.proof is not None:
+        proof = found.proof
+        lines.append(
+            f"proof     {proof.captures} captures, {100 * proof.undecided:.0f} % undecided, margin "
+            f"{proof.margin:g}, departure {proof.departure:g}, light {proof.light:g}"
+        )
     return "\n".join(lines)
 
 
@@ -237,8 +244,8 @@ def event_in_words(event: Event) -> str:
             return f"epoch {event.epoch}"
         case StateChanged():
             return f"{event.state}  {event.detail or ''}{_remedy(event.remedy)}".rstrip()
-        case RotationChanged():
-            return policy_in_words(event.policy)
+        case Seen() | Gone():
+            return _sight_in_words(event)
         case BundleChanged():
             version = f"  version {event.version}" if event.version or event.older else ""
             older = ", older than the one before" if event.older else ""
@@ -246,12 +253,38 @@ def event_in_words(event: Event) -> str:
     return _rare_in_words(event)
 
 
+def _sight_in_words(event: Seen | Gone) -> str:
+    lasted = f"{event.label}{sure_in_words(event.confidence)}  {event.duration_s:.1f} s"
+    return lasted if isinstance(event, Seen) or event.reason == "left" else f"{lasted}  not looking"
+
+
+def activity_in_words(policy: WatchPolicy, activity: Activity, detail: str | None) -> str:
+    """When it looks, and what it does now."""
+    words = "off"
+    if not isinstance(policy, WatchOff):
+        rate = f"looks {policy.rate_hz:.3g}/s" if isinstance(policy, Watching) else "on request"
+        quiet = policy.quiet
+        words = rate if quiet is None else f"{rate}, not between {quiet.begin} and {quiet.end}"
+    return f"{words}: {activity}{f', {detail}' if detail else ''}"
+
+
+def sure_in_words(confidence: float | None) -> str:
+    """How probable, where that is told."""
+    return "" if confidence is None else f"  {100 * confidence:.1f} %"
+
+
 def _taken_in_words(event: Classified | CaptureTaken) -> str:
     label = f"{event.label}  " if event.kind != "capture" else ""
     return f"{label}epoch {event.epoch}{'  replay' if event.replay else ''}"
 
 
-def _rare_in_words(event: CalibrationChanged | Fault | Gap) -> str:
+def _rare_in_words(
+    event: RotationChanged | WatchChanged | CalibrationChanged | Fault | Gap,
+) -> str:
+    if isinstance(event, RotationChanged):
+        return policy_in_words(event.policy)
+    if isinstance(event, WatchChanged):
+        return activity_in_words(event.policy, event.activity, event.detail)
     if isinstance(event, CalibrationChanged):
         return run_in_words(event.run)
     if isinstance(event, Fault):
@@ -274,19 +307,3 @@ def bundle_in_words(installed: InstalledBundle) -> str:
         content += f", privacy card: {held.card.outcome}" + (" (quick)" if held.card.quick else "")
     own = "  configured" if installed.configured else ""
     return f"{star} {installed.digest[:12]}  {installed.size / 1e6:7.1f} MB  {content}{own}"
-
-
-def token_in_words(token: Token) -> str:
-    """What a token is, in two lines."""
-    used = f"used {token.last_used_on}" if token.last_used_on else "never used"
-    scopes = " ".join(token.scopes)
-    return f"{token.id}  {_validity(token):<24}  {used:<15}  {token.label}\n{'':14}{scopes}"
-
-
-def _validity(token: Token) -> str:
-    if token.revoked_at is not None:
-        return f"revoked {token.revoked_at:%Y-%m-%d}"
-    if token.expires_at is None:
-        return "until it is revoked"
-    word = "expired" if token.expires_at <= datetime.now(UTC) else "until"
-    return f"{word} {token.expires_at:%Y-%m-%d %H:%M}"

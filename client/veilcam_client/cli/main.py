@@ -1,5 +1,6 @@
 """The command line ``veilcam``: ask a camera from a terminal."""
 
+from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
@@ -9,8 +10,10 @@ import numpy.typing as npt
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.cli import bundles, calibrate, logs, receivers, tokens
+from veilcam_client import __version__
+from veilcam_client.camera import Camera
+from veilcam_client.cli import bundles, calibrate, logs, look, receivers, tokens
+from veilcam_client.cli.collect import collect_command
 from veilcam_client.cli.format import (
     capture_in_words,
     classification_in_words,
@@ -21,6 +24,8 @@ from veilcam_client.cli.format import (
     rotation_in_words,
     status_in_words,
 )
+from veilcam_client.cli.picture import in_blocks
+from veilcam_client.cli.profiles import TOKEN, environment, variables_of
 from veilcam_client.cli.terminal import (
     USAGE,
     DeviceOption,
@@ -32,8 +37,12 @@ from veilcam_client.cli.terminal import (
     errors,
     fail,
     show,
+    tell,
 )
+from veilcam_client.http.credentials import read_secret
+from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.recording import record as write_recording
+from veilcam_client.wire.arrays import picture
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,
@@ -71,6 +80,7 @@ def record(
     device: DeviceOption = None,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 30.0,
+    json: JsonOption = False,
 ) -> None:
     """Take captures and write them to a file, for 'veilcamd serve --replay'.
 
@@ -79,30 +89,65 @@ def record(
     """
     with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
         size = write_recording(camera, out, count=count, labels=labels)
-    typer.echo(f"wrote {count} captures to {out}, {size / 1e6:.1f} MB")
+    found = {"captures": count, "file": str(out), "bytes": size}
+    tell(found, f"wrote {count} captures to {out}, {size / 1e6:.1f} MB", json=json)
 
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     epilog="VEILCAM_TOKEN holds the token for a daemon that wants one, VEILCAM_CA_FILE the "
     "authority of an https one. Exit codes: 2 usage, 3 no connection, 4 timeout, 5 request "
     "refused, 6 busy, 7 device, 8 server defect, 9 unreadable answer, 10 token, 11 scope, "
-    "12 leased, 13 recording, 14 key, 15 sealed, 16 log file, 17 log that does not hold.",
+    "12 leased, 13 recording, 14 key, 15 sealed, 16 log file, 17 log that does not hold, "
+    "18 discovery, 19 pulling a bundle.",
 )
 app.command()(calibrate.calibrate)
 app.command()(lease)
+app.command()(look.look)
 app.add_typer(tokens.app, name="token")
 app.add_typer(bundles.app, name="bundle")
 app.add_typer(receivers.app, name="receiver")
 app.command()(record)
+app.command("collect")(collect_command)
 app.command()(logs.log)
 app.command()(logs.verify)
 
 
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"veilcam {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def veilcam() -> None:
+def veilcam(
+    context: typer.Context,
+    *,
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            envvar="VEILCAM_PROFILE",
+            help="Camera of this name in veilcam/config.toml, instead of --url, VEILCAM_URL, "
+            "VEILCAM_TOKEN and VEILCAM_CA_FILE.",
+        ),
+    ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(envvar="VEILCAM_TOKEN_FILE", help="File of the token."),
+    ] = None,
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
     """Ask a Veilcam camera what it sees."""
+    with errors():
+        variables = {} if profile is None else variables_of(profile)
+        if token_file is not None:
+            variables[TOKEN] = read_secret(token_file)
+    context.obj = profile
+    context.with_resource(environment(variables))
 
 
 @app.command()
@@ -116,7 +161,10 @@ def status(
 @app.command()
 def capture(
     *,
-    out: Annotated[Path | None, typer.Option(help="Write the embedding to this .npy file.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write the embedding to this file: a picture as .png, else as .npy."),
+    ] = None,
     key: KeyOption = None,
     device: DeviceOption = None,
     url: UrlOption = DEFAULT_URL,
@@ -144,14 +192,28 @@ def watch(
     *,
     count: Annotated[int | None, typer.Option(min=1, help="Stop after so many events.")] = None,
     since: Annotated[str | None, typer.Option(help="Go on after this event id.")] = None,
+    pictures: Annotated[
+        bool,
+        typer.Option(
+            "--picture",
+            help="With each label or sight that comes, take an embedding and draw it; a token "
+            "needs read:embedding.",
+        ),
+    ] = False,
+    key: KeyOption = None,
+    device: DeviceOption = None,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 30.0,
     json: JsonOption = False,
 ) -> None:
     """Print events as they happen, one a line."""
-    with errors(), Camera(url, read_timeout=timeout) as camera:
+    if pictures and json:
+        fail("--picture is for a person, and --json for a program: give one", USAGE)
+    with errors(), Camera(url, read_timeout=timeout, key=key, device=device) as camera:
         for event in islice(camera.events(last_event_id=since), count):
             show(event, dated_in_words, json=json)
+            if pictures and event.kind in ("classification", "seen", "gone"):
+                typer.echo(in_blocks(np.asarray(camera.capture())))
 
 
 @app.command()
@@ -208,8 +270,26 @@ def rotate(
     show(answer, rotation_in_words, json=json)
 
 
+@app.command()
+def discover(
+    *,
+    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 3.0,
+    json: JsonOption = False,
+) -> None:
+    """Find cameras that announce themselves on the local network; none is asked anything."""
+    with errors():
+        found = Camera.discover(seconds)
+    for each in found:
+        tell(asdict(each), f"{each.url}  {each.name}", json=json)
+    if not found and not json:
+        typer.echo("no camera announces itself here")
+
+
 def _save(out: Path, values: npt.NDArray[np.float32]) -> None:
     try:
+        if out.suffix.lower() == ".png":
+            out.write_bytes(picture(values))
+            return
         with out.open("wb") as stream:
             np.save(stream, values, allow_pickle=False)
     except OSError as error:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.camera import DEFAULT_URL, Camera
+from veilcam_client.camera import Camera
 from veilcam_client.cli.format import receiver_in_words
 from veilcam_client.cli.terminal import (
     USAGE,
@@ -19,13 +19,15 @@ from veilcam_client.cli.terminal import (
     errors,
     fail,
     show,
+    tell,
 )
+from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.sealing import ReceiverRequest, Receivers
 
 LEAST_DIGITS = 8
 """Of an id, to remove a receiver by."""
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Make a receiver's key pair, and pair receivers with a camera: with a token that has the "
@@ -36,6 +38,8 @@ app = typer.Typer(
 @app.command()
 def keygen(
     file: Annotated[Path, typer.Argument(help="New file, which its owner alone may read.")],
+    *,
+    json: JsonOption = False,
 ) -> None:
     """Write a private key, and print the public one. No camera is asked.
 
@@ -47,7 +51,7 @@ def keygen(
     with errors():
         key = ReceiverKey.generate()
         key.write(file)
-    typer.echo(str(key.public))
+    tell({"public": str(key.public)}, str(key.public), json=json)
 
 
 @app.command()
@@ -93,6 +97,7 @@ def remove(
     *,
     url: UrlOption = DEFAULT_URL,
     timeout: TimeoutOption = 30.0,
+    json: JsonOption = False,
 ) -> None:
     """Seal to a receiver no more, from the next mask on. What it has it still opens."""
 
@@ -101,7 +106,8 @@ def remove(
         camera.remove_receiver(whole)
         return whole
 
-    typer.echo(f"removed {ask(url, timeout, question)}")
+    removed = ask(url, timeout, question)
+    tell({"removed": removed}, f"removed {removed}", json=json)
 
 
 def _public(key: str) -> str:

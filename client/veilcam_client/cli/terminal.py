@@ -1,7 +1,9 @@
 """What the commands have in common: options, answers, and errors with exit codes."""
 
+import json as encoder
+import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, NoReturn, TypeVar
@@ -10,11 +12,14 @@ import typer
 from pydantic import BaseModel
 
 from veilcam_client.camera import Camera
+from veilcam_client.cli.profiles import URL
 from veilcam_client.errors import (
     ApiError,
     BusyError,
+    CatalogueError,
     ConnectError,
     DeviceError,
+    DiscoveryError,
     ForbiddenError,
     InvalidRequestError,
     KeyFileError,
@@ -47,14 +52,24 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (KeyFileError, 14),
     (SealedError, 15),
     (LogFileError, 16),
+    (DiscoveryError, 18),
+    (CatalogueError, 19),
 )
 
 FoundT = TypeVar("FoundT")
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 
+
+def _beside_no_profile(context: typer.Context, url: str) -> str:
+    """Refuse another camera than that of the profile, whose token it would be told."""
+    if context.obj is not None and url != os.environ.get(URL):
+        fail(f"give --url or the profile {context.obj!r}, not both", USAGE)
+    return url
+
+
 UrlOption = Annotated[
     str,
-    typer.Option(envvar="VEILCAM_URL", help="http://HOST:PORT or unix:///PATH."),
+    typer.Option(envvar=URL, help="http://HOST:PORT or unix:///PATH.", callback=_beside_no_profile),
 ]
 TimeoutOption = Annotated[float, typer.Option(help="Longest wait for an answer, in seconds.")]
 KeyOption = Annotated[
@@ -97,6 +112,11 @@ def fail(message: str, code: int) -> NoReturn:
     """Say why, and exit with this code."""
     typer.echo(f"veilcam: error: {message}", err=True)
     sys.exit(code)
+
+
+def tell(found: Mapping[str, object], in_words: str, *, json: bool) -> None:
+    """Print what a command did, as JSON or in words."""
+    typer.echo(encoder.dumps(found) if json else in_words)
 
 
 def show(answer: AnswerT, in_words: Callable[[AnswerT], str], *, json: bool) -> None:

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.camera import DEFAULT_URL, Camera
-from veilcam_client.cli.format import token_in_words
+from veilcam_client.camera import Camera
 from veilcam_client.cli.terminal import (
     USAGE,
     JsonOption,
@@ -17,12 +16,15 @@ from veilcam_client.cli.terminal import (
     fail,
     show,
 )
+from veilcam_client.cli.token_words import token_in_words
+from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.tokens import SCOPES, TOKENS_AT_ONCE, TokenRequest
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Make, list and revoke tokens, with one that has the scope admin:tokens.",
+    help="Make, list and revoke tokens, with one that has the scope admin:tokens. The first one is "
+    "made on the device: 'veilcamd token'.",
 )
 
 

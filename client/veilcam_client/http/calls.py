@@ -20,15 +20,20 @@ from veilcam_client.wire.calibration import (
     SceneConfirmation,
     SceneName,
 )
-from veilcam_client.wire.captures import Capture, Classification, ClassificationRequest
-from veilcam_client.wire.diagnostics import Diagnostics
+from veilcam_client.wire.captures import (
+    NPY_MEDIA_TYPE,
+    Capture,
+    Classification,
+    ClassificationRequest,
+)
 from veilcam_client.wire.lease import Lease, LeaseRequest, NewLease
 from veilcam_client.wire.log import LogHead, LogRecords
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import PairedReceiver, ReceiverRequest, Receivers
 from veilcam_client.wire.simulation import Faults, HeldScene, picture_media_type
-from veilcam_client.wire.status import Status
+from veilcam_client.wire.status import Diagnostics, Status
 from veilcam_client.wire.tokens import NewToken, Scope, Token, TokenRequest, Tokens
+from veilcam_client.wire.watch import Watch, WatchPolicy
 
 AnswerT = TypeVar("AnswerT", bound=BaseModel)
 
@@ -43,6 +48,7 @@ class Call(Generic[AnswerT]):
     body: BaseModel | bytes | None = None
     media_type: str = "application/json"
     once: bool = False
+    accept: str = "application/json"
 
     def content(self) -> bytes | None:
         """The body as it is sent."""
@@ -52,7 +58,7 @@ class Call(Generic[AnswerT]):
 
     def headers(self) -> dict[str, str]:
         """Headers of one request and of all its repetitions."""
-        headers = {"Accept": "application/json"}
+        headers = {"Accept": self.accept, "Accept-Encoding": "identity"}
         if self.body is not None:
             headers["Content-Type"] = self.media_type
         if self.once:
@@ -63,9 +69,17 @@ class Call(Generic[AnswerT]):
 STATUS = Call("GET", "/v1/status", Status)
 CALIBRATION = Call("GET", "/v1/calibration", CalibrationStatus)
 CANCEL_CALIBRATION = Call("DELETE", "/v1/calibration", CalibrationRun)
-CAPTURE = Call("POST", "/v1/captures", Capture, once=True)
+# As an array where it is one: it is read several times faster, and a sealed one is none.
+CAPTURE = Call(
+    "POST",
+    "/v1/captures",
+    Capture,
+    once=True,
+    accept=f"{NPY_MEDIA_TYPE}, application/json;q=0.9",
+)
 ROTATION = Call("GET", "/v1/rotation", Rotation)
 ROTATE = Call("POST", "/v1/rotation/advance", Rotation, once=True)
+WATCH = Call("GET", "/v1/watch", Watch)
 LEASE_STATE = Call("GET", "/v1/lease", Lease)
 DIAGNOSTICS = Call("GET", "/v1/diagnostics", Diagnostics)
 TAKE_SCENE_AWAY = Call("DELETE", "/v1/simulation/scene", HeldScene)
@@ -96,6 +110,11 @@ def classify(include_embedding: bool) -> Call[Classification]:
 def set_rotation(policy: RotationPolicy) -> Call[Rotation]:
     """PUT /v1/rotation."""
     return Call("PUT", "/v1/rotation", Rotation, policy)
+
+
+def set_watch(policy: WatchPolicy) -> Call[Watch]:
+    """PUT /v1/watch."""
+    return Call("PUT", "/v1/watch", Watch, policy)
 
 
 def take_lease(seconds: float, owner: str) -> Call[NewLease]:

@@ -5,7 +5,25 @@ import os
 import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from urllib.parse import urlsplit
+
+MOST_SECRET = 4096
+"""Size of a file that holds a secret [bytes]."""
+
+
+def read_secret(path: Path) -> str:
+    """The one line of a file that holds a token or a password; raises ValueError."""
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MOST_SECRET + 1)
+        lines = content.decode("utf-8").strip().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise ValueError(f"{path} cannot be read: {reason}") from None
+    if len(lines) != 1 or len(content) > MOST_SECRET:
+        raise ValueError(f"{path} must hold one line")
+    return lines[0]
 
 
 @dataclass(slots=True)

@@ -3,6 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from veilcam_client.errors import ProtocolError
+
+MAX_EVENT = 2**20
+"""No event of a daemon comes near [bytes]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Message:
@@ -21,14 +26,24 @@ class Decoder:
         self._event = ""
         self._data: list[str] = []
         self._id: str | None = None
+        self._size = 0
 
     def feed(self, chunk: bytes) -> Iterator[Message]:
-        """Yield the messages that ``chunk`` completes. Comments (heartbeats) yield nothing."""
+        """Yield the messages that ``chunk`` completes. Comments (heartbeats) yield nothing.
+
+        Raises:
+            ProtocolError: an event that has no end.
+        """
         *lines, self._rest = (self._rest + chunk).split(b"\n")
         for line in lines:
-            message = self._line(line.removesuffix(b"\r").decode())
+            self._size += len(line)
+            message = self._line(line.removesuffix(b"\r").decode(errors="replace"))
             if message is not None:
                 yield message
+            if line in (b"", b"\r"):
+                self._size = 0
+        if self._size + len(self._rest) > MAX_EVENT:
+            raise ProtocolError(f"the server sent an event of more than {MAX_EVENT >> 20} MiB")
 
     def _line(self, line: str) -> Message | None:
         if not line:

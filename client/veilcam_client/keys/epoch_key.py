@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hmac
 from pathlib import Path
-from typing import NoReturn, Self
+from typing import ClassVar, NoReturn, Self
 
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
@@ -94,7 +94,8 @@ class EpochKey:
             return NotImplemented
         return self._context == other._context and hmac.compare_digest(self._value, other._value)
 
-    __hash__ = None  # type: ignore[assignment]  # a hash would leak bits and invite dictionaries
+    # A hash would leak bits and invite dictionaries.
+    __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __reduce__(self) -> NoReturn:
         raise TypeError("an epoch's key is not pickled: it is sealed to receivers or gone")

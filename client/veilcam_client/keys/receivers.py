@@ -93,7 +93,7 @@ class ReceiverKey:
         kem = MLKEM768PrivateKey.from_seed_bytes(raw[:_SEED_BYTES])
         dh = X25519PrivateKey.from_private_bytes(raw[_SEED_BYTES:])
         self._raw, self._key = raw, MLKEM768X25519PrivateKey(kem, dh)
-        self.public = Receiver(
+        self.public: Receiver = Receiver(
             kem.public_key().public_bytes_raw() + dh.public_key().public_bytes_raw()
         )
         """The public half."""

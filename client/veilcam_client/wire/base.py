@@ -2,32 +2,131 @@
 
 The server answers with these models and the SDK reads them. What is asked is closed (a field that
 is not known is refused); what is answered is open (a field that a newer server adds is ignored).
+What fails is answered with a problem (RFC 9457), of which the SDK makes an error.
 Times in seconds, wall-clock times in UTC. ``EXAMPLES`` of a module stand in the OpenAPI document.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 from pydantic import BaseModel, ConfigDict
 
+from veilcam_client.errors import (
+    ApiError,
+    BusyError,
+    DeviceError,
+    FieldError,
+    ForbiddenError,
+    InvalidRequestError,
+    LeasedError,
+    ServerError,
+    UnauthorizedError,
+)
+
+if TYPE_CHECKING:
+    import numpy.typing as npt  # loads NumPy, which most answers need not
+
 API_VERSION = 1
+PROBLEM_MEDIA_TYPE = "application/problem+json"
+_BY_CODE: Mapping[str, type[ApiError]] = {
+    "unauthorized": UnauthorizedError,
+    "forbidden": ForbiddenError,
+    "leased": LeasedError,
+}
+_BY_STATUS: Mapping[int, type[ApiError]] = {429: BusyError, 503: DeviceError}
+ExampleT = TypeVar("ExampleT")
 
 
 class Answer(BaseModel):
     """What a daemon answers: checked strictly, and open to what a newer one adds."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+    # Deferred: of some sixty answers a program reads a few, and each takes a millisecond to build.
+    # Questions are few, and FastAPI warns of those that it cannot build where it defines a route.
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        strict=True, frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True
+    )
+
+    def __array__(
+        self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
+    ) -> npt.NDArray[Any]:
+        # NumPy would make an array of one object of it.
+        raise TypeError(f"a {type(self).__name__} is no array")
 
 
 class Nothing(Answer):
     """Nothing but that it was done: HTTP 204, without a body."""
 
 
+class Problem(Answer):
+    """Problem details (RFC 9457) with a stable ``code``."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    instance: str
+    code: str
+    request_id: str
+    retryable: bool
+    errors: tuple[FieldError, ...] = ()
+
+    def error(self, retry_after: float | None = None) -> ApiError:
+        """Return the error to raise, chosen by the code or else by the HTTP status."""
+        other = ServerError if self.status >= 500 else InvalidRequestError
+        kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, other)
+        return kind(
+            self.detail,
+            code=self.code,
+            status=self.status,
+            request_id=self.request_id,
+            retryable=self.retryable,
+            retry_after=retry_after,
+            errors=self.errors,
+        )
+
+
 class Question(BaseModel):
     """What a client asks: checked strictly, and closed to what is not known."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        strict=True, frozen=True, extra="forbid", allow_inf_nan=False
+    )
+
+
+class Examples(Sequence[ExampleT]):
+    """Examples for documents, which are made when somebody looks: who asks a camera needs none."""
+
+    def __init__(self, make: Callable[[], Sequence[ExampleT]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> Sequence[ExampleT]:
+        return self._make()
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    @overload
+    def __getitem__(self, place: int) -> ExampleT: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[ExampleT]: ...
+
+    def __getitem__(self, place: int | slice) -> ExampleT | Sequence[ExampleT]:
+        return self._made[place]
+
+
+@cache
+def installed_version() -> str:
+    """Version of this package, which is looked for once: that takes milliseconds."""
+    # Late: what reads it from the package's metadata loads more than the SDK itself.
+    from importlib.metadata import version  # noqa: PLC0415
+
+    return version("veilcam")
 
 
 EXAMPLE_TIME = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)

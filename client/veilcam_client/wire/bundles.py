@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Examples
 
 BUNDLE_MEDIA_TYPE = "application/vnd.veilcam.bundle"
 
@@ -80,28 +80,35 @@ class InstalledBundles(Answer):
     bundles: tuple[InstalledBundle, ...]
 
 
-EXAMPLE_BUNDLE = BundleInfo(
-    digest=EXAMPLE_DIGEST,
-    task="mnist",
-    mode="pairs",
-    labels=("0", "1"),
-    embedding_shape=(2, 3),
-    pairs=6,
-    version=4,
-    signed_by="3a6eb0790f39",
-    card=CardSummary(
-        outcome="PASS",
-        mode="pairs6",
-        form="sealed",
-        quick=False,
-        made_at=EXAMPLE_TIME,
-        rows=(
-            CardFinding(threat="T0", outcome="PASS", figure=94.1, end=92.8, unit="%"),
-            CardFinding(threat="T1", outcome="PASS", figure=0.2, end=0.8, unit="points"),
+def example_bundle() -> BundleInfo:
+    """Return a BundleInfo for documents."""
+    return BundleInfo(
+        digest=EXAMPLE_DIGEST,
+        task="mnist",
+        mode="pairs",
+        labels=("0", "1"),
+        embedding_shape=(2, 3),
+        pairs=6,
+        version=4,
+        signed_by="3a6eb0790f39",
+        card=CardSummary(
+            outcome="PASS",
+            mode="pairs6",
+            form="sealed",
+            quick=False,
+            made_at=EXAMPLE_TIME,
+            rows=(
+                CardFinding(threat="T0", outcome="PASS", figure=94.1, end=92.8, unit="%"),
+                CardFinding(threat="T1", outcome="PASS", figure=0.2, end=0.8, unit="points"),
+            ),
         ),
-    ),
-)
-_BUNDLE = InstalledBundle(
-    digest=EXAMPLE_DIGEST, size=48_213, active=True, configured=False, bundle=EXAMPLE_BUNDLE
-)
-EXAMPLES = (_BUNDLE, InstalledBundles(bundles=(_BUNDLE,)))
+    )
+
+
+def _bundle() -> InstalledBundle:
+    return InstalledBundle(
+        digest=EXAMPLE_DIGEST, size=48_213, active=True, configured=False, bundle=example_bundle()
+    )
+
+
+EXAMPLES = Examples(lambda: (_bundle(), InstalledBundles(bundles=(_bundle(),))))

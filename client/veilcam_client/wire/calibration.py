@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Question
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_TIME, Answer, Examples, Question
 
 SceneName = Literal["dark", "white card", "lamp"]
 """What is set before a camera that is being measured."""
@@ -129,46 +129,53 @@ def _quantity(value: float) -> Quantity:
     return Quantity(value=value, uncertainty=0.01, residual=0.002)
 
 
-_RECORD = CalibrationRecord(
-    taken_at=EXAMPLE_TIME,
-    temperature_c=23.5,
-    display="ST7735R",
-    sensor="IMX477",
-    simulated=False,
-    exposure_s=0.01,
-    geometry=EXAMPLE_DIGEST,
-    settling_s=_quantity(0.06),
-    black_level=_quantity(0.0),
-    gain=_quantity(1.0),
-    full_scale=_quantity(4.0),
-    gamma=_quantity(1.0),
-    contrast_floor=_quantity(0.02),
-    dead_transmittance=_quantity(0.5),
-    shift_y_m=_quantity(1e-5),
-    shift_x_m=_quantity(-2e-5),
-    rotation_rad=_quantity(0.001),
-    distance_error_m=_quantity(2e-5),
-    stray_light=_quantity(0.01),
-    psf_residual=0.01,
-    drift=0.001,
-)
+def _record() -> CalibrationRecord:
+    return CalibrationRecord(
+        taken_at=EXAMPLE_TIME,
+        temperature_c=23.5,
+        display="ST7735R",
+        sensor="IMX477",
+        simulated=False,
+        exposure_s=0.01,
+        geometry=EXAMPLE_DIGEST,
+        settling_s=_quantity(0.06),
+        black_level=_quantity(0.0),
+        gain=_quantity(1.0),
+        full_scale=_quantity(4.0),
+        gamma=_quantity(1.0),
+        contrast_floor=_quantity(0.02),
+        dead_transmittance=_quantity(0.5),
+        shift_y_m=_quantity(1e-5),
+        shift_x_m=_quantity(-2e-5),
+        rotation_rad=_quantity(0.001),
+        distance_error_m=_quantity(2e-5),
+        stray_light=_quantity(0.01),
+        psf_residual=0.01,
+        drift=0.001,
+    )
 
-_RUN = CalibrationRun(
-    stage="waiting",
-    scene="lamp",
-    instruction="Put a lamp behind a hole of 17.1 x 17.1 mm in black card.",
-    exposures=290,
-    total=330,
-    detail=None,
-)
-EXAMPLES = (
-    CalibrationRequest(repeats=2),
-    SceneConfirmation(scene="lamp"),
-    _RUN,
-    CalibrationStatus(
-        signed=SignedCalibration(
-            record=_RECORD, public_key=EXAMPLE_DIGEST, signature=2 * EXAMPLE_DIGEST
+
+def _run() -> CalibrationRun:
+    return CalibrationRun(
+        stage="waiting",
+        scene="lamp",
+        instruction="Put a lamp behind a hole of 17.1 x 17.1 mm in black card.",
+        exposures=290,
+        total=330,
+        detail=None,
+    )
+
+
+EXAMPLES = Examples(
+    lambda: (
+        CalibrationRequest(repeats=2),
+        SceneConfirmation(scene="lamp"),
+        _run(),
+        CalibrationStatus(
+            signed=SignedCalibration(
+                record=_record(), public_key=EXAMPLE_DIGEST, signature=2 * EXAMPLE_DIGEST
+            ),
+            run=_run(),
         ),
-        run=_RUN,
-    ),
+    )
 )

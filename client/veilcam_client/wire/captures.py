@@ -5,24 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from veilcam_client.errors import SealedError
-from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
-from veilcam_client.wire.sealing import EXAMPLE_ENVELOPE, Envelope
+from veilcam_client.errors import SealedError, VeilcamError
+from veilcam_client.wire.arrays import ArrayAnswer, Float32, Float32List, PicturedArray, npy_array
+from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.sealing import Envelope, example_envelope
 
 NPY_MEDIA_TYPE = "application/x-npy"
-
-Form = Literal["sealed", "white", "raw"]
-"""How an embedding leaves: ``sealed`` to the camera's receivers; ``white``, decorrelated, turned in
-secret and of length 1; ``raw`` as it was read."""
-
-Release = Literal["none", "sealed", "white", "raw"]
-"""The form in which a daemon lets embeddings out; ``none``: not at all."""
 
 
 class ClassificationRequest(Question):
@@ -31,8 +25,8 @@ class ClassificationRequest(Question):
     include_embedding: bool = False
 
 
-class Embedding(Answer):
-    """The binned sensor measurement, row by row; ``np.asarray`` gives it as float32 of ``shape``.
+class Embedding(PicturedArray):
+    """The binned sensor measurement; ``np.asarray`` gives it as float32 of ``shape``.
 
     Unit of the form ``raw``: irradiance relative to what an all-white scene of the same size gives
     at the centre of the sensor without a mask. ``white`` has none.
@@ -40,7 +34,8 @@ class Embedding(Answer):
 
     form: Literal["white", "raw"]
     shape: tuple[int, ...]
-    values: tuple[float, ...] = Field(repr=False)
+    values: Float32List = Field(repr=False)
+    """Row by row, not to be written to."""
 
     @model_validator(mode="after")
     def _check_size(self) -> Embedding:
@@ -48,23 +43,30 @@ class Embedding(Answer):
             raise ValueError(f"{len(self.values)} values do not fill the shape {self.shape}")
         return self
 
-    def __array__(
-        self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
-    ) -> npt.NDArray[Any]:
-        if copy is False:
-            raise ValueError("an embedding cannot become an array without a copy")
-        values = np.array(self.values, dtype=np.float32).reshape(self.shape)
-        return values if dtype is None else values.astype(dtype)
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Embedding):
+            return NotImplemented
+        return self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def _identity(self) -> tuple[str, tuple[int, ...], bytes]:
+        return self.form, self.shape, self.values.tobytes()
+
+    def array(self) -> Float32:
+        """As :meth:`ArrayAnswer.array`."""
+        return self.values.reshape(self.shape)
 
     @classmethod
     def from_array(
         cls, values: npt.NDArray[np.float32], *, form: Literal["white", "raw"]
     ) -> Embedding:
         """Take the values of an array of any shape."""
-        return cls(form=form, shape=tuple(values.shape), values=tuple(values.ravel().tolist()))
+        return cls(form=form, shape=tuple(values.shape), values=values.ravel())
 
 
-class SealedEmbedding(Answer):
+class SealedEmbedding(ArrayAnswer):
     """An embedding that the camera's receivers alone can open; its size tells nothing.
 
     ``Camera(key=...)`` opens it. Asked for an array, it raises :class:`SealedError`.
@@ -78,9 +80,8 @@ class SealedEmbedding(Answer):
     envelope: Envelope = Field(repr=False)
     """The key of the epoch, for every receiver."""
 
-    def __array__(
-        self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
-    ) -> npt.NDArray[Any]:
+    def array(self) -> Float32:
+        """As :meth:`ArrayAnswer.array`."""
         raise SealedError(
             "this embedding is sealed: give the private key of a receiver, Camera(key=...) or --key"
         )
@@ -110,13 +111,35 @@ class Timing(Answer):
     """Exposure and readout."""
 
 
+class ProofNote(Answer):
+    """What a capture itself says of the mask that it names."""
+
+    verdict: Literal["seen", "undecided"]
+    """``undecided``: at this light a mask that is not there would be missed too often."""
+    margin: float = Field(allow_inf_nan=False)
+    """By how much the mask named is ahead of any other state of the panel, in standard deviations
+    of what masks that are not there come to in this capture."""
+    departure: float = Field(allow_inf_nan=False)
+    """Share of its mark that the mask named did not leave: 0 where it fits wholly, 1 where nothing
+    of it is there."""
+    light: float = Field(allow_inf_nan=False)
+    """Mean measurement."""
+
+
 class Notes(Answer):
     """What is sealed with an embedding, because it depends on the light or tells of others."""
 
     exposure: Exposure
     timing: Timing
+    proof: ProofNote | None = None
+    """None: of a capture that no test of its mask came with."""
     scene: int | None = None
     """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
+
+
+Proof = Literal["checked"]
+"""Said of every capture alike: before it left it was tested that it shows the mask that it names.
+What that came to depends on the light, and is in the notes."""
 
 
 class Replay(Answer):
@@ -128,7 +151,7 @@ class Replay(Answer):
     """In the recording, from 0 on."""
 
 
-class Capture(Answer):
+class Capture(ArrayAnswer):
     """One embedding and the mask epoch that it was taken under."""
 
     id: str
@@ -141,14 +164,43 @@ class Capture(Answer):
     taken_at: datetime
     """To the second."""
     embedding: AnyEmbedding
+    proof: Proof | None = None
+    """None: from a recording."""
     replay: Replay | None = None
     notes: Notes | None = None
     """Of a sealed embedding that was opened; nothing of them goes over the wire in the clear."""
 
-    def __array__(
-        self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
-    ) -> npt.NDArray[Any]:
-        return self.embedding.__array__(dtype, copy)
+    def array(self) -> Float32:
+        """As :meth:`ArrayAnswer.array`."""
+        return self.embedding.array()
+
+    @classmethod
+    def from_npy(cls, content: bytes, headers: Mapping[str, str]) -> Capture:
+        """Read an answer that came as a NumPy file, with its names in its headers.
+
+        Raises:
+            ValueError: it is none.
+        """
+        values, replay = npy_array(content), headers.get("veilcam-replay")
+        embedding = {
+            "form": headers.get("veilcam-form"),
+            "shape": values.shape,
+            "values": values.ravel(),
+        }
+        # One pass: what an answer in JSON would say, checked as that would be.
+        return cls.model_validate(
+            {
+                "id": headers.get("veilcam-capture"),
+                "epoch": headers.get("veilcam-epoch"),
+                "number": int(headers.get("veilcam-number", "")),
+                "taken_at": datetime.fromisoformat(headers.get("veilcam-taken-at", "")),
+                "embedding": embedding,
+                "proof": headers.get("veilcam-proof"),
+                "replay": None
+                if replay is None
+                else {"capture": headers.get("veilcam-replay-capture"), "place": int(replay)},
+            }
+        )
 
 
 class Prediction(Answer):
@@ -162,7 +214,7 @@ class Prediction(Answer):
     above."""
 
 
-class Classification(Answer):
+class Classification(ArrayAnswer):
     """The label of what the camera saw."""
 
     id: str
@@ -180,27 +232,42 @@ class Classification(Answer):
     ``read:scores:rounded``; with ``read:scores`` they sum to 1."""
     embedding: AnyEmbedding | None = None
     """Only when it was asked for."""
+    proof: Proof | None = None
+    """None: from a recording."""
     replay: Replay | None = None
     notes: Notes | None = None
     """Of a sealed embedding that was opened."""
 
+    def array(self) -> Float32:
+        """As :meth:`ArrayAnswer.array`."""
+        if self.embedding is None:
+            raise VeilcamError(
+                "this classification holds no embedding: ask with include_embedding=True",
+                code="no_embedding",
+            )
+        return self.embedding.array()
 
-EXAMPLES = (
-    ClassificationRequest(include_embedding=True),
-    Capture(
-        id="c0ffee00" * 6,
-        epoch=EXAMPLE_EPOCH,
-        number=0,
-        taken_at=EXAMPLE_TIME,
-        embedding=SealedEmbedding(shape=(2, 3), block="c2VhbGVk", envelope=EXAMPLE_ENVELOPE),
-    ),
-    Classification(
-        id="c0ffee00" * 6,
-        epoch=EXAMPLE_EPOCH,
-        number=0,
-        taken_at=EXAMPLE_TIME,
-        label="1",
-        confidence=0.98,
-        scores={"0": 0.02, "1": 0.98},
-    ),
+
+EXAMPLES = Examples(
+    lambda: (
+        ClassificationRequest(include_embedding=True),
+        Capture(
+            id="c0ffee00" * 6,
+            epoch=EXAMPLE_EPOCH,
+            number=0,
+            taken_at=EXAMPLE_TIME,
+            embedding=SealedEmbedding(shape=(2, 3), block="c2VhbGVk", envelope=example_envelope()),
+            proof="checked",
+        ),
+        Classification(
+            id="c0ffee00" * 6,
+            epoch=EXAMPLE_EPOCH,
+            number=0,
+            taken_at=EXAMPLE_TIME,
+            label="1",
+            confidence=0.98,
+            scores={"0": 0.02, "1": 0.98},
+            proof="checked",
+        ),
+    )
 )

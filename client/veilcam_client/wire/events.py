@@ -5,12 +5,13 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter
 
-from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer
+from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples
 from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.status import Remedy, State
+from veilcam_client.wire.watch import Activity, WatchPolicy
 
 
 class _Event(Answer):
@@ -66,6 +67,42 @@ class RotationChanged(_Event):
     policy: RotationPolicy
 
 
+class WatchChanged(_Event):
+    """Another watch policy holds, or the camera began to look by itself, or ended."""
+
+    kind: Literal["watch"] = "watch"
+    policy: WatchPolicy
+    activity: Activity
+    detail: str | None = None
+    """Why it does not look."""
+
+
+class Seen(_Event):
+    """The camera, which looks by itself, believes to see something that was not there before."""
+
+    kind: Literal["seen"] = "seen"
+    label: str
+    confidence: float | None = None
+    """Probability of the label, in [0, 1]; None without a scope for scores, and in tenths with
+    ``read:scores:rounded``."""
+    duration_s: float
+    """How long it has been there by now: since the first capture that told of it."""
+
+
+class Gone(_Event):
+    """What was seen last is there no longer, or the camera looks no longer."""
+
+    kind: Literal["gone"] = "gone"
+    label: str
+    """What was seen."""
+    confidence: float | None = None
+    """Probability that it is there no longer; as of :class:`Seen`. None where ``reason`` is
+    ``not_looking``, too."""
+    duration_s: float
+    """How long it was there."""
+    reason: Literal["left", "not_looking"]
+
+
 class BundleChanged(_Event):
     """Masks and classifiers come from another bundle."""
 
@@ -108,6 +145,9 @@ Event = Annotated[
     | CaptureTaken
     | Classified
     | RotationChanged
+    | WatchChanged
+    | Seen
+    | Gone
     | BundleChanged
     | CalibrationChanged
     | Fault
@@ -115,13 +155,13 @@ Event = Annotated[
     Field(discriminator="kind"),
 ]
 
-EVENT: TypeAdapter[Event] = TypeAdapter(Event)
+EVENT: TypeAdapter[Event] = TypeAdapter(Event, config=ConfigDict(defer_build=True))
 EVENT_KINDS = frozenset(
     (
-        *("state", "mask", "capture", "classification", "rotation", "bundle", "calibration"),
-        *("fault", "gap"),
+        *("state", "mask", "capture", "classification", "rotation", "watch", "seen", "gone"),
+        *("bundle", "calibration", "fault", "gap"),
     )
 )
 
 
-EXAMPLE = MaskChanged(id="5ca1ab1e-7", at=EXAMPLE_TIME, epoch=EXAMPLE_EPOCH)
+EXAMPLES = Examples(lambda: (MaskChanged(id="5ca1ab1e-7", at=EXAMPLE_TIME, epoch=EXAMPLE_EPOCH),))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from veilcam_client.wire.base import Answer, Question
+from veilcam_client.wire.base import Answer, Examples, Question
 
 
 class LeaseRequest(Question):
@@ -34,9 +34,14 @@ class NewLease(Lease):
     """Where no tokens are wanted, what the holder sends as ``Veilcam-Lease`` with every request."""
 
 
-_LEASE = Lease(held=True, owner="an experiment", expires_in_s=58.5, mine=True)
-EXAMPLES = (
-    LeaseRequest(owner="an experiment", seconds=60.0),
-    _LEASE,
-    NewLease(**_LEASE.model_dump(), secret=None),
+def _lease() -> Lease:
+    return Lease(held=True, owner="an experiment", expires_in_s=58.5, mine=True)
+
+
+EXAMPLES = Examples(
+    lambda: (
+        LeaseRequest(owner="an experiment", seconds=60.0),
+        _lease(),
+        NewLease(**_lease().model_dump(), secret=None),
+    )
 )

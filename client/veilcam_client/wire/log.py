@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer
+from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples
 from veilcam_client.wire.sealing import EXAMPLE_DEVICE
 
 LOG_VERSION: Literal[1] = 1
@@ -31,7 +31,9 @@ Second = Annotated[datetime, AfterValidator(_whole_second)]
 class _Signed(BaseModel):
     """What is signed is closed: all of it is known, and nothing stands beside it."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        strict=True, frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True
+    )
 
 
 class LoggedCapture(_Signed):
@@ -129,30 +131,35 @@ class LogRecords(Answer):
     """``after`` of the request for those that follow; None: there were no more."""
 
 
-_RECORD = LogRecord(
-    device=EXAMPLE_DEVICE,
-    position=1200,
-    previous=EXAMPLE_DIGEST,
-    entry=LoggedCapture(
-        epoch=EXAMPLE_EPOCH,
-        number=0,
-        taken_at=EXAMPLE_TIME,
-        mask=EXAMPLE_DIGEST,
-        tested_s=120,
-        calibration=None,
-        answer=EXAMPLE_DIGEST,
-    ),
-    signature="0f" * 64,
-)
-EXAMPLES = (
-    LogRecords(records=(_RECORD,), next=1200),
-    LogHead(
+def _record() -> LogRecord:
+    return LogRecord(
         device=EXAMPLE_DEVICE,
         position=1200,
-        record=EXAMPLE_DIGEST,
-        oldest=0,
-        missed=0,
-        at=EXAMPLE_TIME,
+        previous=EXAMPLE_DIGEST,
+        entry=LoggedCapture(
+            epoch=EXAMPLE_EPOCH,
+            number=0,
+            taken_at=EXAMPLE_TIME,
+            mask=EXAMPLE_DIGEST,
+            tested_s=120,
+            calibration=None,
+            answer=EXAMPLE_DIGEST,
+        ),
         signature="0f" * 64,
-    ),
+    )
+
+
+EXAMPLES = Examples(
+    lambda: (
+        LogRecords(records=(_record(),), next=1200),
+        LogHead(
+            device=EXAMPLE_DEVICE,
+            position=1200,
+            record=EXAMPLE_DIGEST,
+            oldest=0,
+            missed=0,
+            at=EXAMPLE_TIME,
+            signature="0f" * 64,
+        ),
+    )
 )

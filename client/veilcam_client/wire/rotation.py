@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
-from veilcam_client.wire.base import EXAMPLE_EPOCH, Answer, Question
+from veilcam_client.wire.base import EXAMPLE_EPOCH, Answer, Examples, Question
 
 
 class RotationOff(Question):
@@ -45,7 +45,9 @@ class EveryCaptures(Question):
 
 RotationPolicy = Annotated[RotationOff | EverySeconds | EveryCaptures, Field(discriminator="mode")]
 
-POLICY: TypeAdapter[RotationPolicy] = TypeAdapter(RotationPolicy)
+POLICY: TypeAdapter[RotationPolicy] = TypeAdapter(
+    RotationPolicy, config=ConfigDict(defer_build=True)
+)
 
 
 class Preparation(Answer):
@@ -75,16 +77,22 @@ class Rotation(Answer):
     preparation: Preparation
 
 
-EXAMPLE_ROTATION = Rotation(
-    policy=EveryCaptures(captures=10),
-    epoch=EXAMPLE_EPOCH,
-    epoch_age_s=12.5,
-    captures=3,
-    preparation=Preparation(ready=True, prepared=12, last_s=0.03, late=0, reused=0),
-)
-EXAMPLES = (
-    RotationOff(),
-    EverySeconds(seconds=30.0, jitter=5.0),
-    EveryCaptures(captures=10, reuse=2),
-    EXAMPLE_ROTATION,
+def example_rotation() -> Rotation:
+    """Return a Rotation for documents."""
+    return Rotation(
+        policy=EveryCaptures(captures=10),
+        epoch=EXAMPLE_EPOCH,
+        epoch_age_s=12.5,
+        captures=3,
+        preparation=Preparation(ready=True, prepared=12, last_s=0.03, late=0, reused=0),
+    )
+
+
+EXAMPLES = Examples(
+    lambda: (
+        RotationOff(),
+        EverySeconds(seconds=30.0, jitter=5.0),
+        EveryCaptures(captures=10, reuse=2),
+        example_rotation(),
+    )
 )

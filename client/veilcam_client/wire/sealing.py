@@ -1,4 +1,4 @@
-"""The wire contract of sealed embeddings: envelopes, and who receives."""
+"""How embeddings leave, the envelopes of sealed ones, and who receives them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,21 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from veilcam_client.wire.base import EXAMPLE_DIGEST, EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Question
+from veilcam_client.wire.base import (
+    EXAMPLE_DIGEST,
+    EXAMPLE_EPOCH,
+    EXAMPLE_TIME,
+    Answer,
+    Examples,
+    Question,
+)
+
+Form = Literal["sealed", "white", "raw"]
+"""How an embedding leaves: ``sealed`` to the camera's receivers; ``white``, decorrelated, turned in
+secret and of length 1; ``raw`` as it was read."""
+
+Release = Literal["none", "sealed", "white", "raw"]
+"""The form in which a daemon lets embeddings out; ``none``: not at all."""
 
 ENVELOPE_VERSION: Literal[1] = 1
 MOST_RECEIVERS = 8
@@ -73,17 +87,29 @@ class Receivers(Answer):
 
 
 EXAMPLE_DEVICE = "d7" * 32
-EXAMPLE_RECEIVER = PairedReceiver(id=EXAMPLE_DIGEST, label="archive", added_at=EXAMPLE_TIME)
-EXAMPLE_ENVELOPE = Envelope(
-    device=EXAMPLE_DEVICE,
-    epoch=EXAMPLE_EPOCH,
-    bundle=EXAMPLE_DIGEST,
-    keys=(SealedKey(receiver=EXAMPLE_DIGEST, key="c2VhbGVk"),),
-    signature="0f" * 64,
-)
-EXAMPLES = (
-    ReceiverRequest(label="archive", key="veilcam-receiver:c2VhbGVk"),
-    EXAMPLE_RECEIVER,
-    Receivers(device=EXAMPLE_DEVICE, receivers=(EXAMPLE_RECEIVER,)),
-    EXAMPLE_ENVELOPE,
+
+
+def example_receiver() -> PairedReceiver:
+    """Return a PairedReceiver for documents."""
+    return PairedReceiver(id=EXAMPLE_DIGEST, label="archive", added_at=EXAMPLE_TIME)
+
+
+def example_envelope() -> Envelope:
+    """Return an Envelope for documents."""
+    return Envelope(
+        device=EXAMPLE_DEVICE,
+        epoch=EXAMPLE_EPOCH,
+        bundle=EXAMPLE_DIGEST,
+        keys=(SealedKey(receiver=EXAMPLE_DIGEST, key="c2VhbGVk"),),
+        signature="0f" * 64,
+    )
+
+
+EXAMPLES = Examples(
+    lambda: (
+        ReceiverRequest(label="archive", key="veilcam-receiver:c2VhbGVk"),
+        example_receiver(),
+        Receivers(device=EXAMPLE_DEVICE, receivers=(example_receiver(),)),
+        example_envelope(),
+    )
 )

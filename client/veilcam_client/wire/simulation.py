@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from veilcam_client.wire.base import Answer, Question
+from veilcam_client.wire.base import Answer, Examples, Question
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
 _BEGINNINGS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\x93NUMPY": NPY_MEDIA_TYPE}
@@ -51,8 +51,8 @@ class SensorFaults(Question):
 class Faults(Question):
     """What is wrong with a simulated camera; nothing, unless it is said."""
 
-    panel: PanelFaults = PanelFaults()
-    sensor: SensorFaults = SensorFaults()
+    panel: PanelFaults = Field(default_factory=PanelFaults)
+    sensor: SensorFaults = Field(default_factory=SensorFaults)
 
 
 def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
@@ -76,4 +76,4 @@ def picture_media_type(picture: bytes) -> str:
     raise ValueError("this is no picture: give the content of a PNG, JPEG or .npy file")
 
 
-EXAMPLES = (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True)))
+EXAMPLES = Examples(lambda: (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True))))

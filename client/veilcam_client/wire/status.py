@@ -1,21 +1,30 @@
-"""The daemon at a glance."""
+"""The daemon at a glance, and what it tells of itself to who looks for a fault."""
 
 from __future__ import annotations
 
-from importlib.metadata import version
+from collections.abc import Mapping
+from datetime import datetime
 from typing import Literal
 
-from veilcam_client.wire.base import API_VERSION, Answer
-from veilcam_client.wire.bundles import EXAMPLE_BUNDLE, BundleInfo
-from veilcam_client.wire.captures import Release
-from veilcam_client.wire.rotation import EXAMPLE_ROTATION, Rotation
-from veilcam_client.wire.sealing import EXAMPLE_DEVICE, EXAMPLE_RECEIVER, PairedReceiver
+from pydantic import JsonValue
+
+from veilcam_client.wire.base import (
+    API_VERSION,
+    EXAMPLE_TIME,
+    Answer,
+    Examples,
+    installed_version,
+)
+from veilcam_client.wire.bundles import BundleInfo, example_bundle
+from veilcam_client.wire.rotation import Rotation, example_rotation
+from veilcam_client.wire.sealing import EXAMPLE_DEVICE, PairedReceiver, Release, example_receiver
 
 State = Literal[
-    "starting", "self-test", "ready", "calibrating", "degraded", "safe", "replay", "stopping"
+    "starting", "self-test", "ready", "off", "calibrating", "degraded", "safe", "replay", "stopping"
 ]
-"""``safe``: the panel is opaque (or its content unknown) and no capture is taken; ``replay``: there
-is no panel, and captures come from a recording."""
+"""``off``: the panel is opaque and no capture is taken, because that is wanted now; ``safe``: the
+same (or the panel's content is unknown), because something failed; ``replay``: there is no panel,
+and captures come from a recording."""
 Remedy = Literal[
     "wait",
     "adjust_light",
@@ -24,6 +33,7 @@ Remedy = Literal[
     "check_disk",
     "run_doctor",
     "install_bundle",
+    "calibrate",
     "restart",
     "report_defect",
 ]
@@ -74,19 +84,127 @@ class Status(Answer):
     queue: Queue
 
 
-EXAMPLES = (
-    Status(
-        version=version("veilcam"),
+class PastState(Answer):
+    """A state that the daemon entered."""
+
+    at: datetime
+    state: State
+    detail: str | None
+    remedy: Remedy | None = None
+
+
+class PastFault(Answer):
+    """Something that failed; ``code`` is that of the problem."""
+
+    at: datetime
+    code: str
+    detail: str
+    remedy: Remedy = "wait"
+
+
+class ProofMeans(Answer):
+    """Means over the last captures, 100 at most, of what tells which mask was there."""
+
+    captures: int
+    """So many."""
+    undecided: float
+    """Share of those that were too dark to tell."""
+    margin: float
+    """By how much the mask named was ahead of any other state of the panel, in standard deviations
+    of what masks that are not there come to."""
+    departure: float
+    """Share of their marks that the masks named did not leave; it grows with a drift."""
+    light: float
+    """Mean measurement."""
+
+
+class Diagnostics(Answer):
+    """Versions, settings, and what happened lately. No secret is in it."""
+
+    versions: Mapping[str, str]
+    """Of the interpreter, the system, and the packages that matter."""
+    settings: Mapping[str, JsonValue]
+    """What the daemon was told; ``"given"`` stands for a path, an address or a label."""
+    states: tuple[PastState, ...]
+    """The last ones, the latest last."""
+    faults: tuple[PastFault, ...]
+    """The last ones, the latest last."""
+    events: Mapping[str, int]
+    """How many of each kind there were since the start."""
+    fault_counts: Mapping[str, int]
+    """How many of each code there were since the start."""
+    audit_lost: int
+    """Lines of the audit log that could not be written."""
+    proof: ProofMeans | None = None
+    """Only for who has the scopes ``admin:receivers`` and ``read:embedding``, as it tells of the
+    light; None before the first capture, too."""
+
+
+class DoctorFinding(Answer):
+    """What one check of the machine found."""
+
+    name: str
+    outcome: Literal["ok", "bad", "skipped"]
+    """``bad``: the daemon cannot serve as it should; ``skipped``: another must be well first."""
+    found: str
+    """Paths of the daemon stand there as their settings, ``$VEILCAM_...``."""
+    remedy: str | None
+    """What to do, where it is not well."""
+
+
+class DoctorFindings(Answer):
+    """Every check that can be made while the daemon holds panel and camera."""
+
+    findings: tuple[DoctorFinding, ...]
+
+
+def example_status() -> Status:
+    """For documents."""
+    return Status(
+        version=installed_version(),
         api_version=API_VERSION,
         state="ready",
         uptime_s=3600.0,
         captures=1200,
         release="sealed",
         raw_budget=0,
-        receivers=(EXAMPLE_RECEIVER,),
+        receivers=(example_receiver(),),
         device=Device(display="ST7735R", sensor="IMX477", simulated=False, key=EXAMPLE_DEVICE),
-        bundle=EXAMPLE_BUNDLE,
-        rotation=EXAMPLE_ROTATION,
+        bundle=example_bundle(),
+        rotation=example_rotation(),
         queue=Queue(waiting=0, limit=8),
-    ),
+    )
+
+
+EXAMPLES = Examples(
+    lambda: (
+        example_status(),
+        DoctorFindings(
+            findings=(
+                DoctorFinding(
+                    name="disk",
+                    outcome="bad",
+                    found="12 MiB free",
+                    remedy="make room: without it no change is made",
+                ),
+            )
+        ),
+        Diagnostics(
+            versions={"veilcam": installed_version(), "python": "3.11.9"},
+            settings={"device": "pi", "queue_limit": 8, "bundle": "given"},
+            states=(PastState(at=EXAMPLE_TIME, state="ready", detail=None),),
+            faults=(
+                PastFault(
+                    at=EXAMPLE_TIME,
+                    code="sensor_timeout",
+                    detail="no frame in 5 s",
+                    remedy="check_camera_cable",
+                ),
+            ),
+            events={"capture": 1200, "mask": 120},
+            fault_counts={"sensor_timeout": 1},
+            audit_lost=0,
+            proof=ProofMeans(captures=100, undecided=0.02, margin=3.5, departure=0.6, light=0.4),
+        ),
+    )
 )

@@ -1,4 +1,4 @@
-"""Who may do what: scopes, and the tokens that carry them."""
+"""Who may do what: scopes, the tokens that carry them, and sessions of a page."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from pydantic import Field
 
-from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Question
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
 
 Scope = Literal[
     "read:status",
@@ -70,18 +70,50 @@ class Tokens(Answer):
     """``after`` of the request for those that follow; None: there are no more."""
 
 
-_TOKEN = Token(
-    id="0123456789ab",
-    label="lamp",
-    scopes=("classify", "read:status"),
-    created_at=EXAMPLE_TIME,
-    expires_at=None,
-    revoked_at=None,
-    last_used_on="2026-01-02",
-)
-EXAMPLES = (
-    TokenRequest(label="lamp", scopes=("classify", "read:status"), seconds=86_400),
-    _TOKEN,
-    NewToken(**_TOKEN.model_dump(), secret="vc_0123456789ab_" + "0f" * 32),
-    Tokens(tokens=(_TOKEN,), next="0123456789ab"),
+class Session(Answer):
+    """Who asks, and what it may do."""
+
+    tokens: bool
+    """Whether this daemon wants tokens; without, there is nothing to log in to."""
+    label: str
+    """Of the token."""
+    scopes: tuple[str, ...]
+    expires_at: datetime | None
+    """When the session ends, or else the token; None: never."""
+
+
+class NewSession(Session):
+    """A session just begun. Its other half is a cookie that no script can read."""
+
+    half: str = Field(repr=False, pattern=r"^[0-9a-f]{64}$")
+    """The page sends it as ``Veilcam-Session`` with every request; shown this once."""
+
+
+def _token() -> Token:
+    return Token(
+        id="0123456789ab",
+        label="lamp",
+        scopes=("classify", "read:status"),
+        created_at=EXAMPLE_TIME,
+        expires_at=None,
+        revoked_at=None,
+        last_used_on="2026-01-02",
+    )
+
+
+def _session() -> Session:
+    return Session(
+        tokens=True, label="kitchen", scopes=("classify", "read:status"), expires_at=EXAMPLE_TIME
+    )
+
+
+EXAMPLES = Examples(
+    lambda: (
+        TokenRequest(label="lamp", scopes=("classify", "read:status"), seconds=86_400),
+        _token(),
+        NewToken(**_token().model_dump(), secret="vc_0123456789ab_" + "0f" * 32),
+        Tokens(tokens=(_token(),), next="0123456789ab"),
+        _session(),
+        NewSession(**_session().model_dump(), half="0f" * 32),
+    )
 )

@@ -17,8 +17,9 @@ from veilcam_optics.propagation import (
 )
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.transfer.grid import GridLight, mask_grid, sample_pitch
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_psf, sampled_psf
+from veilcam_optics.transfer.tables import Reach
 
 
 class PsfJob:

@@ -15,12 +15,13 @@ from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
 from veilcam_optics.transfer.grid import GridLight, sample_pitch
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import (
     TransferBinning,
     reference_transfer,
     sampled_psf,
 )
+from veilcam_optics.transfer.tables import Reach
 
 PLAN = "plan"
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)

@@ -1,16 +1,20 @@
 """Imperfections of a built camera, and conditions of light and sensor. All absent by default."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
-import torch
 from pydantic import ConfigDict
-from torch import Tensor
 
+from veilcam_optics.arrays import Array, namespace
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Scene
 from veilcam_optics.camera.masks import respond
 from veilcam_optics.errors import require, require_ratio, require_within
+
+if TYPE_CHECKING:
+    import torch
 
 MOST_OFF_AXIS = 1.4
 """Largest angle of a scene's edge to the axis that is computed [rad]."""
@@ -92,6 +96,8 @@ class Imperfections:
             spreads: how far it may be from the nominal one.
             generator: None is torch's own.
         """
+        import torch  # noqa: PLC0415 - training draws cameras, and a device is one
+
         y = x = along = 0.0
         if spreads.shift or spreads.distance:
             draws = torch.empty(3, dtype=torch.float64)
@@ -127,7 +133,7 @@ class Imperfections:
         """The camera with the distance that it really has."""
         return replace(camera, distance=camera.distance + self.distance_error)
 
-    def shown(self, weights: Tensor) -> Tensor:
+    def shown(self, weights: Array) -> Array:
         """Amplitudes that the panel shows when it is told ``weights``, same shape; differentiable.
 
         Args:
@@ -140,10 +146,10 @@ class Imperfections:
         if not (self.dead_rows or self.dead_columns):
             return shown
         self._check_lines((weights.shape[-2], weights.shape[-1]))
-        shown = shown.clone()
-        shown[..., list(self.dead_rows), :] = self.dead_transmittance
-        shown[..., list(self.dead_columns)] = self.dead_transmittance
-        return shown
+        copied: Array = namespace(shown).asarray(shown, copy=True)
+        copied[..., list(self.dead_rows), :] = self.dead_transmittance
+        copied[..., list(self.dead_columns)] = self.dead_transmittance
+        return copied
 
     def _check_lines(self, shape: tuple[int, int]) -> None:
         for name, count in zip(("dead_rows", "dead_columns"), shape, strict=True):

@@ -6,15 +6,9 @@ classifier serves all masks.
 """
 
 from veilcam_optics.decoding.decoder import Decoder, Precision, SceneDecoding
+from veilcam_optics.decoding.frame import SceneFrame, read_frame, write_frame
 from veilcam_optics.decoding.noise import DEFAULT_NOISE, MeasurementNoise
 from veilcam_optics.decoding.statistics import SceneStatistics, fit_statistics
-
-try:
-    from veilcam_optics.decoding.frame import SceneFrame, read_frame, write_frame
-except ModuleNotFoundError as missing:
-    # A frame makes kernels; what decodes computes in NumPy, too.
-    if missing.name != "torch":
-        raise
 
 __all__ = [
     "DEFAULT_NOISE",

@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Generic, Protocol
 
+import numpy as np
 from typing_extensions import TypeVar
 
 from veilcam_optics.arrays import (
@@ -105,6 +106,53 @@ class Decoder(Generic[Array]):
         coordinates: Array = (flat - self.mean_measurement) @ self.estimator.T
         return coordinates
 
+    def innovation(self, measurements: Array) -> Array:
+        """Normalised squares of the innovation, over their number.
+
+        It is 1 in the mean where scenes and noise are as they are expected to be, and more where
+        they are not.
+
+            nis = (v - A mu)^T (A S A^T + N)^-1 (v - A mu) / E
+                = (v - A mu)^T N^-1 (v - A mu - A B z) / E,    z = K (v - A mu)
+
+        (Bar-Shalom, Estimation with Applications to Tracking and Navigation, eq. 5.4.2-9.)
+
+        Args:
+            measurements: as of :meth:`__call__`.
+
+        Returns:
+            (batch,), not negative.
+
+        Raises:
+            OpticsError: measurements of another shape.
+        """
+        xp = namespace(measurements)
+        told = self.flatten(measurements) - self.mean_measurement
+        left = told - (told @ self.estimator.T) @ self.response.T
+        squares: Array = xp.clip(xp.mean(told * left / self.noise, axis=1), 0, None)
+        return squares
+
+    def novelty(self, measurements: Array) -> Array:
+        """Root of the innovation over the light, that of the mean scene being 1.
+
+        How far a scene is from those to be expected, whatever its brightness; huge without light.
+
+        Args:
+            measurements: as of :meth:`__call__`.
+
+        Returns:
+            (batch,), not negative.
+
+        Raises:
+            OpticsError: measurements of another shape.
+        """
+        xp = namespace(measurements)
+        light = xp.sum(self.flatten(measurements), axis=1) / xp.sum(self.mean_measurement)
+        root = xp.sqrt(self.innovation(measurements))
+        with np.errstate(over="ignore"):  # without light; torch says nothing
+            far: Array = root / xp.clip(light, float(xp.finfo(light.dtype).tiny), None)
+        return far
+
     def __call__(self, measurements: Array) -> Array:
         """Estimate scenes.
 
@@ -183,7 +231,7 @@ def prepare_decoder(
         estimator = solve_triangular(factor, half, transposed=True)
         left = solve_triangular(factor, basis.T)
         posterior = xp.sum(left * left, axis=0) + as_type(statistics.residual, precision.factors)
-    posterior = xp.clip(posterior, 1e-12)  # not 0, where the root has no gradient
+    posterior = xp.clip(posterior, 1e-12, None)  # not 0, where the root has no gradient
     total = float(xp.sum(prior))
     decoder = Decoder(
         scene=scene,

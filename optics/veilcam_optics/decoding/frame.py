@@ -4,16 +4,19 @@ One safetensors file: the tensors of the statistics and of the distribution that
 from, and as its metadata one JSON text with the rest. None of it is secret. It holds no code.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Generic, Literal, overload
 
-import safetensors.torch
-import torch
+import numpy as np
+import numpy.typing as npt
+import safetensors.numpy
 from pydantic import BaseModel, ValidationError
 from safetensors import SafetensorError, safe_open
-from torch import Tensor
 
+from veilcam_optics.arrays import Array, as_numpy, as_type, is_torch_array, namespace
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
@@ -23,7 +26,15 @@ from veilcam_optics.decoding.statistics import SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.files import write_whole
 from veilcam_optics.keys.masks import Levels, MaskDistribution
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.product import Transfer
+from veilcam_optics.transfer.tables import Reach, make_transfer
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from veilcam_optics.transfer.operator import TransferOperator
+
+Values = npt.NDArray[Any]
 
 KEY = "veilcam"
 STATISTICS = ("mean", "basis", "residual")
@@ -43,13 +54,16 @@ class _Header(BaseModel, frozen=True, extra="forbid", strict=True):
 
 
 @dataclass(frozen=True)
-class SceneFrame:
-    """Camera, scene, embedding, and what is publicly known of scenes, noise and masks."""
+class SceneFrame(Generic[Array]):
+    """Camera, scene, embedding, and what is publicly known of scenes, noise and masks.
+
+    What it makes computes in the library that its statistics are of.
+    """
 
     camera: Camera
     scene: Scene
     embedding: Embedding
-    statistics: SceneStatistics
+    statistics: SceneStatistics[Array]
     noise: MeasurementNoise = DEFAULT_NOISE
     reach: Reach = field(default_factory=Reach)
     distribution: MaskDistribution | None = None
@@ -57,32 +71,58 @@ class SceneFrame:
     imperfections: Imperfections = NOMINAL
     """Of the camera as it was built; whatever reads it takes out the stray light."""
 
-    def shown(self, levels: Levels) -> Tensor:
+    def in_torch(self) -> SceneFrame[Tensor]:
+        """The same frame, for training."""
+        known = (self.statistics.in_torch(), self.noise, self.reach, self.distribution)
+        return SceneFrame(self.camera, self.scene, self.embedding, *known, self.imperfections)
+
+    def shown(self, levels: Levels) -> Array:
         """Weights that the panel shows for ``levels``: what decoders are prepared for."""
-        return self.imperfections.shown(to_weights(levels, self.camera.panel))
+        weights = to_weights(levels, self.camera.panel)
+        same: Array = namespace(self.statistics.mean).asarray(weights)
+        return self.imperfections.shown(same)
+
+    @overload
+    def decoding(
+        self: SceneFrame[Tensor], *, rank: int | None = None, precision: Precision = Precision.MIXED
+    ) -> SceneDecoding[TransferOperator]: ...
+
+    @overload
+    def decoding(
+        self: SceneFrame[Values], *, rank: int | None = None, precision: Precision = Precision.MIXED
+    ) -> SceneDecoding[Transfer[Values]]: ...
 
     def decoding(
         self, *, rank: int | None = None, precision: Precision = Precision.MIXED
-    ) -> SceneDecoding:
-        """What prepares decoders, with fewer components of the statistics if ``rank`` says so."""
-        operator = TransferOperator(
-            self.camera,
-            self.scene,
-            self.embedding,
-            reach=self.reach,
-            dtype=getattr(torch, precision.products),
-            imperfections=self.imperfections,
-        )
+    ) -> SceneDecoding[Any]:
+        """What prepares decoders, with fewer components of the statistics if ``rank`` says so.
+
+        Of torch, its operator is a module.
+        """
         statistics = self.statistics if rank is None else self.statistics.truncate(rank)
+        like = as_type(statistics.mean[:0], precision.products)
+        given = (self.camera, self.scene, self.embedding)
+        operator: Any
+        if is_torch_array(like):
+            # An array of torch is here, so torch is.
+            from veilcam_optics.transfer.operator import TransferOperator  # noqa: PLC0415
+
+            operator = TransferOperator(
+                *given, reach=self.reach, dtype=like.dtype, imperfections=self.imperfections
+            )
+        else:
+            operator = make_transfer(
+                *given, reach=self.reach, like=like, imperfections=self.imperfections
+            )
         return SceneDecoding(operator, statistics, self.noise, precision=precision)
 
 
-def write_frame(path: Path, frame: SceneFrame) -> None:
+def write_frame(path: Path, frame: SceneFrame[Array]) -> None:
     """Write ``frame`` so that ``path`` holds either what it held before or all of it."""
     write_whole(path, dump_frame(frame), private=True)
 
 
-def read_frame(path: Path) -> SceneFrame:
+def read_frame(path: Path) -> SceneFrame[Values]:
     """Read what :func:`write_frame` wrote.
 
     Raises:
@@ -91,18 +131,18 @@ def read_frame(path: Path) -> SceneFrame:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise OpticsError(f"is too large: a frame has at most {MAX_BYTES} bytes")
-        with safe_open(path, framework="pt") as archive:
+        with safe_open(path, framework="numpy") as archive:
             metadata = archive.metadata() or {}
             names = set(archive.keys())
             drawn = bool(names & set(DISTRIBUTION))
             if names != {*STATISTICS, *(DISTRIBUTION if drawn else ())} or KEY not in metadata:
                 raise OpticsError("is not a frame file: give one that veilcam-train wrote")
-            tensors = {name: archive.get_tensor(name) for name in STATISTICS}
-            arrays = {name: archive.get_tensor(name).numpy() for name in DISTRIBUTION if drawn}
+            known = {name: archive.get_tensor(name) for name in STATISTICS}
+            arrays = {name: archive.get_tensor(name) for name in DISTRIBUTION if drawn}
         header = _Header.model_validate_json(metadata[KEY])
-        if any(tensor.dtype != torch.float32 for tensor in tensors.values()):
+        if any(array.dtype != np.float32 for array in known.values()):
             raise OpticsError("tensors are not float32: make it again")
-        statistics = SceneStatistics(**tensors)
+        statistics: SceneStatistics[Values] = SceneStatistics(**known)
         if statistics.pixels != header.scene.rows * header.scene.columns:
             raise OpticsError("statistics are of another scene: make it again")
         distribution = MaskDistribution(**arrays) if drawn else None
@@ -133,7 +173,7 @@ def read_frame(path: Path) -> SceneFrame:
     )
 
 
-def dump_frame(frame: SceneFrame) -> bytes:
+def dump_frame(frame: SceneFrame[Array]) -> bytes:
     """The bytes that :func:`write_frame` writes; the same frame gives the same bytes."""
     header = _Header(
         camera=frame.camera,
@@ -144,8 +184,8 @@ def dump_frame(frame: SceneFrame) -> bytes:
         calibration=frame.imperfections,
     )
     statistics = frame.statistics.to("float32")
-    tensors = {name: getattr(statistics, name).contiguous() for name in STATISTICS}
+    arrays = {name: as_numpy(getattr(statistics, name)) for name in STATISTICS}
     if frame.distribution is not None:
-        for name in DISTRIBUTION:
-            tensors[name] = torch.from_numpy(getattr(frame.distribution, name).copy())
-    return safetensors.torch.save(tensors, metadata={KEY: header.model_dump_json()})
+        arrays |= {name: getattr(frame.distribution, name) for name in DISTRIBUTION}
+    whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    return safetensors.numpy.save(whole, metadata={KEY: header.model_dump_json()})

@@ -40,7 +40,7 @@ class MeasurementNoise:
             nothing is known, and decoding gives the mean scene.
         """
         xp = namespace(mean)
-        mean = xp.clip(mean, 0)
+        mean = xp.clip(mean, 0, None)
         squares = mean * mean + spread
         energy, total = xp.sum(squares), xp.sum(mean)
         variance: Array

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Generic, Self
+from typing import TYPE_CHECKING, Any, Generic, Self
 
-from veilcam_optics.arrays import Array, as_type, device, namespace
+from veilcam_optics.arrays import Array, as_numpy, as_type, device, namespace
 from veilcam_optics.errors import OpticsError, invalid, require, require_count, require_shape
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class SceneStatistics(Generic[Array]):
         )
         require_shape("statistics.residual", self.residual, pixels)
         xp = namespace(self.mean)
-        if not all(bool(xp.all(xp.isfinite(t))) for t in (self.mean, self.basis, self.residual)):
+        if not all(bool(xp.all(xp.isfinite(t))) for t in self._all):
             raise OpticsError("statistics hold NaN or infinity: make them again")
         if bool(xp.any(self.residual < 0)):
             raise OpticsError("statistics.residual holds a negative variance: make them again")
@@ -73,7 +77,21 @@ class SceneStatistics(Generic[Array]):
 
     def to(self, name: str) -> Self:
         """The same as ``float32`` or ``float64``."""
-        return type(self)(*(as_type(each, name) for each in (self.mean, self.basis, self.residual)))
+        return type(self)(*(as_type(each, name) for each in self._all))
+
+    def in_numpy(self) -> SceneStatistics[npt.NDArray[Any]]:
+        """The same in NumPy: what a device computes with."""
+        return SceneStatistics(*(as_numpy(each) for each in self._all))
+
+    def in_torch(self) -> SceneStatistics[Tensor]:
+        """The same in torch: what training computes with."""
+        import torch  # noqa: PLC0415 - who asks for it has it
+
+        return SceneStatistics(*(torch.as_tensor(each) for each in self._all))
+
+    @property
+    def _all(self) -> tuple[Array, Array, Array]:
+        return self.mean, self.basis, self.residual
 
 
 def fit_statistics(batches: Iterable[Array], rank: int) -> SceneStatistics[Array]:
@@ -116,9 +134,9 @@ def fit_statistics(batches: Iterable[Array], rank: int) -> SceneStatistics[Array
     covariance = second / count - shift[:, None] * shift
     values, vectors = xp.linalg.eigh(covariance)
     rank = min(rank, values.shape[0])
-    kept = xp.clip(xp.flip(values[-rank:]), 0)
+    kept = xp.clip(xp.flip(values[-rank:]), 0, None)
     basis = xp.flip(vectors[:, -rank:], axis=1) * xp.sqrt(kept)
-    residual = xp.clip(xp.linalg.diagonal(covariance) - _squares(basis), 0)
+    residual = xp.clip(xp.linalg.diagonal(covariance) - _squares(basis), 0, None)
     return SceneStatistics(origin + shift, basis, residual).to("float32")
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer.operator import Beam
+from veilcam_optics.transfer.tables import Beam
 
 
 class Comparison(Protocol):
@@ -38,14 +38,8 @@ class Comparison(Protocol):
     def interference(self) -> float:
         """Relative L2 when no two sub-pixels interfere."""
 
-    def values(self) -> Tensor:
-        """Noiseless embeddings of a white scene through each channel, (3, masks, rows, columns).
-
-        Only some rows and columns are there, see :meth:`kept`.
-        """
-
-    def kept(self) -> tuple[Tensor, Tensor]:
-        """Which embedding rows and columns :meth:`values` holds."""
+    def white(self) -> Tensor:
+        """Noiseless embeddings of a white scene, (masks, rows, columns): some rows and columns."""
 
 
 @dataclass(frozen=True, slots=True)

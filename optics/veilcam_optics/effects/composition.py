@@ -1,6 +1,6 @@
 """What all effects of a model do together, stage by stage, each where it is present alone."""
 
-from collections.abc import Iterator
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -9,22 +9,34 @@ from veilcam_optics import effects
 from veilcam_optics.effects.base import Effect
 from veilcam_optics.effects.light import Zone
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer.operator import Beam
+from veilcam_optics.transfer.tables import Beam
 
 
-def present(model: Model) -> Iterator[Effect]:
+def present(model: Model) -> tuple[Effect, ...]:
     """The effects that a model has."""
-    return (effect for effect in effects.EFFECTS if effect.present(model))
+    return _present(model, effects.EFFECTS)
 
 
-def beams(model: Model, zone: Zone | None = None) -> list[Beam]:
+@lru_cache(maxsize=64)
+def _present(model: Model, every: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """A plan asks for those of the same few models again and again."""
+    return tuple(effect for effect in every if effect.present(model))
+
+
+def beams(model: Model, zone: Zone | None = None) -> tuple[Beam, ...]:
     """What each channel adds up: samples of its spectrum times samples of the depth."""
-    stretch = (1.0, 1.0) if zone is None else zone.stretch
+    return _beams(model, (1.0, 1.0) if zone is None else zone.stretch, present(model))
+
+
+@lru_cache(maxsize=64)
+def _beams(
+    model: Model, stretch: tuple[float, float], there: tuple[Effect, ...]
+) -> tuple[Beam, ...]:
     wavelengths = enumerate(model.camera.wavelengths)
     found = [Beam(channel, wavelength, stretch=stretch) for channel, wavelength in wavelengths]
-    for effect in present(model):
+    for effect in there:
         found = effect.beams(found, model)
-    return found
+    return tuple(found)
 
 
 def shown(model: Model, weights: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -12,7 +13,7 @@ from torch import Tensor
 from veilcam_optics.effects.base import Comparison, Effect, Imperfection
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
-from veilcam_optics.transfer.operator import Beam, Reach
+from veilcam_optics.transfer.tables import Beam, Reach
 
 _DEVIATIONS = 2 * math.sqrt(2 * math.log(2))
 """Standard deviations in the full width at half maximum of a normal distribution."""
@@ -23,10 +24,12 @@ _NARROW = 1e-4
 
 def tangents(model: Model) -> tuple[Tensor, Tensor]:
     """Tangent of the angle to the axis of every scene row, and of every column, float64."""
-    scale = scene_pixel_tangent(model)
+    return _tangents(scene_pixel_tangent(model), model.scene.shape)
+
+
+def _tangents(side: float, shape: tuple[int, int]) -> tuple[Tensor, Tensor]:
     return tuple(  # type: ignore[return-value]
-        (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * scale
-        for count in model.scene.shape
+        (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * side for count in shape
     )
 
 
@@ -84,12 +87,17 @@ class Zone:
         return root / (1 - y / squares), root / (1 - x / squares)
 
 
+def zone_counts(model: Model) -> tuple[int, int]:
+    """Zones along y and x."""
+    most = model.sampling.zones if model.conditions.off_axis else 1
+    return min(most, model.scene.rows), min(most, model.scene.columns)
+
+
 def zones(model: Model) -> list[list[Zone]]:
     """The parts of the scene that have a point spread function each, by rows and columns."""
     scale = scene_pixel_tangent(model)
     parts = []
-    for length in model.scene.shape:
-        count = min(model.sampling.zones if model.conditions.off_axis else 1, length)
+    for length, count in zip(model.scene.shape, zone_counts(model), strict=True):
         edges = [round(k * length / count) for k in range(count + 1)]
         # The mean tangent of neighbours is that of the middle between them.
         parts.append([(slice(a, b), (a + b - length) / 2 * scale) for a, b in pairwise(edges)])
@@ -296,14 +304,24 @@ class OffAxis(Effect):
         return f"up to {math.degrees(angle):.3g} degrees: {fade:.2g} % darker at the edge"
 
     def fade(self, model: Model) -> Tensor:
-        """Mean of cos^4 over a pixel: Lambert's law, the tilted mask, and twice the distance.
+        """Mean of cos^4 over a pixel."""
+        return _fading(scene_pixel_tangent(model), model.scene.shape)
 
-        In closed form: what a rectangle sends to a small plate that faces it (Howell, A Catalog of
-        Radiation Heat Transfer Configuration Factors, B-4). Differences of it round where pixels
-        are narrow; there the middle's is as good.
-        """
-        y, x = tangents(model)
-        side = scene_pixel_tangent(model)
+
+@lru_cache(maxsize=8)
+def _fading(side: float, shape: tuple[int, int]) -> Tensor:
+    """Mean of cos^4 over every scene pixel: Lambert's law, the tilted mask, twice the distance.
+
+    In closed form: what a rectangle sends to a small plate that faces it (Howell, A Catalog of
+    Radiation Heat Transfer Configuration Factors, B-4). Differences of it round where pixels
+    are narrow; there the middle's is as good.
+
+    Args:
+        side: tangent of a scene pixel.
+        shape: of the scene.
+    """
+    with torch.inference_mode(mode=False):  # it is kept, and some who ask need a gradient
+        y, x = _tangents(side, shape)
         if side < _NARROW:
             return (1 + y.square()[:, None] + x.square()).pow(-2)
         corners = _seen(_edges(y, side)[:, None], _edges(x, side))

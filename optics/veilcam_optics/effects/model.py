@@ -9,7 +9,7 @@ from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import IDEAL, Conditions
 from veilcam_optics.errors import require, require_choice, require_count, require_positive
 from veilcam_optics.transfer.kernels import Approximation
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 Method = Literal["transfer", "factors", "grid"]
 

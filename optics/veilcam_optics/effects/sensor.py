@@ -38,12 +38,6 @@ def converter_range(conditions: Conditions) -> float:
     return 1.0
 
 
-def white(comparison: Comparison) -> Tensor:
-    """Noiseless gray embeddings of a white scene, (masks, rows, columns)."""
-    shares = torch.tensor(mean_shares(comparison.model), dtype=torch.float64)
-    return torch.einsum("c,cmyx->myx", shares, comparison.values())
-
-
 def _rms(values: Tensor) -> float:
     """Root mean square, kept from zero so that it may divide."""
     return max(float(values.square().mean().sqrt()), 1e-300)
@@ -56,16 +50,6 @@ class Bayer(Effect):
     free = False
     absent = "colours in equal shares everywhere"
     neutral = MappingProxyType({"bayer": False})
-
-    def error(self, comparison: Comparison) -> float:
-        """Unequal shares times the channels' embeddings."""
-        sensor = comparison.model.camera.sensor
-        rows, columns = comparison.kept()
-        shares = channel_shares(comparison.model)[:, rows][:, :, columns]
-        values = comparison.values()
-        plain = torch.tensor(sensor.channel_weights, dtype=torch.float64)[:, None, None]
-        difference = torch.einsum("cyx,cmyx->myx", shares - plain, values)
-        return _rms(difference) / _rms(torch.einsum("cyx,cmyx->myx", shares, values))
 
     def reason(self, model: Model) -> str:
         """Pixels per pixel."""
@@ -96,7 +80,7 @@ class ShotNoise(Effect):
         conditions = comparison.model.conditions
         if not conditions.electrons:
             return float(10 ** (-conditions.snr_db / 20))
-        values = white(comparison)
+        values = comparison.white()
         mean = float(values.mean().clamp_min(0))
         return math.sqrt(mean / conditions.electrons) / _rms(values)
 
@@ -133,7 +117,7 @@ class ReadNoise(Effect):
     def error(self, comparison: Comparison) -> float:
         """Noise over signal."""
         conditions = comparison.model.conditions
-        return conditions.read_noise / conditions.electrons / _rms(white(comparison))
+        return conditions.read_noise / conditions.electrons / _rms(comparison.white())
 
     def reason(self, model: Model) -> str:
         """How much."""
@@ -169,7 +153,7 @@ class FullWell(Effect):
     def error(self, comparison: Comparison) -> float:
         """What a white scene loses."""
         conditions = comparison.model.conditions
-        values = white(comparison)
+        values = comparison.white()
         lost = (values - conditions.full_well / conditions.electrons).clamp_min(0)
         return _rms(lost) / _rms(values) if float(lost.max()) > 0 else 0.0
 
@@ -197,7 +181,7 @@ class BlackLevel(Effect):
 
     def error(self, comparison: Comparison) -> float:
         """Offset over signal."""
-        return comparison.model.conditions.black_level / _rms(white(comparison))
+        return comparison.model.conditions.black_level / _rms(comparison.white())
 
     def reason(self, model: Model) -> str:
         """How much."""
@@ -223,7 +207,7 @@ class Converter(Effect):
     def error(self, comparison: Comparison) -> float:
         """Rounding (a twelfth of a step squared) and what lies beyond the range."""
         conditions = comparison.model.conditions
-        values = white(comparison)
+        values = comparison.white()
         step = converter_range(conditions) / (2**conditions.adc_bits - 1)
         lost = (values + conditions.black_level - converter_range(conditions)).clamp_min(0)
         return math.hypot(step / math.sqrt(12), float(lost.square().mean().sqrt())) / _rms(values)

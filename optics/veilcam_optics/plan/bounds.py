@@ -14,7 +14,7 @@ from veilcam_optics.plan.cost import nodes
 from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.sampling import Grid
 from veilcam_optics.transfer.grid import cells_in_aperture, sample_pitch
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 _MAX_VALUES = 400_000
 """Field values in the boxes of one axis: some 30 ms. Pairs that need more are bounded alone."""
@@ -120,13 +120,13 @@ def far_pairs(model: Model, axis: int) -> Tensor:
     shaded = (math.sqrt(2 * spread) / math.pi / gap).clamp_max(1)
     bounds = 2 * passed * shaded
     if axis == 0:
-        meeting = _meeting(camera)
+        meeting = meeting_rows(camera)
         bounds *= torch.tensor([rows in meeting for rows in range(count)])
     return bounds
 
 
-def _meeting(camera: Camera) -> set[int]:
-    """How far apart rows are that pass light of one channel."""
+def meeting_rows(camera: Camera) -> set[int]:
+    """How far apart, in rows, two that pass light of one channel may be."""
     found: set[int] = set()
     for channel in range(len(CHANNELS)):
         lit = torch.tensor(camera.row_amplitudes(channel)).nonzero().flatten()
@@ -185,4 +185,4 @@ def smallest_step(model: Model) -> float:
 
 def nearest_rows(camera: Camera) -> int:
     """Rows between the nearest two that interfere at all."""
-    return min(_meeting(camera), default=1)
+    return min(meeting_rows(camera), default=1)

@@ -47,7 +47,7 @@ class BoxFields:
         below = torch.zeros_like(edges)
         for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1)):
             below += sign * (edges - corner).clamp_min(0).square() / 2
-        self._shares = (axis.scale * below.diff())[:, None]
+        self._shares: Tensor = (axis.scale * below.diff())[:, None]
         self._near = within_reach(of, reach)
         self._axis, self._of, self._wavelength = axis, of, wavelength
         self.points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
@@ -109,21 +109,22 @@ def bends(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
     corners = torch.tensor([-outer, -inner, inner, outer], dtype=torch.float64)
     signs = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
     fields = _fields(axis, axis.offsets[:, None] + corners, of, wavelength)
-    weighted = fields * (axis.scale * signs)[:, None]
+    weighted: Tensor = fields * (axis.scale * signs)[:, None]
     return (weighted.mT @ fields.conj()) * within_reach(of, reach)
 
 
 def _fields(axis: Axis, points: Tensor, of: Tensor, wavelength: float) -> Tensor:
     """Fields of some apertures at ``points`` (offsets, n): (offsets, n, apertures)."""
+    # In NumPy, whose calls take less than those of torch: there are many small ones.
     fields = aperture_fields(
-        points.flatten(),
-        axis.centres[of],
+        points.flatten().numpy(),
+        axis.centres[of].numpy(),
         axis.width,
         wavelength=wavelength,
         source_distance=axis.source_distance,
         distance=axis.distance,
     )
-    return fields.reshape(*points.shape, len(of))
+    return torch.from_numpy(fields).reshape(*points.shape, len(of))
 
 
 def within_reach(of: Tensor, reach: int) -> Tensor:

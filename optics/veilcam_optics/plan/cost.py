@@ -6,21 +6,25 @@ order of the settings must be, and the ratio of arithmetic to overhead hardly ch
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 
-from veilcam_optics.camera.geometry import CHANNELS
+from veilcam_optics.camera.geometry import CHANNELS, Camera
 from veilcam_optics.effects.composition import beams
-from veilcam_optics.effects.light import zones
+from veilcam_optics.effects.light import zone_counts
 from veilcam_optics.effects.mask import actual_camera
 from veilcam_optics.effects.model import Model
 from veilcam_optics.simulation.rotated_mask import covered_sides
 from veilcam_optics.transfer.grid import sample_pitch
+from veilcam_optics.transfer.tables import Reach
 
 _PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
 _NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}
-_CALL_MS = 0.013
-_FIXED_MS = 0.12
+_FIXED_MS, _ZONE_MS, _STACK_MS, _SCENE_MS, _GRID_MS = 0.17, 0.05, 0.08, 0.03, 2.5
+"""What a step, each zone of the field, each stack of pairs, each scene by factors and each sample
+of light on a grid take beside their products: measured for masks of a few sub-pixels."""
+
 _FIELD_VALUES_PER_MS = 3e3
 _BUILDS_PER_STEP = 1e-4
 """A model is made once and used for many steps: ten thousand, as in a training run."""
@@ -47,32 +51,49 @@ class Cost:
 
 
 def pairs(model: Model) -> tuple[int, int, int]:
-    """(row pairs over all column offsets, row pairs times column pairs, groups) of one zone."""
-    rows, columns = model.camera.mask_shape
-    reach = model.sampling.reach
-    far_rows = min(reach.rows, rows - 1) if model.sampling.diffraction else 0
-    far_columns = min(reach.columns, columns - 1) if model.sampling.diffraction else 0
-    row_pairs = products = groups = 0
-    rotated = model.conditions.imperfections.rotation != 0
+    """(row pairs over all column offsets, row pairs times column pairs, stacks) of one zone."""
+    reach = model.sampling.reach if model.sampling.diffraction else Reach(0, 0)
     shares = model.camera.sensor.channel_weights
-    channels = [beam.channel for beam in beams(model)]
-    for channel in range(len(CHANNELS)):
-        if not shares[channel] and not model.conditions.bayer:
-            continue
-        amplitudes = model.camera.row_amplitudes(channel)
+    channels = tuple(
+        beam.channel for beam in beams(model) if shares[beam.channel] or model.conditions.bayer
+    )
+    rotated = model.conditions.imperfections.rotation != 0
+    return _counted(model.camera, reach, channels, rotated, model.conditions.bayer)
+
+
+@lru_cache(maxsize=128)
+def _counted(
+    camera: Camera, reach: Reach, channels: tuple[int, ...], rotated: bool, apart: bool
+) -> tuple[int, int, int]:
+    """As :func:`pairs`, of a camera; the same few are asked for again and again.
+
+    Args:
+        camera: whose pairs.
+        reach: of interference.
+        channels: of every beam.
+        rotated: whether slopes are needed, too.
+        apart: whether colours are kept apart.
+    """
+    rows, columns = camera.mask_shape
+    far_rows, far_columns = min(reach.rows, rows - 1), min(reach.columns, columns - 1)
+    row_pairs = products = 0
+    stacks = set()
+    for channel in set(channels):
+        amplitudes = camera.row_amplitudes(channel)
         by_offset = [
             sum(1 for a, b in zip(amplitudes, amplitudes[dr:], strict=False) if a * b)
             for dr in range(far_rows + 1)
         ]
-        for dc in range(-far_columns, far_columns + 1):
-            count = sum(by_offset[1 if dc < 0 else 0 :])
+        for dc in range(far_columns + 1):
+            count = sum(by_offset) + (sum(by_offset[1:]) if dc else 0)
             if not count:
                 continue
             parts = (2 if dc else 1) * channels.count(channel) * (3 if rotated else 1)
             row_pairs += parts * count
-            products += parts * count * (columns - abs(dc))
-            groups += parts
-    return row_pairs, products, groups
+            products += parts * count * (columns - dc)
+            # Those of one shape are multiplied at once; colours that are kept apart are not.
+            stacks.add((channel if apart else 0, dc, count))
+    return row_pairs, products, len(stacks)
 
 
 def nodes(model: Model) -> tuple[int, int]:
@@ -87,9 +108,8 @@ def cost(model: Model, batch: int) -> Cost:
     if model.sampling.method == "grid":
         return _grid_cost(model, batch)
     scene, embedding, dtype = model.scene, model.embedding, model.sampling.dtype
-    row_pairs, products, groups = pairs(model)
-    parts = zones(model)
-    down, across = len(parts), len(parts[0])
+    row_pairs, products, stacks = pairs(model)
+    down, across = zone_counts(model)
     offsets_y, offsets_x = scene.rows * embedding.rows, scene.columns * embedding.columns
     colours = len(CHANNELS) if model.conditions.bayer else 1
     matrix = colours * offsets_y * offsets_x
@@ -107,14 +127,14 @@ def cost(model: Model, batch: int) -> Cost:
         # Each scene makes (pairs, rows, columns) numbers and lays them out anew.
         moved = down * spread + 3 * batch * row_pairs * scene.rows * embedding.columns
         numbers = kernels + spread + 3 * row_pairs * scene.rows * embedding.columns
-    calls = 6 * down * across + 3 * groups * down * across
+    each_zone = _ZONE_MS + _STACK_MS * stacks
     if model.sampling.method == "factors":
-        calls += batch * groups * down * across * 2
+        each_zone += _SCENE_MS * batch * colours
     step = (
         _FIXED_MS
         + multiplied / _PRODUCTS_PER_MS[dtype]
         + moved / _NUMBERS_PER_MS[dtype]
-        + calls / 3 * _CALL_MS
+        + each_zone * down * across
     )
     nodes_y, nodes_x = nodes(model)
     rows, columns = model.camera.mask_shape
@@ -133,7 +153,7 @@ def _grid_cost(model: Model, batch: int) -> Cost:
     padded = [math.ceil((a + b) / pitch) for a, b in zip(mask, target, strict=True)]
     cells = float(padded[0]) * padded[1]
     lights = len(CHANNELS) * max(1, len(beams(model)) // len(CHANNELS))
-    lights *= sum(len(row) for row in zones(model))
+    lights *= math.prod(zone_counts(model))
     transform = 5 * cells * math.log2(max(cells, 2))
     multiplied = lights * 2 * transform
     series = [math.ceil(length / pitch) for length in target]
@@ -141,5 +161,6 @@ def _grid_cost(model: Model, batch: int) -> Cost:
         scene.rows * scene.columns + series[0] * (scene.rows + model.embedding.rows)
     )
     multiplied += lights * (batch * 2 * each + transform)
-    step = 10 * _FIXED_MS + multiplied / 2e6 + lights * cells * 4 / _NUMBERS_PER_MS[dtype]
+    step = _FIXED_MS + lights * _GRID_MS + multiplied / 2e6
+    step += lights * cells * 4 / _NUMBERS_PER_MS[dtype]
     return Cost(step, lights * cells / 1e4, (4 * lights + 12) * cells)

@@ -1,7 +1,7 @@
 """Errors at the embedding: of every effect if it were ignored, and of every sampling."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,23 +13,25 @@ from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
 from veilcam_optics.effects.mask import DeadLines
 from veilcam_optics.effects.model import Model
-from veilcam_optics.effects.sensor import BlackLevel, mean_shares, white
+from veilcam_optics.effects.sensor import BlackLevel
 from veilcam_optics.plan.bounds import (
     affordable_reach,
     far_pairs,
     fringe_step,
-    grid_error,
+    meeting_rows,
     near_scene,
     nearest_rows,
     resolved,
     shadow_error,
     smallest_step,
 )
-from veilcam_optics.plan.paraxial import paraxial_errors, uneven_error
+from veilcam_optics.plan.grids import GridErrors
+from veilcam_optics.plan.joint import joint_error
+from veilcam_optics.plan.paraxial import Missing, missing_light, uneven_error
 from veilcam_optics.plan.probe import Probe, relative
 from veilcam_optics.plan.reading import converted
 from veilcam_optics.plan.rotation import rotation_errors
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 _FINEST = {"wavelengths": 7, "layers": 9}
 ROUNDING = {torch.float32: 7e-7, torch.float64: 0.0}
@@ -37,6 +39,9 @@ ROUNDING = {torch.float32: 7e-7, torch.float64: 0.0}
 
 _FEWER, _FEWEST = 6, 4
 """Offsets along each axis where more is wanted of each than its light."""
+
+_PLAIN = 3.0
+"""An error that is so many times the tolerance at a few offsets need not be known any better."""
 
 _LARGE = 500
 """Weights of a mask."""
@@ -70,6 +75,7 @@ class ErrorModel:
         self.tolerance = tolerance
         self._small = max(tolerance, _LEAST_TOLERANCE) / 10
         self._probe = Probe(model)
+        self._exact_transfers: dict[tuple[Probe, tuple[int, ...] | None], Tensor] = {}
         panel = model.camera.panel
         self._shadow_error = shadow_error(model, min(panel.aperture_y, panel.aperture_x))
         # Very near the sensor fringes are too fine to be sampled, and too fine to matter.
@@ -94,7 +100,7 @@ class ErrorModel:
         # Light of several colours or distances blurs the fringes of one another: two samples of
         # each show how much.
         blurred = used.with_sampling(wavelengths=2, layers=2)
-        rows, columns = _dials(reach.rows), _dials(reach.columns)
+        rows, columns = _dials(reach.rows, meeting_rows(model.camera)), _dials(reach.columns)
         found = self._probe.within(blurred, rows, columns)
         errors = {
             Reach(row, column): math.hypot(relative(found[n, k], found[-1, -1]), down, across)
@@ -144,14 +150,27 @@ class ErrorModel:
                 for c in range(len(CHANNELS))
             )
         )
-        channels = self._brightest if alike else None
-        exact = self._probe.transfer(self._near, channels=channels)
-        return relative(self._probe.transfer(changed, channels=channels), exact)
+        channels = self._telling if alike else None
+        for probe in (self._fewer, self._probe):
+            error = relative(
+                probe.transfer(changed, channels=channels), self._exact(probe, channels)
+            )
+            if error > _PLAIN * self.tolerance:
+                break
+        return error
+
+    def _exact(self, probe: Probe, channels: Sequence[int] | None) -> Tensor:
+        """The transfer that others are compared with; many are."""
+        key = probe, None if channels is None else tuple(channels)
+        if key not in self._exact_transfers:
+            self._exact_transfers[key] = probe.transfer(self._near, channels=channels)
+        return self._exact_transfers[key]
 
     @cached_property
-    def _brightest(self) -> list[int]:
-        """The channel that counts most in a gray measurement."""
-        return self._probe.channels(self.model)[:1]
+    def _telling(self) -> list[int]:
+        """Channels that tell for all: of a large mask, which takes long, the brightest."""
+        rows, columns = self.model.camera.mask_shape
+        return self._probe.channels(self.model)[: 1 if rows * columns > _LARGE else None]
 
     @cached_property
     def _near(self) -> Model:
@@ -225,63 +244,56 @@ class ErrorModel:
         most = 2 * math.sqrt(2) * side * (farthest + side / 2)
         if most <= self._small:
             return most
-        return uneven_error(Probe(self.model, _FEWEST), self._near, self._brightest)
+        return uneven_error(Probe(self.model, _FEWEST), self._near, self._telling)
 
     @cached_property
     def _slopes(self) -> tuple[float, float]:
         """Relative change of the transfer per relative change of the wavelength along y and x."""
-        one = self._brightest
-        base = self._probe.transfer(self._near, channels=one)
+        telling = self._telling
+        base = self._exact(self._probe, telling)
         return tuple(  # type: ignore[return-value]
-            relative(self._probe.transfer(self._near, stretch, channels=one), base) / math.log(1.02)
+            relative(self._probe.transfer(self._near, stretch, channels=telling), base)
+            / math.log(1.02)
             for stretch in ((1.02, 1.0), (1.0, 1.02))
         )
 
     @cached_property
-    def _white(self) -> tuple[Probe, Tensor]:
-        """A probe for one scene pixel as large as the scene, and what it gives."""
+    def _white(self) -> Tensor:
+        """Through a probe for one scene pixel as large as the scene."""
         scene = self.model.scene
         side = scene.pixel * math.sqrt(scene.rows * scene.columns)
         model = replace(self._near, scene=replace(scene, rows=1, columns=1, height=side))
         model = model.with_sampling(step=fringe_step(model, model.sampling.reach))
-        probe = Probe(model)
-        shares = mean_shares(model)
-        channels = [
-            probe.transfer(model, channels=[channel]) / share if share else None
-            for channel, share in enumerate(shares)
-        ]
-        dark = torch.zeros(
-            len(probe.masks), len(probe.kept_y), len(probe.kept_x), dtype=torch.float64
-        )
-        return probe, torch.stack([dark if values is None else values for values in channels])
+        return Probe(model).transfer(model)
 
-    def values(self) -> Tensor:
-        """Noiseless embeddings of a white scene through each channel, (3, masks, rows, columns)."""
-        return self._white[1]
-
-    def kept(self) -> tuple[Tensor, Tensor]:
-        """Which embedding rows and columns :meth:`values` holds."""
-        return self._white[0].kept_y, self._white[0].kept_x
+    def white(self) -> Tensor:
+        """Noiseless embeddings of a white scene, (masks, rows, columns): some rows and columns."""
+        return self._white
 
     def paraxial(self) -> float:
         """Relative L2 of Fresnel's approximation, which every factored field makes."""
-        return self._paraxial[0]
+        return self._missing.errors[0] if self._missing else 0.0
 
     @cached_property
-    def _paraxial(self) -> tuple[float, float]:
-        """Relative L2 of what a factored field leaves out of exact light, and of a grid."""
+    def _fewer(self) -> Probe:
+        return Probe(self.model, _FEWER)
+
+    @cached_property
+    def _missing(self) -> Missing | None:
+        """What is left out of exact light; None of shadows."""
         if not self.model.sampling.diffraction:
-            return 0.0, 0.0
-        # Of a large mask, which takes long, one colour tells enough.
-        rows, columns = self.model.camera.mask_shape
-        channels = self._brightest if rows * columns > _LARGE else None
-        return paraxial_errors(Probe(self.model, _FEWER), self.model, channels)
+            return None
+        return missing_light(self._fewer, self.model, self._telling)
+
+    def joint(self, chosen: Model) -> float:
+        """Relative L2 of a setting's light, every change with its sign; see :mod:`.joint`."""
+        return joint_error(self._fewer, self.model, chosen, self._missing)
 
     def read(self, error: float) -> float:
         """Relative L2 of what the camera reads, of an error of the light."""
         if not self.model.conditions.adc_bits or not error:
             return error
-        return converted(error, white(self), self.model.conditions, self.model.embedding.size)
+        return converted(error, self._white, self.model.conditions, self.model.embedding.size)
 
     def rounding(self, dtype: torch.dtype) -> float:
         """Relative L2 of a number format; an offset rounds light that is fainter than it."""
@@ -300,24 +312,35 @@ class ErrorModel:
             return model.sampling.step, 0.0
         longest = fringe_step(model, model.sampling.reach)
         judged = model.with_sampling(wavelengths=1, layers=1, step=longest)
-        size = float(self._probe.transfer(judged, channels=self._brightest).norm())
-        bend = float(self._probe.bend(judged, channels=self._brightest).norm())
+        size = float(self._fewer.transfer(judged, channels=self._telling).norm())
+        bend = float(self._fewer.bend(judged, channels=self._telling).norm())
         if not size or not bend:
             return longest, 0.0
         wanted = math.sqrt(12 * self._small * size / bend)
         step = max(min(longest, wanted), smallest_step(model))
         return step, min(1.0, step**2 / 12 * bend / size)
 
-    def grid(self, oversampling: float) -> float:
-        """Relative L2 of the grid path; 1 where it cannot work."""
-        return min(1.0, math.hypot(grid_error(self.model, oversampling), self._paraxial[1]))
+    def grids(self, model: Model, least: float) -> GridErrors:
+        """Errors of the grids of a model, from the coarsest oversampling on."""
+        return GridErrors(model, least, self._probe.masks)
+
+    def off_grid(self) -> float:
+        """Relative L2 of what every grid leaves out of exact light, however fine."""
+        return self._missing.errors[1] if self._missing else 0.0
 
 
-def _dials(reach: int) -> list[int]:
-    """Reaches that are looked at, up to the farthest: all of the near ones, some of the far."""
+def _dials(reach: int, meeting: Iterable[int] | None = None) -> list[int]:
+    """Reaches that are looked at, up to the farthest: all of the near ones, some of the far.
+
+    Args:
+        reach: the farthest.
+        meeting: how far apart two lines may be that interfere at all; None for any distance.
+    """
+    there = range(reach + 1) if meeting is None else sorted({0, reach, *meeting})
     found = [0]
-    while found[-1] < reach:
-        found.append(min(reach, max(found[-1] + 1, found[-1] * 4 // 3)))
+    for dial in there:
+        if found[-1] < dial <= reach and (dial == reach or dial >= found[-1] * 4 // 3):
+            found.append(dial)
     return found
 
 

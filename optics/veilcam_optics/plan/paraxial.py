@@ -26,7 +26,8 @@ _WIDE, _PARTS, _FEWER = 0.1, 5, 2
 """Scene pixels from so wide an angle on [rad] are looked at in more parts along each axis."""
 
 Series = dict[tuple[int, int], Tensor]
-"""Factors of strays over the distance along y and x, by their powers; (offsets y, offsets x)."""
+"""By powers of the stray over the distance along y and x: factors of it, (offsets y, offsets x), or
+the light of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +51,25 @@ class Rays:
         return cls(-tangents_y[:, None] * cosine, -tangents_x * cosine, cosine)
 
 
-def paraxial_errors(
-    probe: Probe, model: Model, channels: Sequence[int] | None = None
-) -> tuple[float, float]:
-    """Relative L2 of a factored field, and of a grid.
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """What is left out of exact light, at a probe's offsets.
+
+    Attributes:
+        factored: by a factored field, to first order, (masks, offsets y, offsets x).
+        grid: by a grid.
+        errors: relative L2 of each, all orders counted.
+        channels: those that were looked at; None for all.
+    """
+
+    factored: Tensor
+    grid: Tensor
+    errors: tuple[float, float]
+    channels: Sequence[int] | None
+
+
+def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> Missing:
+    """What a factored field and a grid leave out.
 
     Args:
         probe: offsets where light is looked at.
@@ -63,7 +79,7 @@ def paraxial_errors(
     model = model.with_sampling(wavelengths=1, layers=1)
     parts = _PARTS if scene_pixel_tangent(model) > _WIDE else 1
     rays = Rays.of(*probe.tangents(model, parts))
-    plain, factored, grid, spread = (probe.dark(parts) for _ in range(4))
+    plain, spread, factored, grid = (probe.dark(parts) for _ in range(4))
     for beam, scaled in probe.lights(model, channels):
         y, x = probe.axes(model, beam, parts)
         rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
@@ -71,7 +87,8 @@ def paraxial_errors(
         every = torch.arange(len(x.centres))
         down = _powers(BoxFields(y, rows, wavelength, reach.rows))
         across = _powers(BoxFields(x, every, wavelength, reach.columns))
-        found = _sums(down, across, scaled[:, rows])
+        share = probe.share(model, beam.channel, parts)
+        found = {of: share * sums for of, sums in _sums(down, across, scaled[:, rows]).items()}
         plain += found[0, 0].real
         spread += rays.cosine**2 * (found[2, 0] + found[0, 2]).real
         turns = 2 * math.pi / wavelength * float(y.distance)
@@ -80,16 +97,18 @@ def paraxial_errors(
         for of, factor in grid_series(rays, turns).items():
             grid += 2 * (factor * found[of]).real
     fade = rays.cosine**4
-    seen, *changes, spread = (
-        _whole(fade * light, parts) for light in (plain, factored, grid, spread)
+    seen, spread, *changes = (
+        probe.scattered(model, _whole(fade * light, parts))
+        for light in (plain, spread, factored, grid)
     )
     # An edge sends less light out at an angle than Fresnel's: of what strays by s the share
     # 1 / (1 + s^2) arrives; half of that is the flux's. Where phases are off by more than a turn,
     # their first order may hide it, and it is there all the same.
-    return tuple(  # type: ignore[return-value]
+    errors = tuple(
         _all_orders(max(relative(seen + change, seen), share * relative(seen + spread, seen)))
         for change, share in zip(changes, (1.0, 0.5), strict=True)
     )
+    return Missing(changes[0], changes[1], (errors[0], errors[1]), channels)
 
 
 def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> float:
@@ -99,8 +118,12 @@ def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = No
     """
     parts = _PARTS if scene_pixel_tangent(model) > _WIDE else _FEWER
     fade = Rays.of(*probe.tangents(model, parts)).cosine ** 4
-    light = probe.transfer(model, channels=channels, parts=parts)
-    return relative(_whole(fade, parts) * _whole(light, parts), _whole(fade * light, parts))
+    light = probe.light(model, channels=channels, parts=parts)
+    even, uneven = (
+        probe.scattered(model, seen)
+        for seen in (_whole(fade, parts) * _whole(light, parts), _whole(fade * light, parts))
+    )
+    return relative(even, uneven)
 
 
 def _all_orders(first: float) -> float:
@@ -181,16 +204,17 @@ def _powers(boxes: BoxFields) -> Tensor:
     return torch.stack([boxes.integrated(stray, boxes.fields) for stray in boxes.strays(_MOST)])
 
 
-def _sums(down: Tensor, across: Tensor, weights: Tensor) -> Tensor:
-    """Sums over all pairs, for every two powers.
+def _sums(down: Tensor, across: Tensor, weights: Tensor) -> Series:
+    """Sums over all pairs, (masks, offsets y, offsets x), for every two powers that are asked for.
 
     Args:
         down: along y, (powers, offsets y, rows, rows).
         across: along x, (powers, offsets x, columns, columns).
         weights: (masks, rows, columns).
-
-    Returns:
-        (powers, powers, masks, offsets y, offsets x).
     """
-    spread = torch.stack([pair_products(one, weights, weights) for one in across])
-    return torch.einsum("aors,bmprs->abmop", down, spread)
+    found = {}
+    for power, one in enumerate(across):
+        spread = pair_products(one, weights, weights)
+        sums = torch.einsum("aors,mprs->amop", down[: _MOST + 1 - power], spread)
+        found.update({(other, power): values for other, values in enumerate(sums)})
+    return found

@@ -26,8 +26,11 @@ from veilcam_optics.plan.check import Check, check
 from veilcam_optics.plan.cost import Cost, cost
 from veilcam_optics.plan.errors import ErrorModel
 from veilcam_optics.plan.psf import psf
-from veilcam_optics.plan.search import search, settle_free, together
+from veilcam_optics.plan.search import MAX_NUMBERS, search, settle_free, together
 from veilcam_optics.simulation.operator import LightOperator
+
+_TRIES, _CLOSER = 3, 0.9
+"""How often a setting is looked for whose errors together are within the tolerance."""
 
 _METHODS = {
     "transfer": "transfer operator (matrix from scene to embedding)",
@@ -162,17 +165,26 @@ def plan(
     error_model = ErrorModel(asked, tolerance)
     complete = error_model.model
     errors = {effect.name: effect.error(error_model) for effect in present(complete)}
-    model, made = settle_free(complete, errors, tolerance)
-    choice, reached = search(error_model, model, errors, made=made, batch=batch, method=method)
-    step, quadrature = error_model.quadrature(choice.model)
-    chosen = choice.model.with_sampling(step=step)
-    error = error_model.read(together([choice.error, quadrature]))
+    aim = tolerance
+    for _ in range(_TRIES):
+        model, made = settle_free(complete, errors, aim)
+        choice, close = search(
+            error_model, model, errors, aim, made=made, batch=batch, method=method
+        )
+        step, quadrature = error_model.quadrature(choice.model)
+        chosen = choice.model.with_sampling(step=step)
+        error = max(together([choice.error, quadrature]), error_model.joint(chosen))
+        error = error_model.read(error)
+        if not close or error <= tolerance:
+            break
+        # Errors of one sign add up to more: less of each.
+        aim *= _CLOSER * tolerance / error
     return Plan(
         model=chosen,
         asked=asked,
         tolerance=tolerance,
         error=error,
-        reached=reached and error <= tolerance,
+        reached=error <= tolerance and choice.cost.numbers <= MAX_NUMBERS,
         cost=cost(chosen, batch),
         batch=batch,
         assessments=_assess(complete, chosen, errors, batch),

@@ -2,26 +2,29 @@
 
 What an approximation costs in accuracy is measured on these, relative L2, for masks of independent
 uniform weights. A transfer matrix has one entry for each offset along y and each along x; some of
-them, evenly spread, stand for all. For one entry the light is wanted on two boxes alone, and there
-the fields of all apertures are known: with ``K[r, s]`` the integral of ``kappa F_r conj(F_s)``, an
-entry is the sum over ``K_y[r, s] K_x[c, d] w[r, c] w[s, d]``, of near pairs and of far ones.
+them, evenly spread, stand for all. All that weighs an entry before it is judged counts: its scene
+pixel fades, its embedding pixel has a share of each colour, and light is scattered.
+
+For one entry the light is wanted on two boxes alone, and there the fields of all apertures are
+known: with ``K[r, s]`` the integral of ``kappa F_r conj(F_s)``, an entry is the sum over
+``K_y[r, s] K_x[c, d] w[r, c] w[s, d]``, of near pairs and of far ones.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_optics.effects.composition import beams, collected, shown
+from veilcam_optics.effects.composition import beams, collected, fade, shown
 from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
-from veilcam_optics.effects.sensor import mean_shares
+from veilcam_optics.effects.sensor import channel_shares, mean_shares
 from veilcam_optics.plan.boxes import bends, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
-from veilcam_optics.transfer.operator import Beam, make_axes
+from veilcam_optics.transfer.tables import Beam, make_axes
 
 _OFFSETS = 12
 """Offsets kept of each axis."""
@@ -31,6 +34,10 @@ _MANY = 500
 
 _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
+
+
+Integrals = Callable[[Axis, Tensor, float, int], Tensor]
+"""Of an axis, apertures, a wavelength and a reach: (offsets, apertures, apertures)."""
 
 
 class Probe:
@@ -48,10 +55,10 @@ class Probe:
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
         scene, embedding = model.scene, model.embedding
         offsets = offsets if rows * columns < _MANY else offsets * 2 // 3
-        self._integrals: dict[object, tuple[int, Tensor]] = {}
+        self._kept: dict[object, tuple[int, Tensor]] = {}
         self._axes: dict[object, tuple[Axis, Axis]] = {}
-        self.kept_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
-        self.kept_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
+        self.kept_y, self._together_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
+        self.kept_x, self._together_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
 
     def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis, Axis]:
         """The axes of ``model``, reduced to the kept offsets.
@@ -77,6 +84,7 @@ class Probe:
             step=model.sampling.step,
             approximation=model.approximation,
             imperfections=model.conditions.imperfections,
+            like=torch.empty(0),
         )
         for axis, kept in ((y, self.kept_y), (x, self.kept_x)):
             axis.offsets = _parted(axis.offsets[kept], float(axis.image), parts)
@@ -107,21 +115,59 @@ class Probe:
         stretch: tuple[float, float] = (1.0, 1.0),
         *,
         channels: Sequence[int] | None = None,
-        parts: int = 1,
     ) -> Tensor:
         """Gray transfer of every mask at the kept offsets, (masks, offsets y, offsets x).
 
-        With ``parts``, that of each of so many parts of scene pixels along each axis.
+        Rotation and what the sensor makes of linear light are left out.
+        """
+        return self.faded(model, self.light(model, stretch, channels=channels))
 
-        Fading over the field, rotation and the sensor are left out.
+    def light(
+        self,
+        model: Model,
+        stretch: tuple[float, float] = (1.0, 1.0),
+        *,
+        channels: Sequence[int] | None = None,
+        parts: int = 1,
+    ) -> Tensor:
+        """As :meth:`transfer`, before light fades over the field and is scattered.
+
+        With ``parts``, that of each of so many parts of scene pixels along each axis.
         """
         total = self.dark(parts)
         for beam, scaled in self.lights(model, channels):
             rows, down, across = self._pairs(model, beam, stretch, parts)
             weights = scaled[:, rows]
-            total += pair_sums(down, across, weights, weights)
-        # The mean over what is kept stands for that over all.
-        return collected(model, total, (1, 2))
+            seen = pair_sums(down, across, weights, weights)
+            total += self.share(model, beam.channel, parts) * seen
+        return total
+
+    def share(self, model: Model, channel: int, parts: int = 1) -> float | Tensor:
+        """Of a channel's light in what is read: alike everywhere, or (offsets y, offsets x)."""
+        if not model.conditions.bayer:
+            return model.camera.sensor.channel_weights[channel]
+        rows, columns = model.embedding.shape
+        shares = channel_shares(model)[channel][self.kept_y % rows][:, self.kept_x % columns]
+        return shares.repeat_interleave(parts, 0).repeat_interleave(parts, 1)
+
+    def faded(self, model: Model, light: Tensor) -> Tensor:
+        """What becomes of light at the kept offsets, (..., offsets y, offsets x): it fades, too."""
+        scattered, kept = self.scattered(model, light), fade(model)
+        if kept is None:
+            return scattered
+        rows, columns = model.embedding.shape
+        return scattered * kept[self.kept_y // rows][:, self.kept_x // columns]
+
+    def scattered(self, model: Model, light: Tensor) -> Tensor:
+        """Light at the kept offsets, (..., offsets y, offsets x), after its way to the sensor.
+
+        A scene pixel's light is scattered over its own embedding pixels. Where these are too many
+        to be kept, the mean over all that is kept stands for them: it tells light from even light
+        all the more.
+        """
+        shape = (-1, self._together_y, light.shape[-1] // self._together_x, self._together_x)
+        apart = light.reshape(*light.shape[:-2], *shape)
+        return collected(model, apart, (-3, -1)).reshape(light.shape)
 
     def bend(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
         """Sum of the second derivatives of :meth:`transfer` by the offset along y and x [1/m^2].
@@ -131,14 +177,11 @@ class Probe:
         total = self.dark()
         for beam, scaled in self.lights(model, channels):
             rows, down, across = self._pairs(model, beam, (1.0, 1.0))
-            y, x = self.axes(model, beam)
-            bent_down = bends(y, rows, float(beam.wavelength), model.sampling.reach.rows)
-            every = torch.arange(len(x.centres))
-            bent_across = bends(x, every, float(beam.wavelength), model.sampling.reach.columns)
-            weights = scaled[:, rows]
+            _, bent_down, bent_across = self._pairs(model, beam, (1.0, 1.0), of=bends)
+            weights, share = scaled[:, rows], self.share(model, beam.channel)
             for along_y, along_x in ((bent_down, across), (down, bent_across)):
-                total += pair_sums(along_y, along_x, weights, weights)
-        return total
+                total += share * pair_sums(along_y, along_x, weights, weights)
+        return self.faded(model, total)
 
     def within(self, model: Model, rows: Sequence[int], columns: Sequence[int]) -> Tensor:
         """The transfer with pairs at most so many rows and so many columns apart.
@@ -154,13 +197,13 @@ class Probe:
         found = self.dark().repeat(len(rows), len(columns), 1, 1, 1)
         for beam, scaled in self.lights(model):
             used, down, across = self._pairs(model, beam, (1.0, 1.0))
-            every = torch.arange(across.shape[-1])
+            every, share = torch.arange(across.shape[-1]), self.share(model, beam.channel)
             for k, far_columns in enumerate(columns):
                 near = across * within_reach(every, far_columns)
                 spread = pair_products(near, scaled[:, used], scaled[:, used])
                 for n, far_rows in enumerate(rows):
-                    found[n, k] += _traced(down * within_reach(used, far_rows), spread)
-        return found
+                    found[n, k] += share * _traced(down * within_reach(used, far_rows), spread)
+        return self.faded(model, found)
 
     def dark(self, parts: int = 1) -> Tensor:
         """No light at any kept offset behind any mask, (masks, offsets y, offsets x)."""
@@ -170,21 +213,24 @@ class Probe:
     def lights(
         self, model: Model, channels: Sequence[int] | None = None
     ) -> list[tuple[Beam, Tensor]]:
-        """Each beam with the amplitudes that it passes, its share included."""
+        """Each beam with the amplitudes that it passes, its share of the channel included."""
         used = self.channels(model) if channels is None else channels
-        weights, shares = shown(model, self.masks), mean_shares(model)
-        found = []
+        weights, found = shown(model, self.masks), []
         for beam in beams(model):
-            share = beam.share * shares[beam.channel]
-            if beam.channel in used and share > 0:
+            if beam.channel in used:
                 passed = torch.tensor(
                     model.camera.row_amplitudes(beam.channel), dtype=torch.float64
                 )
-                found.append((beam, weights * (passed * math.sqrt(share))[:, None]))
+                found.append((beam, weights * (passed * math.sqrt(beam.share))[:, None]))
         return found
 
     def _pairs(
-        self, model: Model, beam: Beam, stretch: tuple[float, float], parts: int = 1
+        self,
+        model: Model,
+        beam: Beam,
+        stretch: tuple[float, float],
+        parts: int = 1,
+        of: Integrals = integrals,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
         axes = self.axes(model, beam, parts)
@@ -192,20 +238,20 @@ class Probe:
         used = (rows, torch.arange(len(axes[1].centres)))
         reach = model.sampling.reach
         found = []
-        for index, (axis, of, far) in enumerate(
+        for index, (axis, some, far) in enumerate(
             zip(axes, used, (reach.rows, reach.columns), strict=True)
         ):
             wavelength = float(beam.wavelength) * stretch[index]
             key = (
-                *(index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
+                *(of, index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
                 *(float(axis.distance), float(axis.source_distance), float(axis.image), axis.pixel),
-                *(tuple(of.tolist()), wavelength, model.approximation),
+                *(tuple(some.tolist()), wavelength, model.approximation),
             )
-            kept, values = self._integrals.get(key, (-1, None))
+            kept, values = self._kept.get(key, (-1, None))
             if values is None or kept < far:
-                kept, values = far, integrals(axis, of, wavelength, far)
-                self._integrals[key] = kept, values
-            found.append(values if kept == far else values * within_reach(of, far))
+                kept, values = far, of(axis, some, wavelength, far)
+                self._kept[key] = kept, values
+            found.append(values if kept == far else values * within_reach(some, far))
         return rows, found[0], found[1]
 
 
@@ -253,8 +299,15 @@ def _traced(down: Tensor, spread: Tensor) -> Tensor:
     return torch.einsum("ors,mprs->mop", down, spread).real
 
 
-def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> Tensor:
-    """Indices (scene pixel slower) of at most ``most`` offsets, evenly spread by size."""
+def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> tuple[Tensor, int]:
+    """Indices (scene pixel slower) of some offsets, and how many each belong together.
+
+    Of few embedding pixels all are kept, for some scene pixels; of more, as many offsets as are
+    asked for, evenly spread by size.
+    """
+    if embedding <= most:
+        pixels = _some(torch.arange(scene), math.ceil(most / embedding))
+        return (pixels[:, None] * embedding + torch.arange(embedding)).flatten(), embedding
     length = (model.camera.sensor.height, model.camera.sensor.width)[axis]
     image = model.scene.pixel_at_sensor(model.camera)
     at_pixel = (torch.arange(embedding, dtype=torch.float64) - (embedding - 1) / 2) * (
@@ -262,7 +315,8 @@ def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> T
     )
     at_scene = (torch.arange(scene, dtype=torch.float64) - (scene - 1) / 2) * image
     order = (at_scene[:, None] + at_pixel).flatten().argsort(stable=True)
-    return _some(order, most)
+    kept = _some(order, most)
+    return kept, len(kept)
 
 
 def _some(kept: Tensor, most: int) -> Tensor:

@@ -18,7 +18,7 @@ from veilcam_optics.errors import require, require_count
 from veilcam_optics.propagation.base import complex_type
 from veilcam_optics.propagation.sampling import axis
 from veilcam_optics.transfer.factored import aperture_fields
-from veilcam_optics.transfer.operator import Beam
+from veilcam_optics.transfer.tables import Beam
 
 _MOST_SAMPLES = 16
 """Of a cell along each axis: finer fringes are averaged over by chance."""

@@ -13,11 +13,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from veilcam_optics.effects.composition import beams, shown
 from veilcam_optics.effects.model import Model
 from veilcam_optics.plan.boxes import BoxFields, integrals
 from veilcam_optics.plan.probe import Probe, pair_sums, relative
 from veilcam_optics.transfer.kernels import Axis
+from veilcam_optics.transfer.tables import Beam
 
 _SMALL = 1e-2
 """Step of the derivatives, in parts of what changes the field by one radian."""
@@ -31,11 +31,27 @@ Orders = dict[tuple[int, int], Tensor]
 
 def rotation_errors(probe: Probe, model: Model) -> tuple[float, float]:
     """Relative L2 of ignoring the mask's rotation, and of the transfer operator's first order."""
+    model = model.with_sampling(wavelengths=1, layers=1)
+    total = probe.dark().repeat(3, 1, 1, 1)
+    for beam, weights in probe.lights(model):
+        total += probe.share(model, beam.channel) * _turned(probe, model, beam, weights)
+    plain, change, left = probe.faded(model, total)
+    return min(1.0, relative(plain + change, plain)), min(1.0, relative(plain + left, plain))
+
+
+def _turned(probe: Probe, model: Model, beam: Beam, weights: Tensor) -> Tensor:
+    """A straight mask's light, what turning it changes, and what the first order leaves of that.
+
+    Args:
+        probe: offsets where light is looked at.
+        model: with the reach of interference that counts.
+        beam: the light.
+        weights: amplitudes that it passes, (masks, rows, columns).
+    """
     angle = model.conditions.imperfections.rotation
-    beam = next(b for b in beams(model) if b.channel == probe.channels(model)[0])
     amplitudes = torch.tensor(model.camera.row_amplitudes(beam.channel), dtype=torch.float64)
     rows = amplitudes.nonzero().flatten()
-    weights = (shown(model, probe.masks) * amplitudes[:, None])[:, rows]
+    weights = weights[:, rows]
     axis_y, axis_x = probe.axes(model, beam)
     y = (axis_y.centres - axis_y.centres.mean())[rows, None]
     x = axis_x.centres - axis_x.centres.mean()
@@ -68,8 +84,7 @@ def rotation_errors(probe: Probe, model: Model) -> tuple[float, float]:
         - 2 * total((0, 1), (0, 1), w, wx * y)
     )
     change = angle * (turned + own) + angle**2 * second
-    left = change - angle * moved
-    return min(1.0, relative(plain + change, plain)), min(1.0, relative(plain + left, plain))
+    return torch.stack([plain, change, change - angle * moved])
 
 
 def _orders(axis: Axis, of: Tensor, wavelength: float, reach: int, far: float) -> Orders:

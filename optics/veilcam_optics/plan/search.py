@@ -16,6 +16,7 @@ from veilcam_optics.effects.model import Method
 from veilcam_optics.effects.sensor import Bayer
 from veilcam_optics.plan.cost import Cost, cost, pairs
 from veilcam_optics.plan.errors import ErrorModel, Interferences
+from veilcam_optics.plan.grids import OVERSAMPLINGS
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 
 MAX_NUMBERS = 1.5e8
@@ -29,7 +30,6 @@ _ABOUT = 1.1
 
 _SAMPLES = (2, 3, 5)
 _ZONES = (1, 2, 3, 5, 7)
-_OVERSAMPLINGS = (1.0, 2.0, 4.0, 8.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,7 @@ def search(
     error_model: ErrorModel,
     model: Model,
     errors: Mapping[str, float],
+    tolerance: float,
     *,
     made: float,
     batch: int,
@@ -76,9 +77,10 @@ def search(
     """The cheapest candidate that reaches the tolerance and fits in memory, and whether one does.
 
     Args:
-        error_model: knows the tolerance and the errors of the sampling.
+        error_model: knows the errors of the sampling.
         model: with the free effects settled.
         errors: of every effect that is there, if it were ignored.
+        tolerance: relative L2.
         made: error of the free effects that were switched off.
         batch: scenes in a step.
         method: the only one to choose from; None for all.
@@ -86,15 +88,22 @@ def search(
     Returns:
         The choice, and whether it reaches the tolerance; if none does, the most accurate.
     """
-    field = _field(error_model, model, errors)
-    kinds = []
+    field = _field(error_model, model, errors, tolerance)
+    settings: list[tuple[Model, float]] = []
+    found: list[Candidate] = []
+
+    def look_at(kind: Iterable[tuple[Model, float]]) -> None:
+        more = [(setting, together([made, error])) for setting, error in kind]
+        settings.extend(more)
+        reaching = [(m, e) for m, e in more if error_model.read(e) <= tolerance]
+        found.extend(_fitting(reaching, batch, method))
+
     if method != "grid":
-        kinds.append(_matrices(error_model, model, errors, field))
+        look_at(_matrices(error_model, model, errors, field, tolerance))
     if method in (None, "grid"):
-        kinds.append(_grids(error_model, model, field))
-    settings = [(setting, together([made, error])) for kind in kinds for setting, error in kind]
-    reaching = [(m, e) for m, e in settings if error_model.read(e) <= error_model.tolerance]
-    found = _fitting(reaching, batch, method)
+        # Grids are judged by being used, which takes a while: only those that would be faster are.
+        below = min((candidate.cost.rank for candidate in found), default=math.inf)
+        look_at(_grids(error_model, model, field, batch, below))
     if found:
         return min(found, key=lambda c: (c.cost.rank, c.error)), True
     # Nothing reaches it: the cheapest of those that fit and are about as accurate as any.
@@ -128,6 +137,7 @@ def _matrices(
     model: Model,
     errors: Mapping[str, float],
     field: Sequence[list[Option]],
+    tolerance: float,
 ) -> Iterator[tuple[Model, float]]:
     """Settings of the factored field, with or without a matrix that is formed."""
     filters = [(model, 0.0, error_model.full)]
@@ -139,24 +149,31 @@ def _matrices(
         ignored = Option(MaskRotation().without, errors[MaskRotation.name])
         field = [*field, [ignored, Option(_same, error_model.rotated(first_order=True))]]
     for base, leaked, interferences in filters:
-        reaches = _reaches(base, interferences, errors, error_model.tolerance)
-        for chosen in product(reaches, *field, _formats(error_model)):
+        reaches = _reaches(base, interferences, errors, tolerance)
+        for chosen in product(reaches, *field, _formats(error_model, tolerance)):
             yield _apply(base, together([leaked, paraxial]), chosen)
 
 
 def _grids(
-    error_model: ErrorModel, model: Model, field: Sequence[list[Option]]
+    error_model: ErrorModel,
+    model: Model,
+    field: Sequence[list[Option]],
+    batch: int,
+    below: float,
 ) -> Iterator[tuple[Model, float]]:
-    """Settings of the grid path: for a turned mask, and where nothing else fits."""
+    """Settings of the grid path that rank below a cost: for a turned mask, or where little fits."""
     sampling = replace(
         model.sampling, method="grid", diffraction=True, spherical=True, binning=True
     )
     # Narrow apertures need finer samples from the start.
     least = max(1.0, FEWEST_CELLS / cells_in_aperture(model.camera))
-    for factor in _OVERSAMPLINGS:
+    grids = error_model.grids(replace(model, sampling=sampling), least)
+    for factor in OVERSAMPLINGS:
         oversampling = factor * least
         base = replace(model, sampling=replace(sampling, oversampling=oversampling))
-        error = error_model.grid(oversampling)
+        if cost(base, batch).rank >= below:
+            break
+        error = together([grids.at(oversampling), error_model.off_grid()])
         for chosen in product(*field):
             yield _apply(base, error, chosen)
 
@@ -200,7 +217,7 @@ def _reaches(
 
 
 def _field(
-    error_model: ErrorModel, model: Model, errors: Mapping[str, float]
+    error_model: ErrorModel, model: Model, errors: Mapping[str, float], tolerance: float
 ) -> list[list[Option]]:
     """Options of spectrum, depth, field of view and Bayer pattern, each left out or sampled."""
     sampling = []
@@ -214,7 +231,7 @@ def _field(
             continue
         options = [Option(effect.without, errors[effect.name])]
         for count in counts:
-            if options[-1].error <= 0.02 * error_model.tolerance:
+            if options[-1].error <= 0.02 * tolerance:
                 break  # finer is needlessly fine
             if name == "zones" and count > max(model.scene.shape):
                 break
@@ -222,17 +239,17 @@ def _field(
                 error_model.off_axis(count) if name == "zones" else error_model.sampled(name, count)
             )
             options.append(Option(partial(Model.with_samples, of=name, count=count), left))
-        sampling.append(_worth_it(options, error_model.tolerance))
+        sampling.append(_worth_it(options, tolerance))
     if Bayer.name in errors:
         options = [Option(Bayer().without, errors[Bayer.name]), Option(_same, 0.0)]
-        sampling.append(_worth_it(options, error_model.tolerance))
+        sampling.append(_worth_it(options, tolerance))
     return sampling
 
 
-def _formats(error_model: ErrorModel) -> list[Option]:
+def _formats(error_model: ErrorModel, tolerance: float) -> list[Option]:
     """Number formats, by what rounding costs in accuracy."""
     options = [
         Option(partial(Model.with_sampling, dtype=dtype), error_model.rounding(dtype))
         for dtype in (torch.float32, torch.float64)
     ]
-    return _worth_it(options, error_model.tolerance)
+    return _worth_it(options, tolerance)

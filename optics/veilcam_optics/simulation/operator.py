@@ -15,7 +15,8 @@ from veilcam_optics.effects.sensor import channel_shares
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.rotated_mask import RotatedMask
 from veilcam_optics.transfer.grid import GridLight, check_oversampling, sample_pitch
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 
 Response = tuple[Tensor, ...]
 """What a mask makes of the light; see :meth:`LightOperator.response`."""

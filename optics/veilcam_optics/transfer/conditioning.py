@@ -10,13 +10,15 @@ which whoever knows the camera can put right.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
+import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.camera.masks import random_mask
-from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import make_transfer
+
+Values = npt.NDArray[Any]
 
 FINEST = Embedding(12, 16)
 """Pixels of a sensor that tell masks apart: more of them take more time, and tell no more."""
@@ -49,36 +51,36 @@ class ConditioningMeter:
 
     def __init__(self, camera: Camera, scene: Scene, embedding: Embedding) -> None:
         rows, columns = min(embedding.rows, FINEST.rows), min(embedding.columns, FINEST.columns)
-        self._transfer = TransferOperator(camera, scene, Embedding(rows, columns))
-        generator = torch.Generator().manual_seed(0)
-        with torch.inference_mode():
-            self._open = self._transfer(torch.ones(camera.mask_shape)).double()
-            drawn = [self._measure(random_mask(camera, generator)) for _ in range(DRAWN)]
-        self._random = torch.stack(drawn).mean(0)
+        self._transfer = make_transfer(
+            camera, scene, Embedding(rows, columns), like=np.empty(0, np.float32)
+        )
+        self._open = self._transfer(np.ones(camera.mask_shape, np.float32)).astype(np.float64)
+        # The same ones always: what is refused stays refused.
+        drawn = np.random.default_rng(0).random((DRAWN, *camera.mask_shape), np.float32)
+        self._random = np.mean([self._measure(weights) for weights in drawn], axis=0)
 
-    def __call__(self, weights: Tensor) -> Conditioning:
+    def __call__(self, weights: Values) -> Conditioning:
         """Measure one mask.
 
         Args:
-            weights: amplitude transmittances, ``camera.mask_shape``.
+            weights: amplitude transmittances, float32, ``camera.mask_shape``.
 
         Raises:
             OpticsError: the mask has another shape, or holds NaN or infinity.
         """
-        with torch.inference_mode():
-            return Conditioning(*(self._measure(weights) / self._random).tolist())
+        return Conditioning(*(self._measure(weights) / self._random).tolist())
 
-    def _measure(self, weights: Tensor) -> Tensor:
+    def _measure(self, weights: Values) -> Values:
         """Number of singular values, participation ratio and share of energy: shape (3,)."""
-        transfer = self._transfer(weights).double()
-        light = transfer.square().sum()
+        transfer = self._transfer(weights).astype(np.float64)
+        light = np.square(transfer).sum()
         if light == 0:
-            return torch.zeros(3, dtype=torch.float64)
-        centred = transfer - transfer.mean(0, keepdim=True)
+            return np.zeros(3)
+        centred = transfer - transfer.mean(axis=0, keepdims=True)
         # Squares of the singular values: a quarter of the time, and 1e-4 is far above rounding.
-        squares = torch.linalg.eigvalsh(centred.T @ centred)
+        squares = np.linalg.eigvalsh(centred.T @ centred)
         directions = (squares > FLOOR**2 * squares[-1]).sum()
-        share = (transfer * self._open).sum() / self._open.square().sum()
-        own = (transfer - share * self._open).square()
-        spread = own.sum().square() / own.square().sum().clamp_min(1e-300) / own.numel()
-        return torch.stack((directions.double(), spread, own.sum() / light))
+        share = (transfer * self._open).sum() / np.square(self._open).sum()
+        own = np.square(transfer - share * self._open)
+        spread = own.sum() ** 2 / max(np.square(own).sum(), 1e-300) / own.size
+        return np.array((directions, spread, own.sum() / light))

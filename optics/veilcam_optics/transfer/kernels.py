@@ -6,15 +6,14 @@ other, a trapezoid in their offset. A kernel integrates products of aperture fie
 
 import math
 from dataclasses import dataclass
+from typing import Generic
 
-import torch
-from torch import Tensor
-
+from veilcam_optics.arrays import Array, Scalar, detached, namespace
 from veilcam_optics.errors import invalid
 from veilcam_optics.transfer.factored import aperture_fields, as_number
 
 
-def double_integral(samples: Tensor, start: float, step: float, at: Tensor) -> Tensor:
+def double_integral(samples: Array, start: float, step: float, at: Array) -> Array:
     """Second antiderivative of the linear interpolant of ``samples``, at the points ``at``.
 
     Args:
@@ -26,25 +25,28 @@ def double_integral(samples: Tensor, start: float, step: float, at: Tensor) -> T
     Returns:
         (M, R), in units of samples x m^2; zero with zero slope at ``start``.
     """
+    xp = namespace(samples)
     trapezoids = (samples[1:] + samples[:-1]) * (step / 2)
-    first = torch.cat([torch.zeros_like(samples[:1]), trapezoids.cumsum(0)])
+    first = xp.cumulative_sum(trapezoids, axis=0, include_initial=True)
     cubic = first[:-1] * step + (2 * samples[:-1] + samples[1:]) * (step * step / 6)
-    second = torch.cat([torch.zeros_like(samples[:1]), cubic.cumsum(0)])
-    cell = ((at.detach() - start) / step).floor().long().clamp(0, samples.shape[0] - 2)
-    t = (at - start - cell.to(at.dtype) * step)[:, None]
+    second = xp.cumulative_sum(cubic, axis=0, include_initial=True)
+    cells = xp.clip(xp.floor((detached(at) - start) / step), 0, samples.shape[0] - 2)
+    cell = xp.astype(cells, xp.int64)
+    t = (at - start - cells * step)[:, None]
     slope = (samples[cell + 1] - samples[cell]) / step
-    return second[cell] + t * (first[cell] + t * (samples[cell] / 2 + t * slope / 6))
+    value: Array = second[cell] + t * (first[cell] + t * (samples[cell] / 2 + t * slope / 6))
+    return value
 
 
 def box_kernel(
-    offsets: Tensor,
-    products: Tensor,
+    offsets: Array,
+    products: Array,
     start: float,
     step: float,
     *,
     pixel: float,
-    image: float | Tensor,
-) -> Tensor:
+    image: Scalar,
+) -> Array:
     """Integrate ``products`` against ``kappa``, an embedding pixel's box over a scene pixel's.
 
     Equations (4) and (5) of docs/mathematics.md, but for the factors before the integrals.
@@ -64,14 +66,15 @@ def box_kernel(
         (O, R).
     """
     outer, inner = (pixel + image) / 2, (pixel - image) / 2  # the sign of inner does not matter
-    corners = torch.cat([offsets + outer, offsets + inner, offsets - inner, offsets - outer])
-    values = double_integral(products, start, step, corners).reshape(4, len(offsets), -1)
-    return values[0] - values[1] - values[2] + values[3]
+    signed = [offsets + outer, offsets + inner, offsets - inner, offsets - outer]
+    corners = namespace(offsets).concat(signed)
+    values = double_integral(products, start, step, corners)
+    values = values.reshape((4, offsets.shape[0], products.shape[1]))
+    kernel: Array = values[0] - values[1] - values[2] + values[3]
+    return kernel
 
 
-def shadow_kernel(
-    offsets: Tensor, low: Tensor, high: Tensor, *, pixel: float, image: float | Tensor
-) -> Tensor:
+def shadow_kernel(offsets: Array, low: Array, high: Array, *, pixel: float, image: Scalar) -> Array:
     """Integrate ``kappa`` over the geometric shadow of each aperture, in closed form.
 
     Args:
@@ -85,10 +88,11 @@ def shadow_kernel(
         (O, R) [m^2].
     """
     outer, inner = (pixel + image) / 2, (pixel - image) / 2
-    total = torch.zeros(len(offsets), len(low), dtype=offsets.dtype)
+    xp = namespace(offsets)
+    total: Array = xp.zeros((offsets.shape[0], low.shape[0]), dtype=offsets.dtype)
     for corner, sign in ((outer, 1), (inner, -1), (-inner, -1), (-outer, 1)):
         at = (offsets + corner)[:, None]
-        inside = (at - low).clamp_min(0).square() - (at - high).clamp_min(0).square()
+        inside = xp.square(xp.clip(at - low, 0, None)) - xp.square(xp.clip(at - high, 0, None))
         total = total + sign / 2 * inside
     return total
 
@@ -116,7 +120,7 @@ _MAX_FIELD_VALUES = 1e8
 """Of all apertures at all nodes: 1.6 GB."""
 
 
-class Axis:
+class Axis(Generic[Array]):
     """One axis of camera and scene: the offsets, the integration nodes, and kernels made on them.
 
     Args:
@@ -132,6 +136,7 @@ class Axis:
         shift: displacement of the mask from the optical axis [m].
         step: largest distance of integration nodes [m].
         approximation: what is left out.
+        like: any array of the library that computes.
 
     Raises:
         OpticsError: nodes so many that the fields do not fit in memory.
@@ -144,22 +149,25 @@ class Axis:
         pixels: int,
         scene_pixels: int,
         scene_pixel: float,
-        scene_distance: float | Tensor,
-        distance: float | Tensor,
+        scene_distance: Scalar,
+        distance: Scalar,
         apertures: int,
-        pitch: float | Tensor,
+        pitch: Scalar,
         width: float,
-        shift: float | Tensor,
+        shift: Scalar,
         step: float,
         approximation: Approximation = EXACT,
+        like: Array,
     ) -> None:
+        self._xp = xp = namespace(like)
         self.pixel = length / pixels
-        self.image = scene_pixel * distance / scene_distance
+        self.image: Scalar = scene_pixel * distance / scene_distance
         # A scene point at s falls at -s d2/d1, so the offset to it is o + s d2/d1.
-        embedding = (torch.arange(pixels, dtype=torch.float64) - (pixels - 1) / 2) * self.pixel
-        scene = torch.arange(scene_pixels, dtype=torch.float64) - (scene_pixels - 1) / 2
-        self.offsets = (scene[:, None] * self.image + embedding).reshape(-1)
-        reach = float(self.offsets.detach().abs().max()) + (self.pixel + as_number(self.image)) / 2
+        embedding = (xp.arange(pixels, dtype=xp.float64) - (pixels - 1) / 2) * self.pixel
+        scene = xp.arange(scene_pixels, dtype=xp.float64) - (scene_pixels - 1) / 2
+        self.offsets: Array = xp.reshape(scene[:, None] * self.image + embedding, (-1,))
+        farthest = float(xp.max(xp.abs(detached(self.offsets))))
+        reach = farthest + (self.pixel + as_number(self.image)) / 2
         # Nodes at whole multiples of the step stay put when the geometry moves a little, so that
         # a finite difference sees the integral change and not its quadrature error.
         half = 0 if approximation.shadow else math.floor(reach / step) + 2
@@ -173,25 +181,25 @@ class Axis:
                 "and sensor span together do not fit in memory",
             )
         self.start, self.step = -half * step, step
-        self.nodes = step * torch.arange(-half, half + 1, dtype=torch.float64)
-        index = torch.arange(apertures, dtype=torch.float64) - (apertures - 1) / 2
-        self.centres = index * pitch + shift
+        self.nodes: Array = step * xp.arange(-half, half + 1, dtype=xp.float64)
+        index = xp.arange(apertures, dtype=xp.float64) - (apertures - 1) / 2
+        self.centres: Array = index * pitch + shift
         self.width = width
-        self.source_distance = math.inf if approximation.plane_wave else scene_distance
-        self.distance = distance
+        self.source_distance: Scalar = math.inf if approximation.plane_wave else scene_distance
+        self.distance: Scalar = distance
         self.shadow = approximation.shadow
         if approximation.point_binning:
             self.pixel *= 1e-3
-        self.scale = 1 / (self.pixel * scene_pixels * self.image)
+        self.scale: Scalar = 1 / (self.pixel * scene_pixels * self.image)
 
-    def fields(self, wavelength: float | Tensor, of: Tensor | None = None) -> Tensor:
+    def fields(self, wavelength: Scalar, of: Array | None = None) -> Array:
         """Fields of the apertures on the nodes, complex128 (nodes, apertures).
 
         With ``of``, the indices of some apertures, those of all others are left at zero.
         """
         if self.shadow:
-            return torch.zeros(0, len(self.centres), dtype=torch.complex128)
-        fields = aperture_fields(
+            return self._empty(0)
+        fields: Array = aperture_fields(
             self.nodes,
             self.centres if of is None else self.centres[of],
             self.width,
@@ -201,22 +209,25 @@ class Axis:
         )
         if of is None:
             return fields
-        all_fields = fields.new_zeros(len(self.nodes), len(self.centres))
-        return all_fields.index_copy(1, of, fields)
+        all_fields = self._empty(self.nodes.shape[0])
+        all_fields[:, of] = fields
+        return all_fields
 
-    def kernel(self, fields: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    def kernel(self, fields: Array, first: Array, second: Array) -> Array:
         """Complex kernel (O, pairs) of the pairs of apertures (first, second)."""
         if self.shadow:
             return self._shadows(first, second)
-        products = fields[:, first] * fields[:, second].conj()
-        parts = torch.cat([products.real, products.imag], dim=1)
+        xp = self._xp
+        products = fields[:, first] * xp.conj(fields[:, second])
+        parts = xp.concat([xp.real(products), xp.imag(products)], axis=1)
         kernel = self.scale * box_kernel(
             self.offsets, parts, self.start, self.step, pixel=self.pixel, image=self.image
         )
-        real, imaginary = kernel.chunk(2, dim=1)
-        return torch.complex(real, imaginary)
+        pairs = first.shape[0]
+        complex_kernel: Array = kernel[:, :pairs] + 1j * kernel[:, pairs:]
+        return complex_kernel
 
-    def slope(self, fields: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    def slope(self, fields: Array, first: Array, second: Array) -> Array:
         """Derivative of :meth:`kernel` with respect to the offset, by a central difference."""
         offsets, small = self.offsets, self.step / 4
         kernels = []
@@ -224,18 +235,21 @@ class Axis:
             self.offsets = offsets + sign * small
             kernels.append(self.kernel(fields, first, second))
         self.offsets = offsets
-        return (kernels[0] - kernels[1]) / (2 * small)
+        slope: Array = (kernels[0] - kernels[1]) / (2 * small)
+        return slope
 
-    def middles(self, first: Tensor, second: Tensor) -> Tensor:
+    def middles(self, first: Array, second: Array) -> Array:
         """Where pairs of apertures lie, from the middle of the mask [m]."""
-        return (self.centres[first] + self.centres[second]) / 2 - self.centres.mean()
+        middle = self._xp.mean(self.centres)
+        middles: Array = (self.centres[first] + self.centres[second]) / 2 - middle
+        return middles
 
     @property
-    def magnification(self) -> float | Tensor:
+    def magnification(self) -> Scalar:
         """How much larger a shadow is than what casts it."""
         return 1 + self.distance / self.source_distance
 
-    def _shadows(self, first: Tensor, second: Tensor) -> Tensor:
+    def _shadows(self, first: Array, second: Array) -> Array:
         """Kernels without diffraction: the shadow of an aperture with itself, else nothing."""
         magnification = self.magnification
         low = (self.centres[first] - self.width / 2) * magnification
@@ -243,4 +257,11 @@ class Axis:
         shadows = shadow_kernel(self.offsets, low, high, pixel=self.pixel, image=self.image)
         # Spreading out by the magnification dims the light along each axis by as much.
         shadows = shadows * (first == second) * (self.scale / magnification)
-        return torch.complex(shadows, torch.zeros_like(shadows))
+        complex_shadows: Array = shadows + 0j
+        return complex_shadows
+
+    def _empty(self, nodes: int) -> Array:
+        """Fields (nodes, apertures) of nothing."""
+        xp = self._xp
+        empty: Array = xp.zeros((nodes, self.centres.shape[0]), dtype=xp.complex128)
+        return empty

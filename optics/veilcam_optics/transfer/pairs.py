@@ -2,44 +2,44 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Generic
 
-import torch
-from torch import Tensor
-
+from veilcam_optics.arrays import Array, namespace
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.product import Measurement, Stack
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class Group(Generic[Array]):
     """Sub-pixel pairs of one beam that share a column offset, hence a column kernel."""
 
-    first: Tensor
+    first: Array
     """Rows of the pairs' sub-pixels, (pairs,)."""
-    second: Tensor
+    second: Array
     """Rows of those ``offset`` columns to the right, (pairs,)."""
     offset: int
-    columns: Tensor
+    columns: Array
     """Kernel along x, (column pairs, offsets x)."""
-    rows: Tensor
+    rows: Array
     """Kernels along y, (offsets y, pairs)."""
 
     @property
     def shape(self) -> tuple[int, int]:
         """Column offset and number of row pairs: groups that have both alike are stacked."""
-        return self.offset, len(self.first)
+        return self.offset, self.first.shape[0]
 
 
-def dark(y: Axis, x: Axis) -> Group:
+def dark(y: Axis[Array], x: Axis[Array]) -> Group[Array]:
     """A group without pairs."""
-    none = torch.zeros(0, dtype=torch.long)
-    columns = torch.zeros(len(x.centres), len(x.offsets), dtype=torch.float64)
-    return Group(none, none, 0, columns, torch.zeros(len(y.offsets), 0, dtype=torch.float64))
+    xp = namespace(y.offsets)
+    none = xp.zeros(0, dtype=xp.int64)
+    columns = xp.zeros((x.centres.shape[0], x.offsets.shape[0]), dtype=xp.float64)
+    return Group(none, none, 0, columns, xp.zeros((y.offsets.shape[0], 0), dtype=xp.float64))
 
 
 def stack_groups(
-    groups: Sequence[Group], window: tuple[int, int], dtype: torch.dtype
-) -> Measurement[Tensor]:
+    groups: Sequence[Group[Array]], window: tuple[int, int], dtype: Any
+) -> Measurement[Array]:
     """One measurement's groups, at least one, stacked where they are of one shape.
 
     Args:
@@ -47,17 +47,18 @@ def stack_groups(
         window: rows and columns.
         dtype: of the tables.
     """
-    by_shape: dict[tuple[int, int], list[Group]] = {}
+    xp = namespace(groups[0].rows)
+    by_shape: dict[tuple[int, int], list[Group[Array]]] = {}
     for group in groups:
         by_shape.setdefault(group.shape, []).append(group)
     stacks = tuple(
         Stack.of(
-            first=torch.cat([group.first for group in alike]),
-            second=torch.cat([group.second for group in alike]),
-            columns=torch.stack([group.columns for group in alike]).to(dtype),
+            first=xp.concat([group.first for group in alike]),
+            second=xp.concat([group.second for group in alike]),
+            columns=xp.astype(xp.stack([group.columns for group in alike]), dtype),
             window=window,
         )
         for alike in by_shape.values()
     )
     rows = [group.rows for alike in by_shape.values() for group in alike]
-    return Measurement(stacks, torch.cat(rows, dim=1).to(dtype))
+    return Measurement(stacks, xp.astype(xp.concat(rows, axis=1), dtype))

@@ -22,11 +22,14 @@ from veilcam_server.api.routes import (
     events,
     lease,
     log,
+    page,
     public,
     receivers,
     rotation,
+    session,
     simulation,
     tokens,
+    watch,
 )
 from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission
@@ -36,13 +39,13 @@ MAX_BODY = 16 * 1024
 """No request needs more than a few hundred bytes, but for uploads [bytes]."""
 _PASSING = (
     *("/v1/captures", "/v1/classifications", "/v1/rotation/advance", "/v1/lease"),
-    simulation.PATH,
+    *(simulation.PATH, session.PATH, watch.PATH),
 )
-"""Of what is done there a restart leaves nothing: a full disk under the audit log stops none of
-it, and its line may be lost where the power is."""
+"""Of what is done there a restart leaves nothing, or it is to switch the camera off: a full disk
+under the audit log stops none of it, and its line may be lost where the power is."""
 _ROUTES = (
     *(captures, rotation, events, lease, log, tokens, receivers, diagnostics, calibration, bundles),
-    *(simulation, public),
+    *(session, simulation, watch, public, page),
 )
 
 
@@ -50,6 +53,7 @@ def create_app(
     service: Service,
     admission: Admission | None = None,
     connections: Connections | None = None,
+    examine: diagnostics.Examine = tuple,
 ) -> FastAPI:
     """Return the API of ``service``; its lifespan opens and closes the service.
 
@@ -57,6 +61,7 @@ def create_app(
         service: what the API does.
         admission: who may ask; without one everybody on this machine may, as tests want it.
         connections: at the gate, for the metrics; None where there is no gate.
+        examine: tells what the doctor finds on this machine.
     """
     admission = admission or Admission()
 
@@ -69,11 +74,14 @@ def create_app(
         title="Veilcam",
         summary="A privacy camera without a lens.",
         version=__version__,
+        license_info={"name": "Apache License 2.0", "identifier": "Apache-2.0"},
+        # An operation is called what the SDK calls it.
+        generate_unique_id_function=lambda route: route.name,
         lifespan=lifespan,
         exception_handlers=problems.HANDLERS,
         # Served by a route of our own, which wants a scope like every other.
         openapi_url=None,
-        # Interactive pages load scripts from elsewhere; a camera calls nobody.
+        # FastAPI's pages load scripts from elsewhere; a camera calls nobody.
         docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
@@ -86,7 +94,9 @@ def create_app(
         },
     )
     app.state.service = service
+    service.give_way(lambda: admission.lease.holding is not None)
     app.state.admission = admission
+    app.state.checkups = diagnostics.Checkups(examine)
     app.state.metrics = metrics = Metrics(service, admission.audit, connections)
     for routes in _ROUTES:
         app.include_router(routes.router)
@@ -95,7 +105,7 @@ def create_app(
         RequestContext,
         admission=admission,
         metrics=metrics,
-        open_paths=public.PATHS,
+        open_paths=(*public.PATHS, *page.PATHS),
         passing=_PASSING,
         body=Body(MAX_BODY),
         uploads={

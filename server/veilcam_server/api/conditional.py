@@ -35,6 +35,11 @@ def unless_known(
     tag = hashlib.sha256(said.encode()).hexdigest()[:32]
     # Kept by who asked and by nobody else, and only to ask whether it still holds.
     headers = {"ETag": f'W/"{tag}"', "Cache-Control": "private, no-cache"}
-    if if_none_match.strip() == "*" or tag in _TAG.findall(if_none_match):
+    if has(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
+
+
+def has(if_none_match: str, tag: str) -> bool:
+    """Whether a caller who sends this header has the answer with this tag."""
+    return if_none_match.strip() == "*" or tag in _TAG.findall(if_none_match)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Header, Request
 from fastapi.openapi.constants import REF_PREFIX
 
-from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
 from veilcam_server.api.problems import PROBLEMS
 from veilcam_server.api.scopes import CallerDep
 from veilcam_server.security.admission import Admission
@@ -46,11 +46,13 @@ DEVICE = (
     "queue_full",
     "calibrating",
     "not_ready",
+    "not_looking",
     "rotation_impossible",
     "display_failed",
     "sensor_failed",
     "sensor_timeout",
     "fence_violated",
+    "mask_not_seen",
 )
 """What a route that needs the device can answer with besides."""
 
@@ -60,9 +62,9 @@ def problems(*codes: str) -> dict[int | str, dict[str, object]]:
     return _problems((*ALWAYS, *codes))
 
 
-def open_problems() -> dict[int | str, dict[str, object]]:
+def open_problems(*codes: str) -> dict[int | str, dict[str, object]]:
     """OpenAPI entries for the problems of a route that wants no token."""
-    return _problems(OPEN)
+    return _problems((*OPEN, *codes))
 
 
 def _problems(wanted: tuple[str, ...]) -> dict[int | str, dict[str, object]]:

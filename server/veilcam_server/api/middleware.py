@@ -157,7 +157,9 @@ class RequestContext:
                 answer.status = message["status"]
                 fields = MutableHeaders(scope=message)
                 fields["X-Request-Id"] = state["request_id"]
-                fields.update(self._headers)
+                # A page says itself what it loads.
+                for name, value in self._headers.items():
+                    fields.setdefault(name, value)
                 # What has a tag may be kept, and says so itself.
                 if "ETag" not in fields:
                     fields["Cache-Control"] = "no-store"
@@ -218,15 +220,28 @@ def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
     Args:
         frame_ancestors: origins of the pages that may show it in a frame.
     """
-    framing = " ".join(frame_ancestors) or "'none'"
     return {
-        "Content-Security-Policy": (
-            f"default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors {framing}"
-        ),
+        "Content-Security-Policy": content_security_policy(frame_ancestors),
         "Cross-Origin-Resource-Policy": "same-origin",
         "Referrer-Policy": "no-referrer",
         "X-Content-Type-Options": "nosniff",
     }
+
+
+def content_security_policy(frame_ancestors: tuple[str, ...], *sources: str) -> str:
+    """Return a policy that allows nothing but ``sources``.
+
+    Args:
+        frame_ancestors: origins of the pages that may show it in a frame.
+        sources: further directives.
+    """
+    framing = " ".join(frame_ancestors) or "'none'"
+    return "; ".join(
+        (
+            *("default-src 'none'", *sources, "base-uri 'none'", "form-action 'none'"),
+            f"frame-ancestors {framing}",
+        )
+    )
 
 
 def _limited(receive: Receive, limit: int) -> Receive:

@@ -1,4 +1,4 @@
-"""The OpenAPI document: what FastAPI finds out, with problems and examples."""
+"""The OpenAPI document: what FastAPI finds out, with problems, headers, examples and samples."""
 
 from __future__ import annotations
 
@@ -14,11 +14,47 @@ from pydantic import BaseModel
 
 from veilcam_client import wire
 from veilcam_client.wire import events
-from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 from veilcam_server.api import metrics
-from veilcam_server.api.problems import example_of
+from veilcam_server.api.problems import PROBLEMS, example_of
+from veilcam_server.api.samples import code_samples
 
-_EVENT = events.EXAMPLE
+TAGS: Mapping[str, str] = {
+    "Captures": "Embeddings and labels, one look at a time.",
+    "Watch": "The camera that looks by itself, and what it believes to see.",
+    "Events": "What happens, as it happens.",
+    "Masks": "When masks change, and which one is shown.",
+    "Status": "How the camera and its machine are.",
+    "Lease": "The camera for oneself, for a while.",
+    "Calibration": "The camera, measured with itself.",
+    "Receivers": "To whom embeddings are sealed.",
+    "Log": "Signed records of what was answered.",
+    "Bundles": "Masks, and what reads behind them.",
+    "Tokens": "Who may ask, and for what.",
+    "Session": "How a page asks without keeping a token.",
+    "Simulation": "What a simulated camera looks at, and what is wrong with it.",
+    "Pages": "What wants no token: the pages for people, and two words for monitors.",
+}
+"""Subjects of operations, with what they are about."""
+_HEADERS: Mapping[str, tuple[str, str]] = {
+    "X-Request-Id": ("Name of the request, as the log has it.", "5ca1ab1e0ddba11"),
+    "Cache-Control": ("Nobody keeps it, but for who asks again with its `ETag`.", "no-store"),
+    "ETag": ("Send it as `If-None-Match`: 304 as long as it holds.", 'W/"0f0f"'),
+    "Retry-After": ("Before the same request may succeed [s].", "1"),
+    "WWW-Authenticate": ("That a token is wanted.", 'Bearer realm="veilcam"'),
+    "Set-Cookie": ("The half of a session that no script can read.", "veilcam-session=0f0f"),
+    "Veilcam-Capture": ("`id` of a capture that comes as an array.", "c0ffee00"),
+    "Veilcam-Epoch": ("Its `epoch`.", "9f86d081884c7d65"),
+    "Veilcam-Number": ("Its `number`.", "0"),
+    "Veilcam-Taken-At": ("Its `taken_at`.", "2026-01-02T03:04:05+00:00"),
+    "Veilcam-Form": ("In which form it left.", "white"),
+    "Veilcam-Proof": ("Its `proof`, but where it comes from a recording.", "checked"),
+    "Veilcam-Replay": ("Its place in a recording, where it comes from one.", "7"),
+    "Veilcam-Replay-Capture": ("Which capture that was.", "c0ffee00"),
+}
+_OF_ARRAYS = tuple(name for name in _HEADERS if name.startswith("Veilcam-"))
+(_EVENT,) = events.EXAMPLES
 _TEXTS = {
     "text/plain": metrics.EXAMPLE,
     "text/event-stream": (
@@ -39,9 +75,16 @@ def document(app: FastAPI) -> dict[str, Any]:
     found = app.openapi()
     if made:
         _add_problem(found)
-        for path in found["paths"].values():
-            for operation in path.values():
+        found["tags"] = [{"name": name, "description": about} for name, about in TAGS.items()]
+        # Where the document comes from is where the API is.
+        found["servers"] = [{"url": "/", "description": "This daemon."}]
+        for path, operations in found["paths"].items():
+            for method, operation in operations.items():
                 _add_examples(operation)
+                _add_headers(operation)
+                operation["x-codeSamples"] = code_samples(
+                    operation["operationId"], method.upper(), path, token="security" in operation
+                )
     return found
 
 
@@ -50,6 +93,28 @@ def _add_problem(found: dict[str, Any]) -> None:
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
     schemas.update(schema.pop("$defs"))
     schemas["Problem"] = schema
+
+
+def _add_headers(operation: dict[str, Any]) -> None:
+    for status, answer in operation["responses"].items():
+        names = ["X-Request-Id", "Cache-Control"]
+        codes = answer["description"].split(", ") if status >= "400" else []
+        if any(code in PROBLEMS and PROBLEMS[code].retryable for code in codes):
+            names.append("Retry-After")
+        if status == "401":
+            names.append("WWW-Authenticate")
+        if "304" in operation["responses"] and status in ("200", "304"):
+            names.append("ETag")
+        if status == "200" and NPY_MEDIA_TYPE in answer.get("content", {}):
+            names += _OF_ARRAYS
+        if operation["tags"] == ["Session"] and status in ("201", "204"):
+            names.append("Set-Cookie")
+        answer["headers"] = {name: _header(name) for name in names}
+
+
+def _header(name: str) -> dict[str, Any]:
+    about, example = _HEADERS[name]
+    return {"description": about, "schema": {"type": "string"}, "example": example}
 
 
 def _add_examples(operation: dict[str, Any]) -> None:

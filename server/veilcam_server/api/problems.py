@@ -14,7 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
 from veilcam_client.errors import FieldError
-from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_server import errors as daemon_errors
 from veilcam_server.devices import errors as device_errors
 from veilcam_server.errors import ProblemError, UnauthorizedError

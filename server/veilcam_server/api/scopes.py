@@ -9,6 +9,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer, SecurityS
 
 from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.security.caller import Caller
+from veilcam_server.service.responses import Scores
 
 # What this finds is not used: the middleware has looked at the token before a byte of the body was
 # read. It stands here so that the OpenAPI document names the scheme and each route's scope.
@@ -41,3 +42,10 @@ async def _allowed(
 def requires(scope: Scope) -> Any:
     """For ``dependencies=[requires("classify")]``: 403 unless the caller has this scope."""
     return Security(_allowed, scopes=[scope])
+
+
+def scores_for(caller: Caller) -> Scores:
+    """What a caller is told of probabilities."""
+    if caller.may("read:scores"):
+        return "all"
+    return "rounded" if caller.may("read:scores:rounded") else "none"

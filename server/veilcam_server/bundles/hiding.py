@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 
-from torch import Tensor
+import numpy as np
+import numpy.typing as npt
 
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.errors import OpticsError
@@ -51,7 +52,7 @@ class HidingCheck:
                     )
 
 
-def _masks(bundle: Bundle) -> Iterator[Tensor]:
+def _masks(bundle: Bundle) -> Iterator[npt.NDArray[np.float32]]:
     """Weights of all stored masks, or of some that the bundle's rule draws from known keys."""
     if bundle.fresh is None:
         for pair in bundle.pairs:

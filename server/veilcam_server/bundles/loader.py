@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from veilcam_client.wire.bundles import BundleInfo, CardFinding, CardSummary
-from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
+from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.status import Device
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_server.bundles.hiding import HidingCheck

@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import torch
-from scipy.optimize import least_squares
-from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Imperfections
-from veilcam_optics.transfer.operator import Reach, TransferOperator, Variables
+from veilcam_optics.transfer.tables import Reach, make_transfer
+from veilcam_server.calibration.least_squares import least_squares
 from veilcam_server.calibration.response import uncertainties
 from veilcam_server.calibration.rig import Geometry, Values
 
@@ -24,6 +22,8 @@ _STEP = 6.2e-6
 """Distance of integration nodes [m]: four times the operator's own, which changes the shift found
 by less than 0.1 um."""
 _EVALUATIONS = 12
+_SMALL = 0.03
+"""Step of differences, in units of the fit."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,61 +67,47 @@ class Optics:
     """
 
     def __init__(
-        self, geometry: Geometry, weights: Tensor, images: Sequence[Values], reach: Reach
+        self, geometry: Geometry, weights: Values, images: Sequence[Values], reach: Reach
     ) -> None:
         self._geometry, self._reach = geometry, reach
-        self._weights = weights.double()
-        self._scenes = torch.from_numpy(np.stack([image.ravel() for image in images])).double()
+        self._weights = weights
+        self._scenes = np.stack([image.ravel() for image in images])
 
-    def predict(self, place: Tensor) -> Tensor:
-        """(sights, patterns x embedding pixels) for :data:`NAMES` in SI units; differentiable."""
-        camera, scene, embedding = (
-            self._geometry.camera,
-            self._geometry.scene,
-            self._geometry.embedding,
-        )
-        operator = TransferOperator(
-            camera,
-            scene,
-            embedding,
+    def predict(self, place: Values) -> Values:
+        """(sights, patterns x embedding pixels) for :data:`NAMES` in SI units."""
+        found = Imperfections(**dict(zip(NAMES, place.tolist(), strict=True)))
+        geometry = self._geometry
+        transfer = make_transfer(
+            geometry.camera,
+            geometry.scene,
+            geometry.embedding,
             reach=self._reach,
             step=_STEP,
-            dtype=torch.float64,
-            variables=Variables(
-                distance=camera.distance + place[3],
-                shift_y=place[0],
-                shift_x=place[1],
-                rotation=place[2],
-            ),
+            imperfections=found,
+            like=np.empty(0),
         )
-        measurements = [self._scenes @ operator(weights) for weights in self._weights]
-        return torch.stack(measurements, dim=1).flatten(1)
+        measurements = [self._scenes @ transfer(weights) for weights in self._weights]
+        return np.concatenate(measurements, axis=1)
 
     def measurements(self, found: Imperfections) -> Values:
         """(sights, patterns x embedding pixels), stray light included."""
-        place = torch.tensor([getattr(found, name) for name in NAMES], dtype=torch.float64)
-        straight = self.predict(place).numpy()
-        return strayed(straight, found.stray_light, self._geometry.embedding.size)
+        place = np.array([getattr(found, name) for name in NAMES])
+        return strayed(self.predict(place), found.stray_light, self._geometry.embedding.size)
 
-    def linearise(self, place: Tensor) -> tuple[Tensor, Tensor]:
-        """Prediction and its derivatives, (sights, values) and (4, sights, values).
+    def slopes(self, place: Values) -> Values:
+        """Derivatives of the prediction by each of the fit's units, (4, sights, values).
 
-        A column of the Jacobian is the derivative of the gradient in a direction with respect to
-        that direction: four of them for one pass through the optics and back.
+        Central differences: what is predicted bends over a sub-pixel's pitch, some tens of a unit,
+        so that steps of ``_SMALL`` are off by 1e-6 of the derivative.
         """
-        place = place.detach().requires_grad_()
-        predicted = self.predict(place)
-        direction = torch.zeros_like(predicted, requires_grad=True)
-        (slope,) = torch.autograd.grad(predicted, place, direction, create_graph=True)
-        columns = [
-            torch.autograd.grad(each, direction, retain_graph=True)[0] for each in slope.unbind()
-        ]
-        return predicted.detach(), torch.stack(columns)
+        steps = _SMALL * np.diag(_UNITS)
+        differences = [self.predict(place + step) - self.predict(place - step) for step in steps]
+        return np.stack(differences) / (2 * _SMALL)
 
 
 def align(
     geometry: Geometry,
-    weights: Tensor,
+    weights: Values,
     sights: Sequence[Sight],
     start: Imperfections,
     *,
@@ -147,21 +133,20 @@ def align(
         [sight.measurements.ravel() / scale for sight, scale in zip(sights, scales, strict=True)]
     )
     begin = np.array([getattr(start, name) for name in NAMES]) / _UNITS
-    gains = _gains(optics.predict(torch.tensor(begin * _UNITS)).numpy(), observed)
+    gains = _gains(optics.predict(begin * _UNITS), observed)
     size = geometry.embedding.size
 
     def residuals(values: Values) -> Values:
         check()
-        predicted = optics.predict(torch.tensor(values[:4] * _UNITS)).numpy()
-        seen = strayed(predicted, values[4] * _PERCENT, size)
+        seen = strayed(optics.predict(values[:4] * _UNITS), values[4] * _PERCENT, size)
         return np.ravel(values[5:, None] * seen - observed)
 
     def jacobian(values: Values) -> Values:
-        predicted, slopes = optics.linearise(torch.tensor(values[:4] * _UNITS))
+        check()
+        straight, slopes = optics.predict(values[:4] * _UNITS), optics.slopes(values[:4] * _UNITS)
         stray, gains = values[4] * _PERCENT, values[5:, None]
         columns = np.zeros((len(values), *observed.shape))
-        columns[:4] = strayed(slopes.numpy(), stray, size) * gains * _UNITS[:, None, None]
-        straight = predicted.numpy()
+        columns[:4] = strayed(slopes, stray, size) * gains
         columns[4] = (strayed(straight, 1.0, size) - straight) * gains * _PERCENT
         for index, row in enumerate(strayed(straight, stray, size)):
             columns[5 + index, index] = row
@@ -169,28 +154,28 @@ def align(
 
     found = least_squares(
         residuals,
+        jacobian,
         np.concatenate([begin, [0.0], gains]),
-        jac=jacobian,
-        x_scale="jac",
-        xtol=1e-6,
-        ftol=1e-6,
-        max_nfev=_EVALUATIONS,
+        tolerance=1e-6,
+        evaluations=_EVALUATIONS,
     )
-    spread = uncertainties(np.asarray(found.jac), found.fun)
-    place = found.x[:4] * _UNITS
+    spread = uncertainties(found.jacobian, found.residuals)
+    place = found.values[:4] * _UNITS
     spread_y, spread_x, spread_angle, spread_distance = (spread[:4] * _UNITS).tolist()
     return Alignment(
         imperfections=replace(
             start,
             # A little less than none is none.
-            stray_light=min(1.0, max(0.0, float(found.x[4]) * _PERCENT)),
+            stray_light=min(1.0, max(0.0, float(found.values[4]) * _PERCENT)),
             **dict(zip(NAMES, place.tolist(), strict=True)),
         ),
         uncertainties=(spread_y, spread_x, spread_angle, spread_distance),
-        gains=tuple((found.x[5:] * scales).tolist()),
+        gains=tuple((found.values[5:] * scales).tolist()),
         gain_uncertainties=tuple((spread[5:] * scales).tolist()),
         stray_uncertainty=float(spread[4]) * _PERCENT,
-        residuals=tuple(np.sqrt(np.mean(found.fun.reshape(observed.shape) ** 2, axis=1)).tolist()),
+        residuals=tuple(
+            np.sqrt(np.mean(found.residuals.reshape(observed.shape) ** 2, axis=1)).tolist()
+        ),
     )
 
 
@@ -199,6 +184,12 @@ def strayed(measurements: Values, share: float, size: int) -> Values:
     each = measurements.reshape(*measurements.shape[:-1], -1, size)
     spread: Values = (1 - share) * each + share * each.mean(-1, keepdims=True)
     return spread.reshape(measurements.shape)
+
+
+def _rms(rows: Values) -> Values:
+    """Root mean square of each row."""
+    rms: Values = np.sqrt(np.mean(rows**2, axis=1))
+    return rms
 
 
 def _gains(predicted: Values, observed: Values) -> Values:

@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from scipy.optimize import nnls
 
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.camera.masks import to_weights
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.calibration.alignment import Alignment, Optics, Sight, align
+from veilcam_server.calibration.least_squares import least_squares
 from veilcam_server.calibration.measurements import Measurements
 from veilcam_server.calibration.response import Response, fit_response, uncertainties
 from veilcam_server.calibration.result import CalibrationResult
@@ -41,11 +40,11 @@ def split_darkness(
     Returns:
         The imperfections with both, and their standard uncertainties.
     """
-    ones = torch.ones(geometry.camera.mask_shape, dtype=torch.float64)
+    ones = np.ones(geometry.camera.mask_shape)
     plain = replace(known, gamma=1.0, contrast_floor=0.0, dead_transmittance=0.0)
     alive = plain.shown(ones)
     optics = Optics(
-        geometry, torch.stack([alive, ones - alive]), [sight.image for sight in opaque], reach
+        geometry, np.stack([alive, ones - alive]), [sight.image for sight in opaque], reach
     )
     predicted = optics.measurements(known).reshape(len(opaque), 2, -1)
     columns, values = [], []
@@ -55,9 +54,11 @@ def split_darkness(
         values.append(sight.measurements.ravel())
     matrix, seen = np.concatenate(columns), np.concatenate(values)
     # Amplitudes are the roots of what is fitted, and so are their uncertainties, to first order.
-    shares, _ = nnls(matrix, seen)
-    amplitudes = np.sqrt(shares)
-    spread = uncertainties(matrix, matrix @ shares - seen)
+    light = least_squares(
+        lambda shares: matrix @ shares - seen, lambda _: matrix, np.zeros(2), lowest=0.0
+    )
+    amplitudes = np.sqrt(light.values)
+    spread = uncertainties(matrix, light.residuals)
     spread = np.minimum(spread / np.maximum(2 * amplitudes, 1e-9), np.sqrt(spread))
     found = replace(
         known,
@@ -181,9 +182,9 @@ class _Fit:
             check=self.check,
         )
 
-    def _shown(self, levels: Sequence[Levels], known: Imperfections) -> torch.Tensor:
+    def _shown(self, levels: Sequence[Levels], known: Imperfections) -> Values:
         panel = self.geometry.camera.panel
-        return torch.stack([known.shown(to_weights(each, panel)) for each in levels])
+        return np.stack([known.shown(to_weights(each, panel)) for each in levels])
 
     def _verdict(
         self, levels: Sequence[Levels], sights: Sequence[Sight], alignment: Alignment

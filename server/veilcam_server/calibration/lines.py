@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-import torch
 
-from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.product import Transfer
 from veilcam_server.calibration.rig import Geometry, Rig, Values
 from veilcam_server.errors import CalibrationError
 
@@ -35,14 +35,14 @@ class Lines:
         return _dead(self.columns)
 
 
-def measure_lines(rig: Rig, geometry: Geometry, image: Values, operator: TransferOperator) -> Lines:
+def measure_lines(rig: Rig, geometry: Geometry, image: Values, transfer: Transfer[Any]) -> Lines:
     """Open each row and each column alone.
 
     Args:
         rig: in front of ``image``.
         geometry: the nominal camera.
         image: (rows, columns) of the scene.
-        operator: of the nominal camera: how much light each line is expected to let through.
+        transfer: of the nominal camera: how much light each line is expected to let through.
 
     Raises:
         CalibrationError: so many do not obey that the panel cannot be used.
@@ -50,14 +50,14 @@ def measure_lines(rig: Rig, geometry: Geometry, image: Values, operator: Transfe
     rows, columns = geometry.camera.mask_shape
     floor = rig.read(rig.opaque).mean()
     top = int(rig.open.max())
-    scene = torch.from_numpy(image.reshape(1, -1))
+    scene = image.reshape(1, -1)
     found = []
     for count, axis in ((rows, 0), (columns, 1)):
         shares = np.empty(count)
         for line in range(count):
             opened = np.zeros((rows, columns), np.uint8)
             opened.swapaxes(0, axis)[line] = top
-            expected = float((scene @ operator(torch.from_numpy(opened / top))).mean())
+            expected = float((scene @ transfer(opened / top)).mean())
             shares[line] = (rig.read(opened).mean() - floor) / expected
         typical = float(np.median(shares))
         if not typical > 0:

@@ -6,16 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import torch
 
-from veilcam_optics.transfer.operator import Reach, TransferOperator
-from veilcam_server.calibration import targets as scenes
+from veilcam_optics.transfer.tables import Reach, make_transfer
+from veilcam_server.calibration import rig as scenes
 from veilcam_server.calibration.alignment import Sight
 from veilcam_server.calibration.lines import Lines, measure_lines
 from veilcam_server.calibration.response import STEPS, Staircase, climb
-from veilcam_server.calibration.rig import Geometry, Patterns, Rig, Values
+from veilcam_server.calibration.rig import CalibrationScene, Geometry, Patterns, Rig, Values
 from veilcam_server.calibration.settling import Settling, measure_settling
-from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.devices.base import Levels
 from veilcam_server.errors import CalibrationError
 
@@ -97,14 +95,14 @@ def measure(
     settling = measure_settling(rig, longest=longest, samples=budget.samples)
     # Twice as long: within 2 % is good enough for captures, not for what they are corrected by.
     rig = make(min(longest, 2 * (settling.seconds + settling.uncertainty)))
-    operator = TransferOperator(
+    transfer = make_transfer(
         geometry.camera,
         geometry.scene,
         geometry.embedding,
         reach=reach,
-        dtype=torch.float64,
+        like=np.empty(0),
     )
-    lines = measure_lines(rig, geometry, card.image.astype(np.float64), operator)
+    lines = measure_lines(rig, geometry, card.image.astype(np.float64), transfer)
     staircase = climb(rig, black_level=black)
     levels = budget.patterns.draw(geometry.camera)
     before_card = _look(rig, levels, card, black)

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from veilcam_client.wire.calibration import CalibrationRecord
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.calibration.fit import fit
 from veilcam_server.calibration.measurements import Budget, measure
 from veilcam_server.calibration.result import CalibrationResult, make_record
-from veilcam_server.calibration.rig import Geometry, Rig
-from veilcam_server.calibration.targets import CalibrationScene
+from veilcam_server.calibration.rig import CalibrationScene, Geometry, Rig
 from veilcam_server.camera.capture import Fence
 from veilcam_server.devices.base import Device
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import least_squares
 
+from veilcam_server.calibration.least_squares import least_squares
 from veilcam_server.calibration.rig import Rig, Values
 from veilcam_server.errors import CalibrationError
 
@@ -79,25 +79,45 @@ def fit_response(
             expected = expected - scale * floor**2
         return expected - (light - offset) / top
 
+    def jacobian(values: Values) -> Values:
+        scale, gamma, level = (*values, floor)[:3]
+        expected = _light(weights, scale, gamma, level)
+        shown = weights**gamma
+        amplitude = level + (1 - level) * shown
+        # Of level 0, the power has no slope.
+        slope = shown * np.log(np.where(weights > 0, weights, 1.0))
+        columns = [expected / scale, 2 * scale * amplitude * (1 - level) * slope]
+        if floor is None:
+            columns.append(2 * scale * amplitude * (1 - shown))
+        else:
+            columns[0] = columns[0] - floor**2
+        return np.stack(columns, axis=1)
+
     start, lowest, highest = [1.0, 1.0], [0.01, 0.1], [4.0, 10.0]
     if floor is None:
         start.append(float(np.sqrt(np.clip(light[0] / top, 1e-6, 0.9))))
         lowest.append(0.0)
         highest.append(0.99)
-    found = least_squares(residuals, start, bounds=(lowest, highest), x_scale=0.1)
-    rms = float(np.sqrt(np.mean(found.fun**2)))
+    found = least_squares(
+        residuals,
+        jacobian,
+        np.array(start),
+        lowest=np.array(lowest),
+        highest=np.array(highest),
+    )
+    rms = float(np.sqrt(np.mean(found.residuals**2)))
     if rms > _MISFIT:
         raise CalibrationError(
             f"the panel's response is no power law (residual {100 * rms:.2g} %): check that the "
             "light is steady, and the panel's settings"
         )
-    spread = uncertainties(np.asarray(found.jac), found.fun)
+    spread = uncertainties(found.jacobian, found.residuals)
     return Response(
-        gamma=float(found.x[1]),
+        gamma=float(found.values[1]),
         gamma_uncertainty=float(spread[1]),
-        floor=float(found.x[2]) if floor is None else floor,
+        floor=float(found.values[2]) if floor is None else floor,
         floor_uncertainty=float(spread[2]) if floor is None else floor_uncertainty,
-        scale=float(found.x[0]) * top,
+        scale=float(found.values[0]) * top,
         residual=rms,
     )
 

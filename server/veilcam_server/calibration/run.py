@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from veilcam_client.wire.calibration import CalibrationRun, SceneName, Stage
 from veilcam_server.calibration.measurements import Budget
-from veilcam_server.calibration.targets import CalibrationScene
+from veilcam_server.calibration.rig import CalibrationScene
 from veilcam_server.errors import CalibrationError, SceneNotWantedError
 
 PATIENCE = 600.0

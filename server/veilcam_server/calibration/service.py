@@ -22,11 +22,12 @@ from veilcam_client.wire.calibration import (
     Stage,
 )
 from veilcam_client.wire.events import CalibrationChanged
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.loading import (
     check_record,
+    mask_tests,
     panel_tab,
     record_path,
     settle_time,
@@ -35,9 +36,8 @@ from veilcam_server.calibration.loading import (
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
 from veilcam_server.calibration.record import sign_record, write_record
-from veilcam_server.calibration.rig import Geometry
+from veilcam_server.calibration.rig import CalibrationScene, Geometry
 from veilcam_server.calibration.run import CancelledError, Run
-from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.camera.engine import CameraEngine, Publish
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import (
@@ -282,10 +282,13 @@ class CalibrationService:
         """Keep a record, and go on with it; or raise, and nothing was changed."""
         signed = self.sign(record)
         settle = settle_time(self._settings, signed)
+        tests = await asyncio.to_thread(
+            mask_tests, self._bundle, signed, full_scale=record.full_scale.value
+        )
 
         async def change(keys: LoadedBundle) -> None:
             await asyncio.to_thread(self.write, signed)
-            await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source))
+            await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source, tests))
 
         await served.bundles.reopen(source_opener(self._settings, signed), change)
         self._signed = signed

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 
-from veilcam_client.wire.captures import Release
+from veilcam_client.wire.sealing import Release
 from veilcam_server.errors import ReleaseNotRecordedError
 from veilcam_server.masks.source import Mask
 from veilcam_server.system.state_file import Report, StateFile, log_fault

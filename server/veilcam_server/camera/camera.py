@@ -2,7 +2,7 @@
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
 checked before and after (the fence), or it is an error. No capture is taken unless a self test has
-proven that the panel hides the scene (``panel.py``).
+proven that the panel hides the scene (``panel.py``), and none leaves that does not show its mask.
 """
 
 from __future__ import annotations
@@ -13,12 +13,17 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
+from functools import partial
 
 from veilcam_client.keys.capture_log import calibration_digest
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Exposure as ExposureNote
+from veilcam_client.wire.captures import ProofNote
+from veilcam_client.wire.events import Fault
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
+from veilcam_client.wire.status import ProofMeans
+from veilcam_optics.proof import MaskTests
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import (
     ActiveMask,
@@ -33,22 +38,27 @@ from veilcam_server.camera.capture import (
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.panel import MaskedPanel
+from veilcam_server.camera.proof import Brake, Findings, ShownMasks, proof_note
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
 from veilcam_server.devices.base import Device, Exposure
 from veilcam_server.devices.corrected import calibrated
-from veilcam_server.devices.errors import LightError, SensorError
+from veilcam_server.devices.errors import DisplayError, LightError, SensorError
 from veilcam_server.errors import (
     CalibratingError,
+    CalibrationDueError,
     FenceError,
+    MaskNotSeenError,
     MasksSpentError,
     NoReceiverError,
+    NotLookingError,
     NotReadyError,
     ProblemError,
     RotationImpossibleError,
     WithheldError,
 )
 from veilcam_server.masks.source import MaskSource
+from veilcam_server.system.logs import log_defect
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
@@ -96,9 +106,11 @@ class MaskedCamera:
         self._calibration = None if calibration is None else calibration_digest(calibration)
         self._shape, self._fence, self._budget = shape, fence, budget
         self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
-        self._panel = MaskedPanel(self._device.display, preparation, self._self_test)
+        self._masks, self._brake, self._findings = ShownMasks(), Brake(), Findings()
+        self._panel = MaskedPanel(self._device.display, preparation, self._self_test, self._masks)
         self._lock = threading.Lock()
         self._failures = 0
+        self._resting: str | None = None
         self.lateness = Lateness()
         self.policy = policy
 
@@ -155,6 +167,10 @@ class MaskedCamera:
             ),
         )
 
+    def proof(self) -> ProofMeans | None:
+        """What the last captures say of their masks; None: there was none."""
+        return self._findings.means
+
     def first_of(self, source: MaskSource) -> Epoch:
         """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
         return self.preparation.first_of(source)
@@ -184,20 +200,55 @@ class MaskedCamera:
 
     def test_due_in(self) -> float:
         """Seconds until the panel must be tested, or tested again after a test that failed."""
-        if self.state.state in ("stopping", "calibrating"):
+        if self.state.state in ("stopping", "calibrating", "off"):
             return math.inf
+        if self._panel.active is None:
+            return self._brake.holds_for()
         return self._panel.proven_for()
 
     def test_if_due(self) -> None:
         """Test the panel if that is due, and show the mask again; raises as :meth:`rotate`.
 
-        From the states ``safe`` and ``degraded`` this is the way back, and shows another mask.
+        From the states ``safe`` and ``degraded`` this is the way back, and shows another mask; or
+        it is tried again to make the panel opaque, if that is wanted.
         """
         with self._lock:
-            if self._panel.active is None:
+            if self._resting is not None:
+                self._rest(self._resting)
+            elif self._panel.active is None:
                 self._rotate()
             else:
                 self._panel.test()
+
+    def rest(self, reason: str) -> None:
+        """Make the panel opaque, and take no capture and test nothing until :meth:`wake`.
+
+        While somebody has the device for himself, that begins when he gives it back.
+
+        Args:
+            reason: for who asks for a capture.
+
+        Raises:
+            DisplayError: the panel does not become opaque; :meth:`test_if_due` tries it again.
+        """
+        with self._lock:
+            self._resting = reason
+            if self.state.state not in ("stopping", "calibrating"):
+                self._rest(reason)
+
+    def wake(self) -> None:
+        """Show a mask again after :meth:`rest`; nothing where there was none.
+
+        Raises:
+            SelfTestError, SensorError, FenceError, DisplayError: as :meth:`rotate`;
+                :meth:`test_if_due` tries it again.
+        """
+        with self._lock:
+            if self._resting is None:
+                return
+            self._resting = None
+            if self.state.state not in ("stopping", "calibrating"):
+                self._rotate()
 
     @contextmanager
     def exclusive(self) -> Iterator[Device]:
@@ -208,7 +259,8 @@ class MaskedCamera:
         failure.
 
         Raises:
-            NotReadyError: somebody else has it, or the daemon is stopping.
+            NotReadyError: somebody else has it, the camera does not look, or the daemon is
+                stopping.
             SelfTestError, SensorError, FenceError, DisplayError: at the end, as
                 :meth:`rotate`.
         """
@@ -221,19 +273,28 @@ class MaskedCamera:
         finally:
             self._take_back()
 
-    def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:
+    def adopt(
+        self,
+        calibration: SignedCalibration,
+        settle: float,
+        source: MaskSource,
+        tests: MaskTests,
+    ) -> None:
         """Within :meth:`exclusive`: go on with another calibration.
 
         Args:
             calibration: what measurements are corrected by.
             settle: what the panel is given [s].
             source: whose readers are made for that calibration.
+            tests: of captures, made for it, too.
         """
         with self._lock:
             self._device = calibrated(self._bare, calibration)
             self._calibration = calibration_digest(calibration)
             self._fence = Fence(settle, self._fence.timeout)
-            self.preparation.serve(source)
+            self._findings.forget()
+            self._brake.release()
+            self.preparation.serve(source, tests)
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -300,6 +361,8 @@ class MaskedCamera:
             NotReadyError: no mask is shown, or the panel is not proven to hide the scene.
             SensorError: the sensor gave no measurement.
             FenceError: it gave one that cannot be trusted.
+            MaskNotSeenError: it gave one that the mask cannot have made. The panel was made opaque
+                and tested, and another mask is shown unless that failed, or came too often.
             RotationImpossibleError, DisplayError: the mask was due to change and could not; it is
                 not used beyond what the policy allows.
             WithheldError, NoReceiverError, MasksSpentError: the embedding may not leave.
@@ -319,8 +382,10 @@ class MaskedCamera:
             active.epoch.hold()
             try:
                 return self._captured(active, begun, release=release)
-            except BaseException:
+            except BaseException as error:
                 active.epoch.let_go()
+                if isinstance(error, MaskNotSeenError):
+                    self._begin_anew(error)
                 raise
 
     def _captured(self, active: ActiveMask, begun: float, *, release: bool) -> MaskedCapture:
@@ -336,6 +401,7 @@ class MaskedCamera:
         if self._panel.active is not active:
             raise FenceError("the mask changed during the exposure, which was thrown away")
         check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
+        proof = self._proven(exposure)
         scenes = self._device.scenes
         scene = None if scenes is None else scenes.seen
         if scenes is not None:
@@ -359,8 +425,34 @@ class MaskedCamera:
             rotation_s=rotated - begun,
             settle_s=waited,
             capture_s=max(0.0, ended - rotated - waited),
+            proof=proof,
             scene=scene,
         )
+
+    def _proven(self, exposure: Exposure) -> ProofNote:
+        """Refuse an exposure that does not show the mask that should be there."""
+        finding = self._masks.find(exposure.proof, exposure.clipped)
+        self._brake.note(finding.verdict)
+        if finding.verdict == "not seen":
+            raise MaskNotSeenError
+        if self._findings.add(finding):
+            due = CalibrationDueError()
+            self._panel.publish(partial(Fault, code=due.code, detail=str(due), remedy=due.remedy))
+        return proof_note(finding)
+
+    def _begin_anew(self, error: MaskNotSeenError) -> None:
+        """Be opaque at once, test the panel, and show another mask; the state tells how it went."""
+        self._self_test.void(self._device, self._fence)
+        if self._brake.holds_for() > 0:
+            self._panel.pause()
+            return
+        self._panel.distrust(error)
+        try:
+            self._panel.show(self.preparation.take())
+        except Exception as failed:
+            # The capture's own error is what its caller is told of.
+            if not isinstance(failed, ProblemError):
+                log_defect(failed, during="begin anew after a mask was not seen")
 
     def stop(self) -> None:
         """Stop the sensor, show opaque and let go; waits for a capture that is under way.
@@ -396,6 +488,9 @@ class MaskedCamera:
             if self.state.state != "calibrating":
                 return
             self._self_test.void(self._device, self._fence)
+            if self._resting is not None:
+                self._rest(self._resting)
+                return
             try:
                 self._panel.show(self.preparation.take())
             finally:
@@ -438,6 +533,11 @@ class MaskedCamera:
             self._require_another()
         self._panel.show(self.preparation.take())
 
+    def _rest(self, reason: str) -> None:
+        self._panel.rest(reason)
+        if self.state.state != "off":
+            raise DisplayError(self.state.detail or "", remedy=self.state.remedy)
+
     @property
     def _stopping(self) -> bool:
         return self.state.state == "stopping"
@@ -447,6 +547,8 @@ class MaskedCamera:
             raise NotReadyError("the daemon is stopping")
         if self.state.state == "calibrating":
             raise CalibratingError
+        if self._resting is not None:
+            raise NotLookingError(self._resting)
 
     def _require_another(self) -> None:
         if not self.preparation.renewable:

@@ -12,9 +12,9 @@ import numpy as np
 
 from veilcam_client.wire.captures import (
     Embedding,
-    Form,
     Notes,
     Prediction,
+    ProofNote,
     Replay,
     SealedEmbedding,
     Timing,
@@ -23,10 +23,12 @@ from veilcam_client.wire.captures import (
     Exposure as ExposureNote,
 )
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
+from veilcam_client.wire.sealing import Form
+from veilcam_optics.proof import PROOF
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Exposure, Measurement
 from veilcam_server.errors import FenceError
-from veilcam_server.masks.source import Reader
+from veilcam_server.masks.source import Evidence, Reader
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +66,19 @@ def check_exposure(
             f"the exposure began {exposure.started_at - not_before:+.4f} s after the mask had "
             "settled and was thrown away: try again"
         )
-    if exposure.embedding.shape != shape:
-        raise FenceError(
-            f"the sensor gave a measurement of shape {exposure.embedding.shape}, "
-            f"not {shape}: check that the bundle fits this device"
-        )
-    if not bool(np.isfinite(exposure.embedding).all()):
-        raise FenceError("the sensor gave a measurement that is not finite: try again")
+    for given, wanted in (
+        (exposure.embedding.shape, shape),
+        (exposure.proof.shape, PROOF.shape),
+        (exposure.clipped.shape, PROOF.shape),
+    ):
+        if given != wanted:
+            raise FenceError(
+                f"the sensor gave a measurement of shape {given}, not {wanted}: check that the "
+                "bundle fits this device"
+            )
+    for measurement in (exposure.embedding, exposure.proof):
+        if not bool(np.isfinite(measurement).all()):
+            raise FenceError("the sensor gave a measurement that is not finite: try again")
 
 
 def due_in(policy: RotationPolicy, *, shown_for: float, captures: int, chance: float) -> float:
@@ -174,6 +182,9 @@ class Captured(Protocol):
     def classify(self) -> Prediction:
         """Return the label, as the reader of its own mask tells it."""
 
+    def evidence(self) -> Evidence:
+        """Return what it tells beside its label, for who fuses several captures."""
+
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:
         """Return the embedding as it leaves; once, and in the order of the captures.
 
@@ -202,6 +213,8 @@ class MaskedCapture:
     rotation_s: float
     settle_s: float
     capture_s: float
+    proof: ProofNote
+    """What it says of the mask."""
     scene: int | None
     """Number of what a simulated camera looked at."""
     replay: None = field(default=None, init=False)
@@ -221,6 +234,10 @@ class MaskedCapture:
         """Return the label."""
         return self.reader.classify(self.measurement)
 
+    def evidence(self) -> Evidence:
+        """Return what it tells beside its label."""
+        return self.reader.evidence(self.measurement)
+
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:
         """Return the embedding in its form."""
         if self.form == "white":
@@ -236,7 +253,12 @@ class MaskedCapture:
             settle_s=self.settle_s,
             capture_s=self.capture_s,
         )
-        notes = Notes(exposure=self.exposure, timing=timing, scene=self.scene)
+        notes = Notes(
+            exposure=self.exposure,
+            timing=timing,
+            proof=self.proof,
+            scene=self.scene,
+        )
         return sealer.seal(self.number, self.taken_at, self.measurement, notes)
 
     def done(self) -> None:

@@ -9,7 +9,8 @@ from typing import NamedTuple, Protocol
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.status import Remedy, State
+from veilcam_client.wire.status import ProofMeans, Remedy, State
+from veilcam_optics.proof import MaskTests
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Device
@@ -47,6 +48,9 @@ class CameraEngine(Protocol):
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
 
+    def proof(self) -> ProofMeans | None:
+        """What the last captures say of their masks; None: there was none."""
+
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
 
@@ -77,10 +81,22 @@ class CameraEngine(Protocol):
     def change_source(self, source: MaskSource, first: Epoch) -> None:
         """Show a mask of another source; the next ones come from there, too."""
 
+    def rest(self, reason: str) -> None:
+        """Make the panel opaque, and take no capture until :meth:`wake`."""
+
+    def wake(self) -> None:
+        """Show a mask again after :meth:`rest`."""
+
     def exclusive(self) -> AbstractContextManager[Device]:
         """Have the device as it is; no mask is shown and no capture taken meanwhile."""
 
-    def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:
+    def adopt(
+        self,
+        calibration: SignedCalibration,
+        settle: float,
+        source: MaskSource,
+        tests: MaskTests,
+    ) -> None:
         """Within :meth:`exclusive`: go on with another calibration."""
 
     def stop(self) -> None:

@@ -14,16 +14,23 @@ from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import ActiveMask
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
+from veilcam_server.camera.proof import ShownMasks
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices.base import Display, Shown
 from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.errors import (
     FenceError,
+    MaskNotSeenError,
     ProblemError,
     UndecidedError,
     remedy_for,
 )
 from veilcam_server.masks.source import MaskSource
+
+_UNSEEN = (
+    "captures do not show their masks, though the panel passes its self tests: calibrate this "
+    "camera, and see whether the light changes within a frame; it is tried again after a pause"
+)
 
 
 class MaskedPanel:
@@ -33,12 +40,18 @@ class MaskedPanel:
         display: that shows masks.
         preparation: makes epochs ready.
         self_test: whether the panel hides the scene.
+        masks: is told which are shown.
     """
 
     def __init__(
-        self, display: Display, preparation: Preparation, self_test: SelfTestStatus
+        self,
+        display: Display,
+        preparation: Preparation,
+        self_test: SelfTestStatus,
+        masks: ShownMasks,
     ) -> None:
         self._display, self._preparation, self._self_test = display, preparation, self_test
+        self._masks = masks
         self.active: ActiveMask | None = None
         """The mask that is shown; None: there is none."""
         self._condition = Condition("starting")
@@ -76,6 +89,7 @@ class MaskedPanel:
             raise
         self.active = ActiveMask(epoch, shown.completed_at, shown.completed_at)
         self._preparation.last_mark = epoch.mask.mark
+        self._masks.show(epoch.test)
         if previous is not None:
             previous.epoch.retire()
         if source is not None:
@@ -113,10 +127,25 @@ class MaskedPanel:
         self._drop()
         self._make_opaque("degraded", str(error), error.remedy)
 
+    def distrust(self, error: MaskNotSeenError) -> None:
+        """No mask is shown any more, as a capture does not show it."""
+        self._drop()
+        self._make_opaque("safe", str(error), error.remedy)
+
+    def pause(self) -> None:
+        """No mask is shown any more, as captures do not show theirs, though the panel is sound."""
+        self._drop()
+        self._make_opaque("degraded", _UNSEEN, "calibrate")
+
     def suspend(self) -> None:
         """No mask counts as shown: somebody has the panel for a calibration."""
         self._drop()
         self._enter("calibrating", "the camera is being calibrated")
+
+    def rest(self, reason: str) -> None:
+        """Be opaque because that is wanted: state ``off``, or ``safe`` where the panel fails."""
+        self._drop()
+        self._make_opaque("off", reason, None)
 
     def strand(self) -> None:
         """Be opaque after a calibration, if no mask could be shown."""
@@ -132,6 +161,7 @@ class MaskedPanel:
 
     def _drop(self) -> None:
         """The mask that was shown does not come back."""
+        self._masks.forget()
         active, self.active = self.active, None
         if active is not None:
             active.epoch.retire()
@@ -141,7 +171,8 @@ class MaskedPanel:
         if self._self_test.holds_for() > 0:
             return
         tested, self.active = self.active, None
-        if self._condition.state in ("starting", "ready", "calibrating"):
+        self._masks.forget()
+        if self._condition.state in ("starting", "ready", "off", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
             self._self_test.renew()
@@ -168,13 +199,15 @@ class MaskedPanel:
             else:
                 previous.completed_at = shown.completed_at
                 self.active = previous
+                self._masks.show(previous.epoch.test)
                 self._prepare_next()
                 self._enter("ready")
                 return
         self._make_opaque("safe", "the panel failed and was made opaque: it is tried again", remedy)
 
-    def _make_opaque(self, state: State, reason: str, remedy: Remedy) -> None:
+    def _make_opaque(self, state: State, reason: str, remedy: Remedy | None) -> None:
         """Captures stop."""
+        self._masks.forget()
         try:
             self._display.blank()
         except Exception as error:

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from veilcam_server.cli.terminal import StateDirOption, fail
+from veilcam_server.cli.terminal import JsonOption, StateDirOption, fail
 from veilcam_server.errors import StartError
-from veilcam_server.security.audit import DONE, REFUSED, read_audit
 from veilcam_server.settings import default_state_dir
 
 
@@ -20,9 +19,12 @@ def audit(
     ] = False,
     last: Annotated[int, typer.Option(min=1, help="So many entries at most.")] = 1000,
     state_dir: StateDirOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON lines.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Print who did what, the latest last."""
+    # Imported late: --help need not wait for it.
+    from veilcam_server.security.audit import DONE, REFUSED, read_audit  # noqa: PLC0415
+
     try:
         entries = read_audit((state_dir or default_state_dir()) / (REFUSED if refused else DONE))
     except StartError as error:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from veilcam_server.cli.options import options_of
-from veilcam_server.cli.terminal import fail
+from veilcam_server.cli.terminal import JsonOption, fail
 from veilcam_server.errors import CalibrationError, FenceError, StartError
 from veilcam_server.settings import Settings, Wiring
 
@@ -35,11 +35,13 @@ def calibrate(
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Exposures for one measurement.")] = 2,
+    json: JsonOption = False,
 ) -> None:
     """Measure settling, black level, gain, the panel's response, dead lines, and where the mask is.
 
     Three scenes are asked for: darkness, a white card, and a small lamp. The camera must be free:
-    stop the daemon first, and start it again afterwards. Takes a few minutes.
+    stop the daemon first, and start it again afterwards. Takes a few minutes. With a daemon that
+    runs, and from another machine: 'veilcam calibrate'.
     """
     # Imported late: --help need not wait for torch and matplotlib.
     from rich.console import Console  # noqa: PLC0415
@@ -49,9 +51,13 @@ def calibrate(
     from veilcam_training.bundle import BundleError  # noqa: PLC0415
 
     try:
-        calibrate_device(
-            settings, Console(), out=out, picture=picture, frame=frame, repeats=repeats
+        # What is asked of a person goes where a program that reads the record does not look.
+        console = Console(stderr=json)
+        record = calibrate_device(
+            settings, console, out=out, picture=picture, frame=frame, repeats=repeats
         )
+        if json:
+            typer.echo(record.model_dump_json())
     except (StartError, CalibrationError, DeviceError, FenceError, BundleError) as error:
         fail(f"{error}; nothing was changed")
     except KeyboardInterrupt:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from veilcam_client.cli.format import record_in_words
-from veilcam_client.wire.calibration import CalibrationRun
+from veilcam_client.wire.calibration import CalibrationRecord, CalibrationRun
 from veilcam_optics.decoding import write_frame
-from veilcam_server.calibration.plot import write_picture
 from veilcam_server.calibration.procedure import Calibrated
 from veilcam_server.calibration.record import RECORD_NAME, imperfections_of
 from veilcam_server.calibration.service import CalibrationService
@@ -35,24 +34,27 @@ def calibrate_device(
     picture: Path | None,
     frame: Path | None,
     repeats: int,
-) -> None:
+) -> CalibrationRecord:
     """Measure the device that the settings name, and write record and picture.
 
     Args:
         settings: checked.
         console: for instructions, progress and the result.
         out: record to write; by default that of the state directory.
-        picture: to draw; beside the record by default.
+        picture: to draw; beside the record by default, where matplotlib is installed.
         frame: of the camera as it was built, for whoever decodes elsewhere; none by default.
         repeats: exposures for one measurement.
+
+    Returns:
+        What was measured.
 
     Raises:
         CalibrationError: the measurement is refused, or the record cannot be written.
         StartError: picture or frame cannot be written, or a bundle of pairs has no frame.
         BundleError, DeviceError, FenceError: bundle or device cannot be used.
     """
-    torch.set_num_threads(1)
     out = out or settings.state_dir / RECORD_NAME
+    draw = _drawing(wanted=picture is not None)
     picture = picture or out.with_suffix(".png")
     settings = settings.model_copy(update={"calibration": out})
     bundle = read_bundle(settings.bundle)
@@ -61,9 +63,11 @@ def calibrate_device(
     service = CalibrationService(settings, bundle, DeviceKey.open(settings.state_dir))
     found = _measure(service, settings, bundle, console, repeats)
     service.write(service.sign(found.record))
-    written = [out, picture]
+    written = [out]
     try:
-        write_picture(picture, found)
+        if draw is not None:
+            draw(picture, found)
+            written.append(picture)
         if frame is not None and bundle.fresh is not None:
             drawn = bundle.fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
             write_frame(frame, replace(drawn, imperfections=imperfections_of(found.record)))
@@ -74,6 +78,20 @@ def calibrate_device(
     for path in written:
         console.print(f"wrote {path}", highlight=False, soft_wrap=True)
     console.print("a daemon that starts now uses it", highlight=False)
+    return found.record
+
+
+def _drawing(*, wanted: bool) -> Callable[[Path, Calibrated], None] | None:
+    """What draws the picture; None where nothing can, and nobody asked for one."""
+    try:
+        from veilcam_server.calibration.plot import write_picture  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as missing:
+        if not wanted:
+            return None
+        raise StartError(
+            f"--picture needs {missing.name}: run pip install 'veilcam[simulate]'"
+        ) from None
+    return write_picture
 
 
 def _measure(

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json as encoder
-from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from veilcam_server.cli.options import options_of
-from veilcam_server.cli.terminal import fail
+from veilcam_server.cli.terminal import JsonOption, fail
 from veilcam_server.settings import DoctorSettings
 
 _SIGNS = {"ok": ("ok", "green"), "bad": ("FIX", "bold red"), "skipped": ("later", "yellow")}
@@ -22,14 +18,14 @@ _SIGNS = {"ok": ("ok", "green"), "bad": ("FIX", "bold red"), "skipped": ("later"
 def doctor(
     settings: DoctorSettings,
     *,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Say what this machine lacks to serve a real camera, and what to do about it.
 
     Ends with 0 if it lacks nothing. Run it as the user that the daemon will have, and stop the
     daemon first: it holds the camera and the panel's lines.
     """
-    # Imported late: --help need not wait for torch.
+    # Imported late: --help need not wait for them.
     from veilcam_server.devices.errors import DeviceError  # noqa: PLC0415
     from veilcam_server.doctor.checkup import examine  # noqa: PLC0415
     from veilcam_server.doctor.machine import Machine  # noqa: PLC0415
@@ -41,6 +37,10 @@ def doctor(
     if json:
         typer.echo(encoder.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
     else:
+        from rich.console import Console  # noqa: PLC0415
+        from rich.table import Table  # noqa: PLC0415
+        from rich.text import Text  # noqa: PLC0415
+
         table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
         for finding in findings:
             sign, style = _SIGNS[finding.outcome]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as encoder
 import secrets
 import sys
 from pathlib import Path
@@ -9,9 +10,9 @@ from typing import Annotated
 
 import typer
 
-from veilcam_client import VeilcamError
+from veilcam_client import __version__
 from veilcam_server.cli import audit, calibrate, doctor, serve, siege, tokens
-from veilcam_server.cli.terminal import fail
+from veilcam_server.cli.terminal import JsonOption, fail
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.settings import SCENE_NAME, default_state_dir
@@ -20,6 +21,8 @@ app = typer.Typer(
     no_args_is_help=True,
     # Local variables hold masks: they must not end up in a terminal.
     pretty_exceptions_enable=False,
+    # Help in plain text: what draws boxes around it takes longer to load than all else.
+    rich_markup_mode=None,
 )
 app.command()(serve.serve)
 app.command()(doctor.doctor)
@@ -29,8 +32,20 @@ app.command()(audit.audit)
 app.command()(calibrate.calibrate)
 
 
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"veilcamd {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def veilcamd() -> None:
+def veilcamd(
+    *,
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
     """The Veilcam daemon: a privacy camera without a lens."""
 
 
@@ -45,6 +60,7 @@ def show(
         int | None, typer.Option(min=0, max=9, help="Any held-out digit of this kind.")
     ] = None,
     index: Annotated[int | None, typer.Option(min=0, help="Exactly this held-out digit.")] = None,
+    json: JsonOption = False,
 ) -> None:
     """Hold a handwritten digit up in front of a simulated camera."""
     try:
@@ -56,7 +72,9 @@ def show(
             index = secrets.choice(fitting)
         path = scene or default_state_dir() / SCENE_NAME
         serve.set_scene(path, digits, index)
-        typer.echo(f"held up a {digits.labels[index]} (held-out digit {index}) in {path}")
+        held = {"digit": int(digits.labels[index]), "index": index, "file": str(path)}
+        words = f"held up a {held['digit']} (held-out digit {index}) in {path}"
+        typer.echo(encoder.dumps(held) if json else words)
     except StartError as error:
         fail(str(error))
 
@@ -89,6 +107,7 @@ def demo(
     # Imported late: --help need not wait for torch and matplotlib.
     from rich.console import Console  # noqa: PLC0415
 
+    from veilcam_client import VeilcamError  # noqa: PLC0415
     from veilcam_server.demo.run import Plan, demonstrate  # noqa: PLC0415
 
     plan = Plan(

@@ -16,7 +16,6 @@ from pydantic_settings import BaseSettings
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 from veilcam_server.cli.terminal import fail, one_line
 from veilcam_server.errors import StartError
-from veilcam_server.settings import Wiring
 
 _Settings = TypeVar("_Settings", bound=BaseSettings)
 _Own = ParamSpec("_Own")
@@ -71,9 +70,8 @@ def _options(name: str, field: FieldInfo) -> tuple[Parameter, ...]:
         return _ROTATION
     if name == "device":
         return (_parameter("simulate", bool, _text(field)),)
-    panel = "Wiring" if name in Wiring.model_fields else None
     kind = _kind(field.annotation)
-    return (_parameter(name, kind, _help(field), panel=panel, metavar=_METAVARS.get(name)),)
+    return (_parameter(name, kind, _help(field), metavar=_METAVARS.get(name)),)
 
 
 def _kind(annotation: Any) -> Any:
@@ -100,13 +98,9 @@ def _text(field: FieldInfo) -> str:
     return " ".join((field.description or "").split())
 
 
-def _parameter(
-    name: str, kind: Any, text: str, *, panel: str | None = None, metavar: str | None = None
-) -> Parameter:
+def _parameter(name: str, kind: Any, text: str, *, metavar: str | None = None) -> Parameter:
     # The name is spelled out: a switch would get a --no-... beside it.
-    option = typer.Option(
-        f"--{name.replace('_', '-')}", help=text, rich_help_panel=panel, metavar=metavar
-    )
+    option = typer.Option(f"--{name.replace('_', '-')}", help=text, metavar=metavar)
     annotation = Annotated[kind | None, option]
     return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 

@@ -10,7 +10,6 @@ from veilcam_server.cli.terminal import fail
 from veilcam_server.demo_data import Digits, load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
-from veilcam_server.system import logs
 
 
 @options_of(Settings)
@@ -19,10 +18,15 @@ def serve(settings: Settings) -> None:
 
     What is not given here is taken from the environment: VEILCAM_BUNDLE, VEILCAM_PORT, ...
     """
-    # Imported late: --help need not wait for torch.
-    from veilcam_server.daemon import serve as run  # noqa: PLC0415
+    # Imported late: --help need not wait for them.
+    from veilcam_server.system import logs  # noqa: PLC0415
+    from veilcam_server.system.listeners import require_free  # noqa: PLC0415
 
     try:
+        require_free(settings)
+        # Nor need torch be waited for, to be told that the port is occupied.
+        from veilcam_server.daemon import serve as run  # noqa: PLC0415
+
         logs.configure(settings.log_level)
         simulated = settings.device == "simulated"  # as the environment may say too
         if simulated and not settings.scenes and not settings.scene_file.exists():

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-from rich.text import Text
 
-from veilcam_server.cli.terminal import fail
-from veilcam_server.system import logs
+from veilcam_server.cli.terminal import JsonOption, fail
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from veilcam_server.siege.run import Verdict
 
 
@@ -32,16 +29,25 @@ def siege(
     only: Annotated[
         list[str] | None, typer.Option(help="Only this row; give it several times for several.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Attack a simulated daemon of one's own on this machine, and say what it withstood.
 
     It runs in a temporary directory and on loopback; a daemon that serves here is left alone. Ends
     with 0 if every row passed.
     """
-    # Imported late: --help need not wait for torch.
+    # Imported late: --help need not wait for them.
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import (  # noqa: PLC0415
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
     from veilcam_server.siege.ground import SHORT, Extent  # noqa: PLC0415
     from veilcam_server.siege.run import ROWS, besiege, figures_of  # noqa: PLC0415
+    from veilcam_server.system import logs  # noqa: PLC0415
 
     logs.configure("error")  # of this process; daemons have logs of their own
     unknown = set(only or ()) - set(ROWS)
@@ -84,6 +90,9 @@ def _summary(verdict: Verdict) -> dict[str, object]:
 
 
 def _table(verdicts: Sequence[Verdict]) -> Table:
+    from rich.table import Table  # noqa: PLC0415 - late, as above
+    from rich.text import Text  # noqa: PLC0415
+
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for verdict in verdicts:
         judgement = verdict.judgement

@@ -12,6 +12,8 @@ StateDirOption = Annotated[
     Path | None, typer.Option(envvar="VEILCAM_STATE_DIR", help="That of 'veilcamd serve'.")
 ]
 
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
 _OPTIONS = {"seconds": "every-seconds", "captures": "every-captures"}
 
 

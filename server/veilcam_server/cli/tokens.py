@@ -6,23 +6,25 @@ import getpass
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import ValidationError
 
-from veilcam_client.cli.format import token_in_words
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
-from veilcam_server.cli.terminal import StateDirOption, fail, one_line
+from veilcam_server.cli.terminal import JsonOption, StateDirOption, fail, one_line
 from veilcam_server.errors import AuditError, StartError, TokenStoreError, UnknownTokenError
-from veilcam_server.security.audit import DONE, AuditLog
-from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import default_state_dir
+
+if TYPE_CHECKING:
+    from veilcam_server.security.audit import AuditLog
+    from veilcam_server.security.tokens import TokenStore
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Make, list and revoke the tokens of a daemon, also while it runs.",
+    help="Make, list and revoke the tokens of a daemon of this machine, also while it runs. Wants "
+    "no token: the state directory says who may. From elsewhere: 'veilcam token'.",
 )
 
 
@@ -42,6 +44,7 @@ def create(
         typer.Option(min=0, max=3660, help="How long it is valid; until it is revoked by default."),
     ] = None,
     state_dir: StateDirOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Make a token and print it. It is shown this once."""
     seconds = None if days is None else round(86_400 * days)
@@ -56,14 +59,14 @@ def create(
     with _store(state_dir) as (store, audit):
         made = store.create(asked.label, asked.scopes, asked.seconds)
         _note(audit, "token create", made)
-    typer.echo(made.secret)
+    typer.echo(made.model_dump_json() if json else made.secret)
 
 
 @app.command("list")
 def list_tokens(
     *,
     state_dir: StateDirOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Print all tokens without their secrets."""
     with _store(state_dir) as (store, _):
@@ -73,6 +76,9 @@ def list_tokens(
         return
     if not tokens:
         typer.echo("no tokens: make one with 'veilcamd token create'")
+        return
+    from veilcam_client.cli.token_words import token_in_words  # noqa: PLC0415 - late, as below
+
     for token in tokens:
         typer.echo(token_in_words(token))
 
@@ -84,15 +90,21 @@ def revoke(
     ],
     *,
     state_dir: StateDirOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Let a token do nothing any more, from the next request on."""
     with _store(state_dir) as (store, audit):
-        _note(audit, "token revoke", store.revoke(token_id))
-    typer.echo(f"revoked {token_id}")
+        revoked = store.revoke(token_id)
+        _note(audit, "token revoke", revoked)
+    typer.echo(revoked.model_dump_json() if json else f"revoked {token_id}")
 
 
 @contextmanager
 def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, AuditLog]]:
+    # Imported late: --help need not wait for them.
+    from veilcam_server.security.audit import DONE, AuditLog  # noqa: PLC0415
+    from veilcam_server.security.tokens import TokenStore  # noqa: PLC0415
+
     directory = state_dir or default_state_dir()
     try:
         store = TokenStore(directory, report=lambda fault: typer.echo(str(fault), err=True))

@@ -48,7 +48,8 @@ class PairObserver:
         operator = TransferOperator(bundle.camera, bundle.scene, bundle.embedding)
         with torch.inference_mode():
             self._transfers = [
-                operator(to_weights(pair.levels, bundle.camera.panel)) for pair in bundle.pairs
+                operator(torch.from_numpy(to_weights(pair.levels, bundle.camera.panel)))
+                for pair in bundle.pairs
             ]
 
     def which(

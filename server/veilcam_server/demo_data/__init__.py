@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING
 
 from veilcam_server.errors import StartError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 DIGITS = Path(__file__).with_name("mnist-sample.npz")
 BUNDLE = Path(__file__).with_name("keyring.veilcam")
@@ -32,6 +34,9 @@ def load_digits(path: Path = DIGITS) -> Digits:
     Raises:
         StartError: the file is missing or not such a sample.
     """
+    # Late: whoever asks where the samples are need not wait for NumPy.
+    import numpy as np  # noqa: PLC0415
+
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             images, labels = archive["images"], archive["labels"]

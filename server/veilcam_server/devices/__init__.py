@@ -15,7 +15,6 @@ from veilcam_server.devices.errors import (
     SensorHungError,
     SensorTimeoutError,
 )
-from veilcam_server.devices.simulated.scenes import Scenes
 
 __all__ = [
     "Device",
@@ -24,7 +23,6 @@ __all__ = [
     "Display",
     "DisplayError",
     "Exposure",
-    "Scenes",
     "Sensor",
     "SensorError",
     "SensorHungError",

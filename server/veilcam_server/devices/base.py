@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.wire.simulation import Faults
-from veilcam_server.devices.simulated.scenes import Scenes
+
+if TYPE_CHECKING:  # whoever only names devices need not wait for torch
+    from veilcam_server.devices.simulated.scenes import Scenes
 
 Levels = npt.NDArray[np.uint8]
 Measurement = npt.NDArray[np.float32]
@@ -40,6 +42,11 @@ class Exposure:
     """Binned on the device, shape of the embedding; the raw frame is gone."""
     started_at: float
     ended_at: float
+    proof: Measurement = field(repr=False, kw_only=True)
+    """The same frame binned to ``PROOF``, whatever the embedding's shape: it tells which mask was
+    there."""
+    clipped: npt.NDArray[np.bool_] = field(repr=False, kw_only=True)
+    """Which of its bins have a saturated pixel, of the same shape."""
     integration: float = 0.0
     """How long each row collected light [s]: it may change from one measurement to the next."""
 

@@ -53,7 +53,11 @@ class CalibratedSensor:
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """As the sensor does."""
         exposure = self._sensor.capture(not_before, timeout)
-        return replace(exposure, embedding=self.corrected(exposure.embedding))
+        return replace(
+            exposure,
+            embedding=self.corrected(exposure.embedding),
+            proof=self.corrected(exposure.proof),
+        )
 
     def corrected(self, measurement: Measurement) -> Measurement:
         """Return what a decoder expects for a measurement of the sensor."""

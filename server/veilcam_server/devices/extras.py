@@ -1,19 +1,23 @@
-"""Packages that talk to a Raspberry Pi's hardware: the extra ``pi``, and what the system brings."""
+"""Packages that talk to a Raspberry Pi's hardware: some come along, the others are the system's."""
 
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final
 
 from veilcam_server.devices.errors import DeviceMissingError
 
-_SYSTEM = ("libcamera", "kms", "pykms")
-"""Not on any package index: Debian packages for the system's own Python."""
-_FROM_SYSTEM = (
-    "sudo apt install python3-libcamera python3-kms++, and make the environment with the system's "
-    "python3 and --system-site-packages"
-)
-_FROM_EXTRA = "run pip install -e '.[server,pi]' in the checkout, in the daemon's environment"
+_OF_THE_SYSTEM: Final[Mapping[str, str]] = {
+    "libcamera": "python3-libcamera",
+    "kms": "python3-kms++",
+    "pykms": "python3-kms++",
+    "picamera2": "python3-picamera2",
+    "numpy": "python3-numpy",
+    "spidev": "python3-spidev",
+}
+"""Packages that are built for the system's own Python, libraries and NumPy, and Debian's names."""
+_COMES_ALONG = "install the package veilcam again (sudo apt install --reinstall ./veilcam_*.deb)"
 
 
 def import_extra(name: str) -> Any:
@@ -28,16 +32,24 @@ def import_extra(name: str) -> Any:
     except ModuleNotFoundError as error:
         missing = error.name or name
         needed = "" if missing == name else f", which {name} needs"
-        from_system = missing.partition(".")[0] in _SYSTEM
+        package = _OF_THE_SYSTEM.get(missing.partition(".")[0])
+        if package is None and missing != name:
+            # What a package of the system's needs comes with it.
+            package = _OF_THE_SYSTEM.get(name)
+        remedy = _COMES_ALONG if package is None else f"sudo apt install {package}"
         raise DeviceMissingError(
-            f"the package {missing} is not installed{needed}: "
-            f"{_FROM_SYSTEM if from_system else _FROM_EXTRA}"
+            f"the package {missing} is not installed{needed}: {remedy}"
         ) from None
     except Exception as error:
         # A compiled package that was built for another numpy raises ValueError, for one.
         found = " ".join(f"{type(error).__name__}: {error}".split())
-        remedy = f"run pip install --force-reinstall {name} in the daemon's environment"
+        package = _OF_THE_SYSTEM.get(name)
+        remedy = (
+            _COMES_ALONG
+            if package is None
+            else f"sudo apt install --reinstall {package}, and remove what pip put beside it "
+            "(sudo pip uninstall --break-system-packages numpy simplejpeg)"
+        )
         raise DeviceMissingError(
-            f"the package {name} cannot be imported ({found}): "
-            f"{_FROM_SYSTEM if name in _SYSTEM else remedy}"
+            f"the package {name} cannot be imported ({found}): {remedy}"
         ) from None

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.wire.simulation import SensorFaults
+from veilcam_optics.proof import PROOF
 from veilcam_server.devices.base import Exposure, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
@@ -30,7 +31,7 @@ from veilcam_server.devices.errors import (
     SensorTimeoutError,
 )
 from veilcam_server.devices.picamera import Picamera, open_picamera2, opened
-from veilcam_server.devices.raw import GAIN, Binning, Frame, RawFormat, SensorMode
+from veilcam_server.devices.raw import GAIN, Binning, Frame, Raw, RawFormat, SensorMode
 from veilcam_server.settings import Settings
 
 HALF = SensorMode(1520, 2028, line_time=15.17e-6, frame_duration=0.025)
@@ -69,6 +70,18 @@ class ExposureRange:
         return min(max(exposure, self.start / self.factor), self.start * self.factor)
 
 
+@dataclass(frozen=True, slots=True)
+class _Binned:
+    """A frame in shares of saturation."""
+
+    embedding: npt.NDArray[np.float64]
+    proof: npt.NDArray[np.float64]
+    clipped: npt.NDArray[np.bool_]
+    """Bins of the proof with a saturated pixel."""
+    saturated: float
+    """Share of all pixels."""
+
+
 class IMX477:
     """A camera whose raw frames are binned and dropped. Constructing one opens it.
 
@@ -100,7 +113,7 @@ class IMX477:
         self._mode, self._exposures, self._clock = mode, exposures, clock
         self.full_scale = full_scale
         """Measurement of saturated pixels at the exposure to begin with."""
-        self._binning = Binning((mode.rows, mode.columns), shape)
+        self._binning = Binning((mode.rows, mode.columns), shape, PROOF.shape)
         self._asked = exposures.start
         self._last_stamp = -1
         self._format: RawFormat
@@ -159,26 +172,37 @@ class IMX477:
                 ) from None
             # From here on the camera has its buffer back, and `raw` is the only copy.
             try:
-                values = self._binning(raw)
-                saturated = float((raw >= self._format.white).mean())
+                binned = self._binned(raw)
             finally:
                 raw.fill(0)
-            share = (values - self._format.black) / (self._format.white - self._format.black)
-            if saturated > _SATURATED:
+            if binned.saturated > _SATURATED:
                 unfit = self._shorten(camera)
                 continue
-            exposure = self._exposure(frame, share)
-            self._follow(camera, float(share.max()))
+            exposure = self._exposure(frame, binned)
+            self._follow(camera, float(binned.embedding.max()))
             return exposure
 
-    def _exposure(self, frame: Frame, share: npt.NDArray[np.float64]) -> Exposure:
+    def _binned(self, raw: Raw) -> _Binned:
+        black, white = self._format.black, self._format.white
+        embedding, proof = ((mean - black) / (white - black) for mean in self._binning.means(raw))
+        _, clipped = self._binning.reaching(raw, white)
+        # Counted only where there is something to count: it takes as long as the sums.
+        saturated = float((raw >= white).mean()) if clipped.any() else 0.0
+        return _Binned(embedding, proof, clipped, saturated)
+
+    def _exposure(self, frame: Frame, binned: _Binned) -> Exposure:
         integration = frame.exposure / _NANO
-        scale = self._exposures.start / integration if integration > 0 else 1.0
-        embedding: Measurement = (self.full_scale * scale * share).astype(np.float32)
+        scale = self.full_scale
+        if integration > 0:
+            scale *= self._exposures.start / integration
+        embedding: Measurement = (scale * binned.embedding).astype(np.float32)
+        proof: Measurement = (scale * binned.proof).astype(np.float32)
         return Exposure(
             embedding,
             started_at=(frame.stamp - frame.exposure) / _NANO,
             ended_at=frame.stamp / _NANO + self._mode.readout,
+            proof=proof,
+            clipped=binned.clipped,
             integration=integration,
         )
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import structlog
 
-from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_server.devices import imx477, st7735r
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceMissingError, DisplayError
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
-from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
-from veilcam_server.devices.simulated.imperfections import read_imperfections
-from veilcam_server.devices.simulated.panel import REFRESH
-from veilcam_server.devices.simulated.scene_files import open_scenes
 from veilcam_server.settings import Settings, Wiring
-from veilcam_training.bundle import Bundle
+
+if TYPE_CHECKING:
+    from veilcam_training.bundle import Bundle
 
 DISPLAYS = {
     driver.name: driver
@@ -99,6 +96,26 @@ def _named(kind: str, name: str, known: Mapping[str, _Driver]) -> _Driver:
 def _simulated(
     settings: Settings, bundle: Bundle, display: DisplayDriver, sensor: SensorDriver
 ) -> Device:
+    # Late: whoever asks for real devices needs no torch.
+    from veilcam_optics.camera.imperfections import NOMINAL  # noqa: PLC0415
+
+    try:
+        from veilcam_server.devices.simulated.device import (  # noqa: PLC0415
+            Conditions,
+            planned_light,
+            simulated_device,
+            use_torch_sparingly,
+        )
+        from veilcam_server.devices.simulated.imperfections import (  # noqa: PLC0415
+            read_imperfections,
+        )
+        from veilcam_server.devices.simulated.panel import REFRESH  # noqa: PLC0415
+        from veilcam_server.devices.simulated.scene_files import open_scenes  # noqa: PLC0415
+    except ModuleNotFoundError as missing:
+        raise DeviceMissingError(
+            f"simulated light needs {missing.name}: run pip install 'veilcam[simulate]'"
+        ) from None
+    use_torch_sparingly()
     given = settings.imperfections
     imperfections = NOMINAL if given is None else read_imperfections(given, bundle.camera)
     return simulated_device(

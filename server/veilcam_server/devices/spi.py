@@ -1,9 +1,10 @@
-"""Bus and lines of a panel; on Linux adapters to spidev and gpiod, from the extra ``pi``."""
+"""Bus and lines of a panel; on Linux adapters to spidev and gpiod, which a device has."""
 
 from __future__ import annotations
 
 import ctypes
 import fcntl
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -89,12 +90,16 @@ class LinuxSpi:
             one_wire: whether answers come on the wire that was written to, and not on MISO.
 
         Raises:
-            DeviceMissingError: no such node, no right to open it, no spidev to import, or the bus
-                cannot turn its wire around.
+            DeviceMissingError: no such node, another kind of name, no right to open it, no spidev
+                to import, or the bus cannot turn its wire around.
         """
+        node = re.fullmatch(r"/dev/spidev([0-9]+)\.([0-9]+)", path)
+        if node is None:
+            raise DeviceMissingError(f"{path} is no bus of spidev's: give --spi /dev/spidev0.0")
         device = import_extra("spidev").SpiDev()
         try:
-            device.open_path(path)
+            # Not open_path: the spidev of Debian 12 and 13, which is 3.6, does not have it.
+            device.open(*map(int, node.groups()))
             device.mode = 0
             device.max_speed_hz = speed
         except OSError as error:

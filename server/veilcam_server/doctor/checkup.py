@@ -5,19 +5,20 @@ from __future__ import annotations
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from veilcam_server.bundles.owners import Owners
 from veilcam_server.devices.driver import DisplayDriver, SensorDriver
 from veilcam_server.devices.errors import DeviceError
 from veilcam_server.devices.registry import drivers
 from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import BundleUntrustedError, StartError
-from veilcam_server.settings import DoctorSettings, Wiring, unknown_names
-from veilcam_training.bundle import Bundle, BundleError, read_bundle
+from veilcam_server.settings import PREFIX, DoctorSettings, Settings, Wiring, unknown_names
+
+if TYPE_CHECKING:
+    from veilcam_training.bundle import Bundle
 
 LEAST_SYSTEMD = 248
 """The first that keeps a service from running what it wrote (``NoExecPaths=``)."""
@@ -54,6 +55,7 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
     usable = {name for name, finding in packages.items() if finding.outcome == "ok"}
     probes: tuple[Probe, ...] = (
         ("board", lambda: [_model(machine)]),
+        ("release", lambda: _release(machine)),
         ("packages", packages.values),
         *_panel_bus(machine, settings, display, usable),
         ("panel", lambda: [_needed(settings, name, what) for name, what in display.needs.items()]),
@@ -69,6 +71,54 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
     )
     for name, probe in probes:
         yield from _guarded(name, probe)
+
+
+def examine_beside(machine: Machine, settings: Settings) -> Iterator[Finding]:
+    """Yield a finding for every check that needs neither panel nor camera: a daemon holds them.
+
+    What is named of the machine's own paths is the setting: who may ask a daemon how it is need not
+    know where its files are.
+
+    Args:
+        machine: where the daemon runs.
+        settings: of the daemon.
+    """
+    told = DoctorSettings(**{name: getattr(settings, name) for name in DoctorSettings.model_fields})
+    real: tuple[Probe, ...] = (
+        ("board", lambda: [_model(machine)]),
+        ("release", lambda: _release(machine)),
+        ("frame memory", lambda: [_frame_memory(machine)]),
+        ("wall clock", lambda: [_wall_clock(machine)]),
+        ("systemd", lambda: [_systemd(machine)]),
+    )
+    recorded = settings.replay is not None
+    probes: tuple[Probe, ...] = (
+        ("environment", lambda: [_environment()]),
+        ("state directory", lambda: [_state_dir(machine, told.state_dir)]),
+        ("disk", lambda: [_room(machine, told.state_dir)]),
+        *(() if recorded else (("bundle", lambda: _bundle(told)),)),
+        *(real if settings.device == "pi" and not recorded else ()),
+    )
+    for name, probe in probes:
+        for finding in _guarded(name, probe):
+            yield _without_paths(finding, told)
+
+
+def _without_paths(finding: Finding, settings: DoctorSettings) -> Finding:
+    paths = {
+        str(value): f"${PREFIX}{name.upper()}"
+        for name in DoctorSettings.model_fields
+        if isinstance(value := getattr(settings, name), Path) and name not in Wiring.model_fields
+    }
+
+    def told(text: str) -> str:
+        # One may lie in another.
+        for path in sorted(paths, key=len, reverse=True):
+            text = text.replace(path, paths[path])
+        return text
+
+    remedy = None if finding.remedy is None else told(finding.remedy)
+    return replace(finding, found=told(finding.found), remedy=remedy)
 
 
 def _panel_bus(
@@ -106,6 +156,23 @@ def _model(machine: Machine) -> Finding:
         model or "no Raspberry Pi",
         "run the daemon on a Raspberry Pi, or try it here with 'veilcamd serve --simulate'",
     )
+
+
+def _release(machine: Machine) -> Iterator[Finding]:
+    """Where it came as a Debian package."""
+    installed = machine.text("/usr/lib/veilcam/unpacked/RELEASE")
+    if installed is None:
+        return
+    running = machine.path("/var/lib/veilcam-release/current").readlink().name
+    if running == installed:
+        yield Finding("release", "ok", running)
+    else:
+        yield Finding(
+            "release",
+            "bad",
+            f"{installed} did not start, so {running} runs, which was there before",
+            "see why with journalctl -u veilcamd, and install one that starts",
+        )
 
 
 def _package(machine: Machine, name: str) -> Finding:
@@ -286,6 +353,9 @@ def _bundle(settings: DoctorSettings) -> Iterator[Finding]:
         yield Finding("bundle", "bad", "none named", "give --bundle, or VEILCAM_BUNDLE")
         yield _without_bundle()
         return
+    # Late: without a bundle nobody need wait for torch.
+    from veilcam_training.bundle import BundleError, read_bundle  # noqa: PLC0415
+
     try:
         bundle = read_bundle(settings.bundle)
     except BundleError as error:
@@ -302,6 +372,8 @@ def _without_bundle() -> Finding:
 
 
 def _owner(settings: DoctorSettings, bundle: Bundle) -> Finding:
+    from veilcam_server.bundles.owners import Owners  # noqa: PLC0415 - late, as above
+
     try:
         Owners.open(settings.owner_keys).check(bundle)
     except (StartError, BundleUntrustedError) as error:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Any, Self
 
-import torch
-from torch import Tensor, nn
+import numpy as np
+import numpy.typing as npt
 
 from veilcam_client.wire.captures import Prediction
 from veilcam_server.errors import InferenceError
-from veilcam_training.bundle import BundleError, LayerRecord, build_classifier
+from veilcam_training.bundle import BundleError, LayerRecord, Network
+
+Values = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,13 +25,13 @@ class Classifier:
     """A network and the names of what it gives."""
 
     labels: tuple[str, ...]
-    module: nn.Module = field(repr=False)
+    network: Network = field(repr=False)
 
     @classmethod
     def load(
         cls,
         layers: Sequence[LayerRecord],
-        weights: Mapping[str, Tensor],
+        weights: Mapping[str, Values],
         *,
         labels: tuple[str, ...],
         inputs: int,
@@ -39,27 +41,32 @@ class Classifier:
         Raises:
             BundleError: it gives no numbers, even for a dark scene.
         """
-        classifier = cls(labels, build_classifier(layers, weights))
+        classifier = cls(labels, Network.load(layers, weights))
         try:
-            classifier.classify(torch.zeros(1, inputs))
+            classifier.classify(np.zeros((1, inputs), np.float32))
         except InferenceError:
             raise BundleError("a classifier gives NaN or infinity: train it again") from None
         return classifier
 
-    def classify(self, inputs: Tensor) -> Prediction:
-        """Classify one sample, (1, inputs).
+    def classify(self, inputs: Values) -> Prediction:
+        """Classify one sample, (1, inputs) float32.
 
         Raises:
             InferenceError: the network gives NaN or infinity for it.
         """
-        with torch.inference_mode():
-            logits = self.module(inputs).double()
-        if not bool(torch.isfinite(logits).all()):
-            raise InferenceError
-        scores = logits.softmax(dim=1)[0]
+        logits = self.logits(inputs)[0]
+        powers = np.exp(logits - logits.max())
+        scores = powers / powers.sum()
         best = int(scores.argmax())
         return Prediction(
             label=self.labels[best],
             confidence=float(scores[best]),
             scores=dict(zip(self.labels, scores.tolist(), strict=True)),
         )
+
+    def logits(self, inputs: Values) -> npt.NDArray[np.float64]:
+        """What the network gives for samples, (batch, labels); raises as :meth:`classify`."""
+        logits: npt.NDArray[np.float64] = self.network(inputs).astype(np.float64)
+        if not np.isfinite(logits).all():
+            raise InferenceError
+        return logits

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-import torch
+import numpy as np
+import numpy.typing as npt
 
 from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.wire.captures import Prediction, Release
+from veilcam_client.wire.captures import Prediction
+from veilcam_client.wire.sealing import Release
 from veilcam_optics.arrays import overwrite
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_optics.decoding import Decoder
+from veilcam_optics.decoding import Decoder, Precision
 from veilcam_optics.decoding.release import Whitening
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import KEY_BYTES, draw_levels
 from veilcam_server.devices.base import Levels, Measurement
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
-from veilcam_server.masks.source import Mask
+from veilcam_server.masks.source import Evidence, Mask, transmittance
 from veilcam_training.bundle import Bundle, Fresh, classifier_inputs
+
+Values = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,31 +33,66 @@ class FreshReader:
 
     fresh: Fresh = field(repr=False)
     classifier: Classifier = field(repr=False)
-    decoder: Decoder = field(repr=False)
-    whitening: Whitening | None = field(repr=False)
+    decoder: Decoder[Values] = field(repr=False)
+    whitening: Whitening[Values] | None = field(repr=False)
     """Made only where embeddings leave white: it takes longer than the decoder."""
+    transmittance: float = field(repr=False)
+    """Mean of the mask's, which is not 0."""
 
     def classify(self, measurement: Measurement) -> Prediction:
         """Decode and classify one embedding."""
-        with torch.inference_mode():
-            inputs = classifier_inputs(
-                self.decoder, torch.from_numpy(measurement)[None], self.fresh.features
+        return self.classifier.classify(self._inputs(measurement[None]))
+
+    def evidence(self, measurement: Measurement) -> Evidence:
+        """Return what one embedding tells beside its label."""
+        [told] = self.evidence_of(measurement[None])
+        return told
+
+    def evidence_of(self, measurements: Values) -> list[Evidence]:
+        """Return what each of several embeddings tells, (batch, rows, columns).
+
+        Raises:
+            InferenceError: the network gives NaN or infinity for one.
+        """
+        novelty = self.decoder.novelty(measurements)
+        moved = _moved(self._inputs(measurements), self.decoder.scene.shape)
+        logits = np.mean([self.classifier.logits(inputs) for inputs in moved], axis=0)
+        light = measurements.reshape(len(measurements), -1).mean(axis=1) / self.transmittance
+        return [
+            Evidence(self.classifier.labels, tuple(scores), brightness, far)
+            for scores, brightness, far in zip(
+                logits.tolist(), light.tolist(), novelty.tolist(), strict=True
             )
-        return self.classifier.classify(inputs)
+        ]
+
+    def _inputs(self, measurements: Values) -> Values:
+        inputs = classifier_inputs(self.decoder, measurements, self.fresh.features)
+        return inputs.astype(np.float32)  # as it was fitted
 
     def whiten(self, measurement: Measurement) -> Measurement:
         """Return the direction of one embedding, of the same shape and of length 1."""
         if self.whitening is None:
             raise ValueError("nothing was prepared to whiten with: make the mask for white")
-        with torch.inference_mode():
-            white = self.whitening.whiten(torch.from_numpy(measurement)[None])
-        return white[0].reshape(measurement.shape).numpy()
+        return self.whitening.whiten(measurement[None]).reshape(measurement.shape)
 
     def erase(self) -> None:
         """Overwrite decoder and whitening: behind this mask nothing is read any more."""
         self.decoder.erase()
         if self.whitening is not None:
             self.whitening.erase()
+
+
+def _moved(inputs: Values, shape: tuple[int, int]) -> list[Values]:
+    """A scene's inputs as they are, and moved by a pixel each way.
+
+    What is read the same way five times is read rightly a little more often.
+    """
+    rows, columns = shape
+    images = inputs.reshape(len(inputs), -1, rows, columns)
+    framed = np.pad(images, ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
+    corners = ((1, 1), (0, 1), (2, 1), (1, 0), (1, 2))
+    moved = [framed[:, :, y : y + rows, x : x + columns] for y, x in corners]
+    return [each.reshape(inputs.shape) for each in moved]
 
 
 class FreshSource:
@@ -86,7 +126,9 @@ class FreshSource:
             bundle.fresh.layers, bundle.fresh.weights, labels=bundle.labels, inputs=bundle.inputs
         )
         try:
-            self._decoding = self._frame.decoding()
+            # Whitening divides by the noise: of products in float32 it would leave five digits, and
+            # other ones with every library. In float64 a mask takes a tenth longer.
+            self._decoding = self._frame.decoding(precision=Precision.DOUBLE)
             # A mask that is never shown: what cannot be decoded is found now, and not on the way.
             self._prepare(self._levels(bytes(KEY_BYTES)))
         except OpticsError as error:
@@ -109,18 +151,17 @@ class FreshSource:
             levels = self._levels(drawn)
             read = self._levels(secrets.token_bytes(KEY_BYTES)) if self._wrong else levels
             decoder = self._prepare(read)
-            with torch.inference_mode():
-                whitening = Whitening(decoder, turned) if form == "white" else None
+            whitening = Whitening(decoder, turned) if form == "white" else None
         finally:
             drawn[:] = turned[:] = bytes(KEY_BYTES)
-        return Mask(levels, FreshReader(self._fresh, self._classifier, decoder, whitening))
+        passes = transmittance(levels, self._camera.panel.levels)
+        return Mask(levels, FreshReader(self._fresh, self._classifier, decoder, whitening, passes))
 
     def _levels(self, key: bytes | bytearray) -> Levels:
         return draw_levels(key, camera=self._camera, distribution=self._fresh.distribution)
 
-    def _prepare(self, levels: Levels) -> Decoder:
-        with torch.inference_mode():
-            shown = self._frame.shown(levels)
-            decoder = self._decoding.prepare(shown)
-            overwrite(shown)
+    def _prepare(self, levels: Levels) -> Decoder[Values]:
+        shown = self._frame.shown(levels)
+        decoder: Decoder[Values] = self._decoding.prepare(shown)
+        overwrite(shown)
         return decoder

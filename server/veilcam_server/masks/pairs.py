@@ -7,14 +7,13 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import torch
-
 from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.wire.captures import Prediction, Release
+from veilcam_client.wire.captures import Prediction
+from veilcam_client.wire.sealing import Release
 from veilcam_server.devices.base import Measurement
 from veilcam_server.errors import StartError
 from veilcam_server.masks.classifier import Classifier
-from veilcam_server.masks.source import Mask
+from veilcam_server.masks.source import Evidence, Mask, transmittance
 from veilcam_training.bundle import Bundle, Pair
 
 _MARKS = b"veilcam stored masks, marks, version 1"
@@ -25,10 +24,21 @@ class PairReader:
     """The classifier that was trained for one mask; it cannot whiten."""
 
     classifier: Classifier = field(repr=False)
+    transmittance: float = field(repr=False)
+    """Mean of the mask's, which is not 0."""
 
     def classify(self, measurement: Measurement) -> Prediction:
         """Classify one embedding of any shape."""
-        return self.classifier.classify(torch.from_numpy(measurement).reshape(1, -1))
+        return self.classifier.classify(measurement.reshape(1, -1))
+
+    def evidence(self, measurement: Measurement) -> Evidence:
+        """What one embedding tells; there are no statistics to tell what is novel."""
+        return Evidence(
+            self.classifier.labels,
+            tuple(self.classifier.logits(measurement.reshape(1, -1))[0].tolist()),
+            light=float(measurement.mean()) / self.transmittance,
+            novelty=None,
+        )
 
     def whiten(self, measurement: Measurement) -> Measurement:  # noqa: ARG002 - it cannot
         """Refused: there are no scene statistics."""
@@ -89,7 +99,8 @@ def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
         PairReader(
             Classifier.load(
                 pair.layers, pair.weights, labels=bundle.labels, inputs=bundle.embedding.size
-            )
+            ),
+            transmittance(pair.levels, bundle.camera.panel.levels),
         )
         for pair in bundle.pairs
     ]

@@ -10,7 +10,8 @@ from typing import Protocol
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import Receiver
-from veilcam_client.wire.captures import Prediction, Release
+from veilcam_client.wire.captures import Prediction
+from veilcam_client.wire.sealing import Release
 from veilcam_server.devices.base import Levels, Measurement
 
 
@@ -24,11 +25,29 @@ class Terms:
     """To whom its key is sealed, where the form is ``sealed``."""
 
 
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one capture tells of the scene, for who fuses several; it leaves nobody's hands."""
+
+    labels: tuple[str, ...]
+    logits: tuple[float, ...] = field(repr=False)
+    """Of the classifier, one for each label."""
+    light: float = field(repr=False)
+    """Mean of the measurement over the mean transmittance of the mask: the same behind each."""
+    novelty: float | None = field(repr=False)
+    """Root of the normalised innovation squared, over the light in units of that of the mean
+    scene: how far the scene is from those to be expected, however bright it is; huge in the dark.
+    None where there are no statistics of scenes."""
+
+
 class Reader(Protocol):
     """Makes sense of embeddings taken behind one mask. It is as secret as the mask."""
 
     def classify(self, measurement: Measurement) -> Prediction:
         """Return the label of one embedding."""
+
+    def evidence(self, measurement: Measurement) -> Evidence:
+        """Return what one embedding tells beside its label."""
 
     def whiten(self, measurement: Measurement) -> Measurement:
         """Return one embedding as a direction alone; only if it was made to."""
@@ -54,6 +73,17 @@ class Mask:
         if not self.mark:
             self.levels.fill(0)
             self.reader.erase()
+
+
+def transmittance(levels: Levels, steps: int) -> float:
+    """Mean share of the light that a mask lets through; a dark one counts as a level's worth.
+
+    Args:
+        levels: of the mask.
+        steps: levels that the panel has.
+    """
+    weights = levels / (steps - 1)
+    return max(float((weights * weights).mean()), 1 / (steps - 1) ** 2)
 
 
 class MaskSource(Protocol):

@@ -26,6 +26,7 @@ from veilcam_server.security.idempotency import IdempotencyKeys
 from veilcam_server.security.key_record import KeyRecord
 from veilcam_server.security.lease import Lease
 from veilcam_server.security.limits import ConcurrencyLimit, RateLimit
+from veilcam_server.security.sessions import HEADER, SessionStore
 from veilcam_server.security.site import Site
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
@@ -52,6 +53,7 @@ class Admission:
         keys: idempotency keys that came lately.
         lease: who holds the camera for a while.
         settings: of the daemon, for its diagnostics: without paths, addresses and labels.
+        sessions: of pages in browsers; None where no tokens are wanted, and in tests.
     """
 
     tokens: TokenStore | None = None
@@ -75,6 +77,7 @@ class Admission:
     keys: IdempotencyKeys = field(default_factory=IdempotencyKeys)
     lease: Lease = field(default_factory=Lease)
     settings: Mapping[str, JsonValue] = field(default_factory=dict)
+    sessions: SessionStore | None = None
 
     def require_audit(self) -> None:
         """Raise :class:`AuditError` while what callers do cannot be written down."""
@@ -135,7 +138,7 @@ class Admission:
         if self.tokens is None:
             return True
         try:
-            self.tokens.caller(headers.get("authorization", ""))
+            self._known(self.tokens, headers)
         except (UnauthorizedError, TokenStoreError):
             return False
         return True
@@ -143,14 +146,20 @@ class Admission:
     def _caller(self, headers: Headers, peer: str) -> Caller:
         if self.tokens is None:
             return Caller(peer, "no token wanted", frozenset(SCOPES))
-        # Two of them would mean two callers.
-        given = headers.getlist("authorization")
         try:
-            return self.tokens.caller(given[0] if len(given) == 1 else "")
+            return self._known(self.tokens, headers)
         except UnauthorizedError:
             # Only failures count against an address: who guesses there locks nobody out.
             self.rate.take(f"failures of {peer}")
             raise
+
+    def _known(self, tokens: TokenStore, headers: Headers) -> Caller:
+        given = headers.getlist("authorization")
+        # A cookie alone comes with what any page makes a browser ask: it counts for nothing.
+        if not given and HEADER in headers and self.sessions is not None:
+            return self.sessions.caller(headers)
+        # Two of them would mean two callers.
+        return tokens.caller(given[0] if len(given) == 1 else "")
 
 
 @contextmanager
@@ -167,6 +176,7 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
     audit = AuditLog(settings.state_dir / DONE, report=report)
     refused = AuditLog(settings.state_dir / REFUSED, report=report)
     tokens = TokenStore(settings.state_dir, report=report) if settings.auth == "tokens" else None
+    sessions = None if tokens is None else SessionStore(settings.state_dir, tokens, report)
     if tokens is not None and not tokens.tokens():
         log.warning("no tokens yet: nobody may ask until one is made with 'veilcamd token create'")
     audit.write("start", auth=settings.auth)
@@ -184,6 +194,7 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
             ConcurrencyLimit(settings.caller_upload_limit, TooManyUploadsOfOneError),
             keys=IdempotencyKeys(KeyRecord(settings.state_dir)),
             settings=settings.redacted(),
+            sessions=sessions,
         )
     finally:
         audit.write("stop")

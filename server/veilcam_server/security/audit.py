@@ -10,13 +10,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from veilcam_optics.files import sync_folder
 from veilcam_server.errors import AuditError, StartError
 from veilcam_server.system.state_file import Report, log_fault, make_directory
-
-log = structlog.get_logger()
 
 DONE, REFUSED = "audit.jsonl", "refused.jsonl"
 """What callers did, and what was asked without a valid token. Apart, so that a stranger who knocks
@@ -79,7 +75,9 @@ class AuditLog:
                 raise fault from None
             return
         if self._failing:
-            log.info("audit log can be written again", lost=self.lost)
+            import structlog  # noqa: PLC0415 - as in log_fault
+
+            structlog.get_logger().info("audit log can be written again", lost=self.lost)
         self._failing = False
 
     def require(self) -> None:

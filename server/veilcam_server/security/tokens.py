@@ -133,7 +133,7 @@ class TokenStore:
         Raises:
             TokenStoreError: it cannot be written.
         """
-        now, secret = self._now(), secrets.token_hex(32)
+        now, secret = self.now(), secrets.token_hex(32)
         row = _Row(
             id=secrets.token_hex(6),
             label=label,
@@ -157,7 +157,7 @@ class TokenStore:
             UnknownTokenError: there is none of this id.
             TokenStoreError: it cannot be written.
         """
-        now = self._now()
+        now = self.now()
 
         def revoke(held: _Tokens) -> _Tokens:
             rows = _current(held, now)
@@ -184,9 +184,17 @@ class TokenStore:
         match = _TOKEN.fullmatch(authorization)
         token_id, secret = match.groups() if match else ("", "")
         row = self._known.get(token_id)
-        now = self._now()
         right = hmac.compare_digest(_digest(secret), row.digest if row else _NO_DIGEST)
-        if row is None or not right or row.revoked is not None:
+        return self._admitted(row if right else None)
+
+    def caller_of(self, token_id: str) -> Caller:
+        """Who was let in before with the token of this id; raises as :meth:`caller`."""
+        self._refresh()
+        return self._admitted(self._known.get(token_id))
+
+    def _admitted(self, row: _Row | None) -> Caller:
+        now = self.now()
+        if row is None or row.revoked is not None:
             raise UnauthorizedError
         if row.expires is not None and now >= row.expires:
             raise UnauthorizedError
@@ -195,7 +203,7 @@ class TokenStore:
 
     def lifetime(self, caller: Caller) -> float | None:
         """How long the caller's token is still valid [s], None for ever."""
-        return None if caller.expires is None else max(0.0, caller.expires - self._now())
+        return None if caller.expires is None else max(0.0, caller.expires - self.now())
 
     def _change(self, update: Callable[[_Tokens], _Tokens]) -> _Tokens:
         try:
@@ -234,7 +242,7 @@ class TokenStore:
         except TokenStoreError:
             self._note_from = self._monotonic() + _PAUSE
 
-    def _now(self) -> float:
+    def now(self) -> float:
         """The wall clock, but never less than it was plus the time since then."""
         now = max(self._wall(), self._seen + self._monotonic() - self._since)
         self._seen, self._since = now, self._monotonic()

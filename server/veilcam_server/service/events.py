@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 
 import structlog
 
-from veilcam_client.wire.diagnostics import PastFault, PastState
 from veilcam_client.wire.events import Event, Fault, Gap, StateChanged
+from veilcam_client.wire.status import PastFault, PastState
 from veilcam_server.system.systemd import notify
 
 CAPACITY = 1024

@@ -15,6 +15,7 @@ from veilcam_client.wire.events import Fault
 from veilcam_server.camera.engine import Publish
 from veilcam_server.errors import (
     CalibrationError,
+    NotLookingError,
     ProblemError,
     QueueFullError,
     ReplayingError,
@@ -22,7 +23,7 @@ from veilcam_server.errors import (
 )
 
 ResultT = TypeVar("ResultT")
-_REFUSALS = (CalibrationError, RotationImpossibleError, ReplayingError)
+_REFUSALS = (CalibrationError, NotLookingError, RotationImpossibleError, ReplayingError)
 """At which nothing failed."""
 
 

@@ -16,16 +16,13 @@ from pathlib import Path
 from veilcam_client.errors import RecordingError
 from veilcam_client.recording import Recorded, Recording, read_recording
 from veilcam_client.wire.calibration import SignedCalibration
-from veilcam_client.wire.captures import (
-    Embedding,
-    Form,
-    Prediction,
-    Replay,
-    SealedEmbedding,
-)
+from veilcam_client.wire.captures import Embedding, Prediction, Replay, SealedEmbedding
 from veilcam_client.wire.events import StateChanged
 from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, RotationPolicy
+from veilcam_client.wire.sealing import Form
 from veilcam_client.wire.status import Device as DeviceInfo
+from veilcam_client.wire.status import ProofMeans
+from veilcam_optics.proof import MaskTests
 from veilcam_server.bundles.loader import Identity
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.capture import Captured
@@ -33,7 +30,7 @@ from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices import Device
 from veilcam_server.errors import ReplayingError, ReplayOverError, StartError
-from veilcam_server.masks.source import MaskSource
+from veilcam_server.masks.source import Evidence, MaskSource
 from veilcam_server.service.service import Service
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import HeldDirectory
@@ -117,6 +114,10 @@ class ReplayedCamera:
         none = Preparation(ready=False, prepared=0, last_s=0.0, late=0, reused=0)
         return Rotation(policy=self.policy, epoch=None, captures=0, preparation=none)
 
+    def proof(self) -> ProofMeans | None:
+        """Nothing is tested."""
+        return None
+
     def due_in(self) -> float:
         """No mask is ever due."""
         return math.inf
@@ -146,11 +147,24 @@ class ReplayedCamera:
         """Refused."""
         raise ReplayingError
 
+    def rest(self, reason: str) -> None:  # noqa: ARG002 - there is no panel
+        """Refused."""
+        raise ReplayingError
+
+    def wake(self) -> None:
+        """Nothing ever rests."""
+
     def exclusive(self) -> AbstractContextManager[Device]:
         """Refused."""
         raise ReplayingError
 
-    def adopt(self, calibration: SignedCalibration, settle: float, source: MaskSource) -> None:  # noqa: ARG002
+    def adopt(
+        self,
+        calibration: SignedCalibration,  # noqa: ARG002 - as above
+        settle: float,  # noqa: ARG002
+        source: MaskSource,  # noqa: ARG002
+        tests: MaskTests,  # noqa: ARG002
+    ) -> None:
         """Refused."""
         raise ReplayingError
 
@@ -222,6 +236,10 @@ class _Recollection:
                 "this capture was recorded without its label: record with 'veilcam record --labels'"
             )
         return verdict
+
+    def evidence(self) -> Evidence:
+        """Refused: labels alone were recorded."""
+        raise ReplayingError
 
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:  # noqa: ARG002 - as it left
         """It was released before it was recorded."""

@@ -16,6 +16,7 @@ from veilcam_client.wire.captures import (
     Classification,
     Embedding,
     Prediction,
+    Proof,
     SealedEmbedding,
 )
 from veilcam_client.wire.log import AGE_STEP, LoggedCapture
@@ -35,6 +36,7 @@ def capture_response(
         number=captured.number,
         taken_at=captured.taken_at,
         embedding=embedding,
+        proof=_proof(captured),
         replay=captured.replay,
     )
 
@@ -57,6 +59,7 @@ def classification_response(
         confidence=told.confidence,
         scores=told.scores,
         embedding=embedding,
+        proof=_proof(captured),
         replay=captured.replay,
     )
 
@@ -74,6 +77,11 @@ def logged(answer: Capture | Classification, provenance: Provenance) -> LoggedCa
     )
 
 
+def _proof(captured: Captured) -> Proof | None:
+    """The same of every capture: one that does not show its mask has no answer."""
+    return "checked" if captured.replay is None else None
+
+
 def _told(prediction: Prediction, scores: Scores) -> Prediction:
     """A prediction as a caller may see it."""
     if scores == "all":
@@ -82,13 +90,16 @@ def _told(prediction: Prediction, scores: Scores) -> Prediction:
         return Prediction(label=prediction.label)
     return Prediction(
         label=prediction.label,
-        confidence=_tenth(prediction.confidence),
+        confidence=told_confidence(prediction.confidence, scores),
         scores=_tenths(prediction.scores),
     )
 
 
-def _tenth(score: float | None) -> float | None:
-    return None if score is None else round(score, 1)
+def told_confidence(confidence: float | None, scores: Scores) -> float | None:
+    """A probability as a caller may see it."""
+    if confidence is None or scores == "none":
+        return None
+    return confidence if scores == "all" else round(confidence, 1)
 
 
 def _tenths(scores: Mapping[str, float] | None) -> Mapping[str, float] | None:

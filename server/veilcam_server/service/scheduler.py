@@ -1,4 +1,4 @@
-"""Scheduler of what nobody asks for: mask changes, self tests, and the watchdog's signs of life."""
+"""Scheduler of what nobody asks for: mask changes, self tests, looks, and signs of life."""
 
 from __future__ import annotations
 
@@ -79,8 +79,20 @@ class Scheduler:
         """Look again at what is due, whatever happened; for the event loop's thread."""
         if isinstance(event, StateChanged):
             self._note(event.state)
-        self._rotation.changed.set()
-        self._test.changed.set()
+        for task in self._tasks:
+            task.changed.set()
+
+    def add(
+        self, name: str, due_in: Callable[[], float], work: Callable[[], Awaitable[None]]
+    ) -> None:
+        """Do something else again and again, too; before this runs.
+
+        Args:
+            name: in words.
+            due_in: seconds until it must be done.
+            work: does it.
+        """
+        self._tasks.append(_Task(name, due_in, work))
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:

@@ -21,11 +21,7 @@ from veilcam_client import __version__
 from veilcam_client.keys.capture_log import ID_DIGITS, NAME_DIGITS
 from veilcam_client.wire.base import API_VERSION
 from veilcam_client.wire.bundles import InstalledBundle
-from veilcam_client.wire.captures import (
-    Capture,
-    Classification,
-    Release,
-)
+from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.events import (
     BundleChanged,
     CaptureTaken,
@@ -36,8 +32,10 @@ from veilcam_client.wire.events import (
     StateChanged,
 )
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
+from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import Faults, HeldScene
-from veilcam_client.wire.status import Queue, Status
+from veilcam_client.wire.status import ProofMeans, Queue, Status
+from veilcam_client.wire.watch import Watch, WatchPolicy
 from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.service import CalibrationService, Served
@@ -55,6 +53,7 @@ from veilcam_server.errors import (
     SceneInvalidError,
     WithheldError,
 )
+from veilcam_server.masks.source import Evidence
 from veilcam_server.sealing.capture_log import CaptureLog
 from veilcam_server.service.alarms import Alarms
 from veilcam_server.service.events import EventPublisher, History, log_event, tell_systemd
@@ -70,6 +69,7 @@ from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
 from veilcam_server.system.logs import log_unhandled
 from veilcam_server.system.state_file import HeldDirectory
+from veilcam_server.watch.watcher import Watched, Watcher, WatchSetup
 
 log = structlog.get_logger()
 AnswerT = TypeVar("AnswerT", Capture, Classification)
@@ -95,6 +95,7 @@ class Service:
         faults: what was found before; told of once this is open.
         policies: where the rotation policy is kept; None: it lasts no longer than this.
         capture_log: of what is answered; None: a recording is replayed, and nothing is logged.
+        watch: what it starts with that looks by itself; None: a recording is replayed.
         held: state directory, which other daemons may have once this has stopped; None: there is
             none.
     """
@@ -116,6 +117,7 @@ class Service:
         faults: Sequence[ProblemError] = (),
         policies: PolicyStore | None = None,
         capture_log: CaptureLog | None = None,
+        watch: WatchSetup | None = None,
         held: HeldDirectory | None = None,
     ) -> None:
         self._camera, self._identity, self._heartbeat = camera, identity, heartbeat
@@ -128,6 +130,20 @@ class Service:
         self._alarms = Alarms(camera, publish)
         self._queue = DeviceQueue(queue_limit, publish)
         self._scheduler = Scheduler(camera, self._queue, self._alarms)
+        self._watcher: Watcher | None = None
+        if watch is not None:
+            self._watcher = Watcher(
+                watch,
+                Watched(
+                    camera,
+                    on_device=self._queue.run,
+                    look=self._look,
+                    busy=lambda: self._queue.waiting > 0,
+                    publish=publish,
+                ),
+            )
+            self._scheduler.add("watch", self._watcher.look_due_in, self._watcher.look)
+            self._scheduler.add("quiet hours", self._watcher.rest_due_in, self._watcher.rest)
         self.calibration = calibration
         if bundles is not None:
             calibration.serve(Served(camera, bundles, self._queue.run, publish))
@@ -231,6 +247,27 @@ class Service:
         return self._log
 
     @property
+    def watcher(self) -> Watcher:
+        """That looks by itself; raises :class:`ReplayingError` where there is none."""
+        if self._watcher is None:
+            raise ReplayingError
+        return self._watcher
+
+    def give_way(self, leased: Callable[[], bool]) -> None:
+        """Let the camera not look by itself while somebody holds it."""
+        if self._watcher is not None:
+            self._watcher.leased = leased
+
+    async def set_watch(self, policy: WatchPolicy) -> Watch:
+        """Change when the camera looks; raises as :meth:`Watcher.set_policy`.
+
+        Raises:
+            CalibratingError: the camera is being measured: cancel that first.
+        """
+        self.calibration.require_idle()
+        return await self.watcher.set_policy(policy)
+
+    @property
     def upload_limit(self) -> int:
         """Of a bundle [bytes]; 0 where there are none."""
         return 0 if self._bundles is None else self._bundles.limit
@@ -257,6 +294,10 @@ class Service:
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
         return self._camera.rotation()
+
+    def proof(self) -> ProofMeans | None:
+        """What the last captures say of their masks: it tells of the light."""
+        return self._camera.proof()
 
     async def set_policy(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change, also after a restart.
@@ -418,6 +459,21 @@ class Service:
             )
         )
         return await asyncio.wrap_future(answer)
+
+    async def _look(self) -> Evidence:
+        """Take one capture of which nothing leaves; raises as :meth:`CameraEngine.capture`."""
+
+        def work() -> Future[Evidence]:
+            captured = self._camera.capture(release=False)
+            try:
+                future = self._inference_thread.submit(captured.evidence)
+            except BaseException:
+                captured.done()
+                raise
+            future.add_done_callback(lambda _: captured.done())
+            return future
+
+        return await asyncio.wrap_future(await self._queue.run(work))
 
     def _logged(
         self, make: MakeAnswer[AnswerT], name: str, captured: Captured, queued: float

@@ -26,7 +26,6 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource
 
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
@@ -45,22 +44,6 @@ DISK = "disk"
 """Folder that a disk of one's own is mounted on, with the state and the log in it."""
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x0002_0000, 0x1000_0000
 _MS_REC, _MS_PRIVATE = 0x4000, 0x4_0000
-
-
-class SiegeSettings(Settings):
-    """Settings that come from nowhere else: no environment reaches the daemon under siege."""
-
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],  # noqa: ARG003 - the signature is pydantic's
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-        dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """What was given, and nothing else."""
-        return (init_settings,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-import torch
+import numpy as np
 
 from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.rotation import EverySeconds
@@ -19,9 +19,9 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.tokens import TokenStore
-from veilcam_server.settings import Settings
+from veilcam_server.settings import GivenSettings, Settings
 from veilcam_server.siege.client import Address, Reply, ask, listening
-from veilcam_server.siege.daemon import DISK, Circumstances, Daemon, Launcher, SiegeSettings
+from veilcam_server.siege.daemon import DISK, Circumstances, Daemon, Launcher
 from veilcam_training.bundle import Bundle, Pair, write_bundle
 from veilcam_training.bundle.layers import Linear
 
@@ -146,7 +146,7 @@ class Ground:
             "rotation": ROTATION,
             "heartbeat": 1.0,
         }
-        return SiegeSettings(**{**given, **more})
+        return GivenSettings(**{**given, **more})
 
     @contextmanager
     def start(
@@ -264,7 +264,7 @@ def write_small_bundle(path: Path, task: str) -> Path:
 
     Masks and classifiers are drawn at random; of one task they are always the same.
     """
-    chance = torch.Generator().manual_seed(len(task))
+    chance = np.random.default_rng(len(task))
     camera, embedding = Camera(window=Window(rows=9, columns=5)), Embedding(4, 5)
     pairs = tuple(_pair(chance, camera, embedding) for _ in range(PAIRS))
     write_bundle(
@@ -282,13 +282,13 @@ def write_small_bundle(path: Path, task: str) -> Path:
     return path
 
 
-def _pair(chance: torch.Generator, camera: Camera, embedding: Embedding) -> Pair:
-    levels = torch.randint(0, camera.panel.levels, camera.mask_shape, generator=chance)
+def _pair(chance: np.random.Generator, camera: Camera, embedding: Embedding) -> Pair:
+    levels = chance.integers(0, camera.panel.levels, camera.mask_shape, np.uint8)
     return Pair(
-        levels=levels.to(torch.uint8).numpy(),
+        levels=levels,
         layers=(Linear(inputs=embedding.size, outputs=len(LABELS)),),
         weights={
-            "0.weight": torch.randn(len(LABELS), embedding.size, generator=chance),
-            "0.bias": torch.zeros(len(LABELS)),
+            "0.weight": chance.standard_normal((len(LABELS), embedding.size), np.float32),
+            "0.bias": np.zeros(len(LABELS), np.float32),
         },
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import os
 import socket
 import stat
 from collections.abc import Iterator
@@ -45,6 +46,15 @@ def open_listeners(settings: Settings) -> Iterator[list[Listener]]:
             # What systemd opened is systemd's to remove.
             stack.callback(settings.socket.unlink, missing_ok=True)
         yield [Listener(listener, _url(listener, settings))]
+
+
+def require_free(settings: Settings) -> None:
+    """Raise StartError if somebody else listens where the settings say, and systemd does not."""
+    if "LISTEN_FDS" in os.environ:
+        return
+    _bind(settings).close()
+    if settings.socket is not None:
+        settings.socket.unlink(missing_ok=True)
 
 
 def _require_private(passed: socket.socket, settings: Settings) -> None:

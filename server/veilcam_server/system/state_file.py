@@ -17,7 +17,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Generic, TypeAlias, TypeVar
 
-import structlog
 from pydantic import BaseModel, ValidationError
 
 from veilcam_optics.files import sync_folder
@@ -31,12 +30,13 @@ MAX_BYTES = 2**24
 """A longer file is no record: a daemon has thousands of tokens at most."""
 _PAUSE = 0.01
 
-log = structlog.get_logger()
-
 
 def log_fault(error: ProblemError) -> None:
     """Write a fault to the log, where nobody else takes it."""
-    log.warning("fault", code=error.code, detail=str(error), remedy=error.remedy)
+    # Late: it loads what colours a terminal, and a command that only reads its state needs none.
+    import structlog  # noqa: PLC0415
+
+    structlog.get_logger().warning("fault", code=error.code, detail=str(error), remedy=error.remedy)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from veilcam_client import AsyncCamera, BundleChanged, Camera
 from veilcam_client.cli import main as commands
 from veilcam_client.cli.format import bundle_in_words, event_in_words
-from veilcam_client.wire.bundles import EXAMPLE_BUNDLE, InstalledBundle
+from veilcam_client.wire.bundles import InstalledBundle, example_bundle
 from veilcam_client.wire.events import EVENT
 
 if TYPE_CHECKING:
@@ -92,8 +92,8 @@ def test_allow_older_without_activate_would_do_nothing(daemon: Daemon, tmp_path:
 
 
 def test_version_and_owner_in_words() -> None:
-    held = EXAMPLE_BUNDLE.model_copy(update={"card": None})
-    card = EXAMPLE_BUNDLE.card
+    held = example_bundle().model_copy(update={"card": None})
+    card = example_bundle().card
     assert card is not None
     for change, words in (
         ({"card": card}, "signed by 3a6eb0790f39, privacy card: PASS"),

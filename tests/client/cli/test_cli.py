@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from veilcam_client.cli.format import status_in_words
 from veilcam_client.cli.main import app
-from veilcam_client.wire.status import EXAMPLES as STATUS_EXAMPLES
+from veilcam_client.wire.status import example_status
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem
@@ -38,6 +38,14 @@ runner = CliRunner()
         (["classify"], ["7", "90.0 %", "epoch e1"]),
         (["rotate"], ["every 3 captures", "e1"]),
         (["rotate", "--off"], ["every 3 captures"]),
+        (
+            ["look"],
+            [
+                "looks 2/s, not between 22:00 and 07:00: looking",
+                "now  3  99.8 %  for 12.5 s",
+                "2026-01-02 03:04:05  3  99.8 %  12.5 s, and still there",
+            ],
+        ),
         (["token", "list"], ["0123456789ab", "until it is revoked", "2026-01-03", "a lamp"]),
         (["token", "create", "--label", "a lamp", "--scope", "classify"], ["vc_0123456789ab_5"]),
         (["token", "revoke", "0123456789ab"], ["revoked 0123456789ab"]),
@@ -48,6 +56,7 @@ runner = CliRunner()
         (["bundle", "activate", "ab"], ["* abababababab      2.3 MB"]),
         (["bundle", "remove", "ab"], ["* cdcdcdcdcdcd"]),
         (["diagnostics"], ["veilcam 9.9", "queue_limit 8", "5 capture", "sensor_failed: no frame"]),
+        (["diagnostics"], ["100 captures, 2 % undecided, margin 353, departure 0.98, light 0.4"]),
     ],
 )
 def test_answers_are_shown(arguments: list[str], shown: list[str]) -> None:
@@ -139,6 +148,33 @@ def test_rotate_asks_for_what_it_was_told(
 
 
 @pytest.mark.usefixtures("url")
+@pytest.mark.parametrize(
+    ("options", "method", "body"),
+    [
+        ([], "GET", None),
+        (["--off"], "PUT", {"mode": "off"}),
+        (["--on-request"], "PUT", {"mode": "on_request", "quiet": None}),
+        (
+            ["--rate", "30/min", "--quiet-hours", "22-7"],
+            "PUT",
+            {
+                "mode": "watching",
+                "rate_hz": 0.5,
+                "quiet": {"begin": "22:00", "end": "07:00"},
+            },
+        ),
+    ],
+)
+def test_look_asks_for_what_it_was_told(
+    daemon: Daemon, options: list[str], method: str, body: Any
+) -> None:
+    assert runner.invoke(app, ["look", *options]).exit_code == 0
+    request = daemon.requests[-1]
+    assert (request.method, request.url.path) == (method, "/v1/watch")
+    assert (json.loads(request.content) if request.content else None) == body
+
+
+@pytest.mark.usefixtures("url")
 def test_capture_writes_an_array(tmp_path: Path) -> None:
     out = tmp_path / "e.npy"
     assert runner.invoke(app, ["capture", "--out", str(out)]).exit_code == 0
@@ -156,7 +192,7 @@ def test_a_label_without_scores_is_shown_alone(daemon: Daemon, answers: dict[str
 
 
 def test_what_helps_is_said_where_it_is_known() -> None:
-    (example,) = STATUS_EXAMPLES
+    example = example_status()
     assert "remedy" not in status_in_words(example)
     safe = example.model_copy(update={"state": "safe", "remedy": "check_panel_wiring"})
     assert "\nremedy    check_panel_wiring\n" in status_in_words(safe)
@@ -252,6 +288,10 @@ def test_a_silent_daemon_has_its_exit_code() -> None:
         (["rotate", "--off", "--every-captures", "2"], "give one of"),
         (["rotate", "--jitter", "1"], "--jitter goes with --every-seconds"),
         (["rotate", "--reuse", "1"], "--reuse goes with"),
+        (["look", "--off", "--rate", "2/s"], "give one of"),
+        (["look", "--off", "--quiet-hours", "22-7"], "--quiet-hours goes with"),
+        (["look", "--rate", "often"], "'often' is no rate: use 2/s"),
+        (["look", "--on-request", "--quiet-hours", "late"], "'late' are no hours: use 22-7"),
         (["rotate", "--every-captures", "1", "--reuse", "-1"], "--reuse -1: should be greater"),
         (["rotate", "--every-seconds", "1", "--jitter", "1"], "jitter 1 s leaves a mask less"),
     ],

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 import json
-from collections.abc import Callable, Iterator
+import logging
+import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import httpx
 import numpy as np
 import pytest
+from tests.client.conftest import CLASSIFICATION, STATUS
 
 from veilcam_client import (
     ApiError,
@@ -20,52 +22,21 @@ from veilcam_client import (
     DeviceError,
     EverySeconds,
     InvalidRequestError,
+    LeasedError,
     ProtocolError,
     RequestTimeoutError,
     RotationOff,
     ServerError,
     VeilcamError,
+    Watching,
 )
-from veilcam_client.http.sse import Decoder, Message
-from veilcam_client.http.transport import RetryPolicy
+from veilcam_client.http.options import RetryPolicy
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem
+    from tests.client.http.conftest import Both
 
 pytestmark = pytest.mark.anyio
-
-
-class Both:
-    """One call made through the sync and the async camera, with the waits it made."""
-
-    def __init__(self, daemon: Daemon) -> None:
-        self.daemon, self.waits = daemon, list[float]()
-
-    async def __call__(self, kind: type, ask: Callable[[Any], Any], **options: Any) -> Any:
-        transport = httpx.MockTransport(self.daemon)
-        client = (
-            httpx.Client(transport=transport)
-            if kind is Camera
-            else httpx.AsyncClient(transport=transport)
-        )
-        camera = kind("http://camera.local:1", http_client=client, **options)
-        answer = ask(camera)
-        return await answer if inspect.isawaitable(answer) else answer
-
-
-@pytest.fixture
-def both(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Both:
-    made = Both(daemon)
-
-    async def rest(seconds: float) -> None:
-        made.waits.append(seconds)
-
-    monkeypatch.setattr("veilcam_client.http.transport.asyncio.sleep", rest)
-    # Bound as a default argument when the module was loaded.
-    monkeypatch.setattr(
-        "veilcam_client.http.transport.Transport.__init__.__defaults__", (None, made.waits.append)
-    )
-    return made
 
 
 KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
@@ -97,6 +68,13 @@ async def test_every_method_asks_its_route(both: Both, kind: type) -> None:
             {"mode": "off"},
         ),
         (lambda camera: camera.rotate(), "POST", "/v1/rotation/advance", None),
+        (lambda camera: camera.watch(), "GET", "/v1/watch", None),
+        (
+            lambda camera: camera.set_watch(Watching(rate_hz=2.0)),
+            "PUT",
+            "/v1/watch",
+            {"mode": "watching", "rate_hz": 2.0, "quiet": None},
+        ),
         (lambda camera: camera.receivers(), "GET", "/v1/receivers", None),
         (
             lambda camera: camera.add_receiver("archive", "veilcam-receiver:c2VhbGVk"),
@@ -255,7 +233,9 @@ async def test_timeouts_reach_the_transport(both: Both, kind: type) -> None:
         ({"url": "ftp://camera"}, "use http://HOST:PORT or unix:///PATH"),
         ({"url": "localhost:8787"}, "use http://HOST:PORT"),
         ({"url": "unix://relative/path"}, "use http"),
+        ({"url": "http://camera?token=1"}, "use http"),
         ({"connect_timeout": 0.0}, "connect_timeout = 0.0 s"),
+        ({"timeout": 0.0}, r"timeout = 0.0 s is not valid: use > 0, or None"),
         ({"device": "ab" * 32}, "give key= as well"),
         ({"read_timeout": float("nan")}, "read_timeout = nan s"),
     ],
@@ -284,80 +264,135 @@ def test_waits_are_fully_jittered_and_bounded() -> None:
     assert len({RetryPolicy().delay(0, error) for _ in range(20)}) == 20
 
 
-def events(*texts: str) -> httpx.Response:
-    return httpx.Response(200, text="".join(texts), headers={"Content-Type": "text/event-stream"})
-
-
-def event(number: int, kind: str = "mask") -> str:
-    data = {"kind": kind, "id": f"b-{number}", "at": "2026-01-02T03:04:05Z", "epoch": f"e{number}"}
-    return f": heartbeat\n\nevent: {kind}\nid: b-{number}\ndata: {json.dumps(data)}\n\n"
-
-
-async def collect(camera: Any, count: int) -> list[str]:
-    heard = []
-    stream = camera.events(last_event_id="b-0")
-    if isinstance(stream, Iterator):
-        for each in stream:
-            heard.append(each.epoch)
-            if len(heard) == count:
-                break
-    else:
-        async for each in stream:
-            heard.append(each.epoch)
-            if len(heard) == count:
-                break
-    return heard
-
-
 @KINDS
-async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
-    both.daemon.first = [
-        events(event(1), event(2)),
-        httpx.ConnectError("restarting"),
-        events(event(3), event(4, "of_the_future"), event(5)),
-    ]
-    assert await both(kind, lambda camera: collect(camera, 4)) == ["e1", "e2", "e3", "e5"]
-    resumed = [request.headers["last-event-id"] for request in both.daemon.requests]
-    assert resumed == ["b-0", "b-2", "b-2"]
-
-
-@KINDS
-async def test_a_stream_that_stays_away_is_an_error(both: Both, kind: type) -> None:
-    both.daemon.first = [events(event(1)), *[httpx.ConnectError("gone")] * 3]
+async def test_a_deadline_ends_repetitions_too(both: Both, kind: type) -> None:
+    both.daemon.first = [httpx.ConnectError("refused")] * 9
     with pytest.raises(ConnectError):
-        await both(kind, lambda camera: collect(camera, 5))
-    assert len(both.daemon.requests) == 3
+        await both(kind, lambda camera: camera.status(timeout=1e-9), max_retries=9)
+    assert len(both.daemon.requests) == 1
+    assert both.waits == []
+    both.daemon.requests.clear()
+    with pytest.raises(ConnectError):
+        await both(kind, lambda camera: camera.status(timeout=None), max_retries=3, timeout=1e-9)
+    assert len(both.daemon.requests) == 4
 
 
 @KINDS
-async def test_a_refused_stream_is_the_error_of_its_problem(
+async def test_a_deadline_bounds_what_a_socket_may_wait(both: Both, kind: type) -> None:
+    for timeout, longest in ((None, 9.0), (60.0, 9.0), (4.0, 4.0), (0.5, 0.5)):
+        await both(kind, lambda camera: camera.status(), read_timeout=9.0, timeout=timeout)
+        asked = both.daemon.requests[-1].extensions["timeout"]
+        assert min(2.0, longest) - 0.4 < asked["connect"] <= min(2.0, longest)
+        assert longest - 0.4 < asked["read"] <= longest
+
+
+@KINDS
+async def test_another_holder_is_told_of_at_once_unless_waited_for(
     both: Both, kind: type, make_problem: Problem
 ) -> None:
-    both.daemon.first = [make_problem(422, "invalid_request")]
-    with pytest.raises(InvalidRequestError):
-        await both(kind, lambda camera: collect(camera, 1))
+    held = make_problem(423, "leased", retryable=True, **{"Retry-After": "20"})
+    both.daemon.first = [held]
+    with pytest.raises(LeasedError) as caught:
+        await both(kind, lambda camera: camera.capture())
+    assert caught.value.retry_after == 20
+    assert (both.waits, len(both.daemon.requests)) == ([], 1)
+    both.daemon.first = [held] * 5
+    both.daemon.requests.clear()
+    capture = await both(
+        kind, lambda camera: camera.capture(wait=math.inf, timeout=0.5), max_retries=0
+    )
+    assert capture.id == "c1"
+    assert len(both.daemon.requests) == 6
+    assert all(0.5 <= pause <= 1 for pause in both.waits)
+    assert len({request.headers["idempotency-key"] for request in both.daemon.requests}) == 1
 
 
 @KINDS
-async def test_an_unreadable_event_is_a_protocol_error(both: Both, kind: type) -> None:
-    both.daemon.first = [events("event: mask\ndata: {}\n\n")]
-    with pytest.raises(ProtocolError, match="update veilcam"):
-        await both(kind, lambda camera: collect(camera, 1))
+async def test_patience_with_another_holder_ends(
+    both: Both, kind: type, make_problem: Problem
+) -> None:
+    both.daemon.first = [make_problem(423, "leased", retryable=True, **{"Retry-After": "20"})] * 9
+    for ask in (lambda camera: camera.classify(wait=0), lambda camera: camera.rotate(wait=1e-9)):
+        with pytest.raises(LeasedError):
+            await both(kind, ask)
+    assert sum(both.waits) <= 1e-9
+    with pytest.raises(ValueError, match=r"wait = -1 s is not valid"):
+        await both(kind, lambda camera: camera.rotate(wait=-1))
 
 
-@pytest.mark.parametrize("size", [1, 2, 7, 1000])
-def test_events_are_read_whatever_the_pieces(size: int) -> None:
-    text = (
-        b": comment\r\n\r\nretry: 5\nevent: a\nid: 1\ndata: x\ndata:  y\n\n"
-        b"data: \xc3\xa9\xe2\x80\xa8z\r\n\r\nid: 2\n\nevent: b\n\ndata\n\nid: 3\x00\ndata: w\n\nda"
-    )
-    decoder = Decoder()
-    found = []
-    for start in range(0, len(text), size):
-        found += list(decoder.feed(text[start : start + size]))
-    assert found == [
-        Message("a", "x\n y", "1"),
-        Message("message", "\u00e9\u2028z", "1"),
-        Message("message", "", "2"),
-        Message("message", "w", "2"),
+@KINDS
+async def test_a_raw_answer_names_its_request(both: Both, kind: type) -> None:
+    both.daemon.first = [
+        httpx.ConnectError("refused"),
+        httpx.Response(200, json=CLASSIFICATION, headers={"X-Request-Id": "r7"}),
     ]
+    raw = await both(kind, lambda camera: camera.with_raw_response.classify(timeout=9))
+    assert (raw.status_code, raw.request_id) == (200, "r7")
+    assert raw.headers["x-REQUEST-id"] == "r7"
+    assert json.loads(raw.content) == CLASSIFICATION
+    assert (raw.parse().label, raw.parse().confidence) == ("7", 0.9)
+    bundles = await both(kind, lambda camera: camera.with_raw_response.bundles())
+    assert (len(bundles.parse()), bundles.request_id) == (2, None)
+
+
+@KINDS
+async def test_a_base_with_its_version_is_understood(both: Both, kind: type) -> None:
+    for base in ("http://camera.local/v1", "http://camera.local/v1/", "http://camera.local/"):
+        await both(kind, lambda camera: camera.status(), url=base)
+    both.daemon.first = [httpx.Response(200, json=STATUS)]
+    await both(kind, lambda camera: camera.status(), url="http://camera.local/cellar/v1")
+    assert [request.url.path for request in both.daemon.requests] == [
+        *["/v1/status"] * 3,
+        "/cellar/v1/status",
+    ]
+
+
+@KINDS
+async def test_the_address_stands_in_the_environment(
+    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VEILCAM_URL", "http://elsewhere:7")
+    await both(kind, lambda camera: camera.status(), url=None)
+    await both(kind, lambda camera: camera.status(), url="http://here:8")
+    monkeypatch.setenv("VEILCAM_URL", "")
+    await both(kind, lambda camera: camera.status(), url=None)
+    assert [request.url.host for request in both.daemon.requests] == [
+        *("elsewhere", "here", "127.0.0.1")
+    ]
+
+
+@KINDS
+async def test_repetitions_are_logged_and_secrets_are_not(
+    both: Both, kind: type, caplog: pytest.LogCaptureFixture
+) -> None:
+    token = "vc_0123456789ab_" + 64 * "5"
+    both.daemon.first = [httpx.ConnectError("refused")]
+    with caplog.at_level("INFO", "veilcam"):
+        await both(kind, lambda camera: camera.status(), token=token, url="http://localhost")
+    assert "once more in" in caplog.text
+    assert "connection_failed" in caplog.text
+    assert "GET /v1/status" not in caplog.text
+    with caplog.at_level("DEBUG", "veilcam"):
+        await both(kind, lambda camera: camera.tokens(), token=token, url="http://localhost")
+    assert "GET /v1/tokens: 200" in caplog.text
+    assert "limit=" not in caplog.text
+    assert token not in caplog.text
+
+
+@pytest.mark.parametrize("asked", ["debug", "info", ""])
+def test_the_environment_says_what_is_logged(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], asked: str
+) -> None:
+    fresh = logging.Logger("veilcam")
+    monkeypatch.setattr("veilcam_client.http.options.log", fresh)
+    monkeypatch.setenv("VEILCAM_LOG", asked)
+    for _ in range(2):
+        Camera("http://localhost").close()
+    fresh.info("told")
+    fresh.debug("whispered")
+    shown = capsys.readouterr().err
+    assert shown.count("told") == (asked != "")
+    assert shown.count("whispered") == (asked == "debug")
+    monkeypatch.setenv("VEILCAM_LOG", "loud")
+    with pytest.raises(ValueError, match="VEILCAM_LOG = 'loud' is not valid: use debug or info"):
+        Camera("http://localhost")

@@ -175,7 +175,8 @@ def test_an_answer_is_known_again_and_every_part_of_it_counts() -> None:
     answer = classification(scores={"7": 0.5, "1": 0.5}, confidence=0.5, embedding=embedding)
     digest = answer_digest(answer)
     assert digest == answer_digest(Classification.model_validate_json(answer.model_dump_json()))
-    other_values = Embedding(form="raw", shape=(2, 3), values=(0.0, 1.0, 2.0, 3.0, 4.0, 5.0 + 1e-9))
+    values = np.array([0.0, 1.0, 2.0, 3.0, 4.0, np.nextafter(np.float32(5), 6)], np.float32)
+    other_values = Embedding.from_array(values.reshape(2, 3), form="raw")
     changed = [
         answer.model_copy(update=change)
         for change in (

@@ -1,57 +1,17 @@
-"""The wire models: closed questions, open answers, arrays."""
+"""The wire models: closed questions, open answers."""
 
 from __future__ import annotations
 
 import json
 from typing import Any
 
-import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from veilcam_client.wire.captures import Capture, ClassificationRequest, Embedding
+from veilcam_client.wire.captures import ClassificationRequest
 from veilcam_client.wire.events import EVENT, EVENT_KINDS, Gap
 from veilcam_client.wire.rotation import POLICY, EveryCaptures, EverySeconds, RotationOff
 from veilcam_client.wire.status import Status
-
-
-def test_an_embedding_is_an_array(answers: dict[str, Any]) -> None:
-    capture = Capture.model_validate_json(json.dumps(answers["capture"]))
-    array = np.asarray(capture)
-    assert array.dtype == np.float32
-    assert array.tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.5]]
-    assert np.asarray(capture, dtype=np.float64).dtype == np.float64
-    assert np.array_equal(np.asarray(capture.embedding), array)
-    with pytest.raises(ValueError, match="without a copy"):
-        np.array(capture, copy=False)
-
-
-def test_float32_survives_the_wire_exactly() -> None:
-    values = np.random.default_rng(0).normal(size=(3, 4, 5)).astype(np.float32)
-    sent = Embedding.from_array(values, form="white").model_dump_json()
-    assert np.array_equal(np.asarray(Embedding.model_validate_json(sent)), values)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        '{"form": "raw", "shape": [2, 3], "values": [1.0]}',
-        '{"form": "raw", "shape": [0], "values": []}',
-        '{"form": "raw", "shape": [], "values": []}',
-        '{"form": "raw", "shape": [1], "values": [NaN]}',
-        '{"form": "raw", "shape": [1], "values": ["1"]}',
-        '{"form": "raw", "shape": [-1, -1], "values": [1.0]}',
-        '{"form": "none", "shape": [1], "values": [1.0]}',
-        '{"shape": [1], "values": [1.0]}',
-    ],
-)
-def test_an_embedding_that_cannot_be_is_refused(text: str) -> None:
-    with pytest.raises(ValidationError):
-        Embedding.model_validate_json(text)
-
-
-def test_an_embedding_is_not_in_the_repr(answers: dict[str, Any]) -> None:
-    assert "5.5" not in repr(Capture.model_validate_json(json.dumps(answers["capture"])))
 
 
 def test_answers_of_a_newer_server_can_be_read(answers: dict[str, Any]) -> None:

@@ -133,6 +133,9 @@ def test_numpy_and_torch_give_the_same_decoder(seed: int) -> None:
     # Coordinates cancel: they are as large as the estimator's rows and the measurement allow.
     size = float(torch_s.estimator.abs().sum(1).max() * torch_s.basis.abs().sum(1).max())
     assert np.abs(found - estimate.numpy()).max() <= allowed * (1 + size)
+    told = [np.asarray(torch_s.innovation(job.measurements))]
+    told.append(numpy_s.innovation(job.measurements.numpy()))
+    assert np.abs(told[1] - told[0]).max() <= allowed * (1 + size) * (1 + told[0].max())
     assert numpy_s(job.measurements.numpy()[:0]).shape == (0, *estimate.shape[1:])
 
 

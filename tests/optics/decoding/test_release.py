@@ -51,7 +51,7 @@ def decoding() -> SceneDecoding:
 
 def make(decoding: SceneDecoding, name: str, count: int = 400) -> tuple[Decoder, Tensor]:
     """Decoder of a random mask, and measurements behind it."""
-    weights = to_weights(draw_levels(key_of(name), camera=CAMERA), CAMERA.panel)
+    weights = torch.from_numpy(to_weights(draw_levels(key_of(name), camera=CAMERA), CAMERA.panel))
     decoder = decoding.prepare(weights)
     random = torch.Generator().manual_seed(len(name))
     dtype = decoding.operator.dtype

@@ -31,7 +31,8 @@ from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.simulation.rotated_mask import RotatedMask
 from veilcam_optics.transfer.grid import FEWEST_CELLS, cells_in_aperture
 from veilcam_optics.transfer.kernels import shadow_kernel
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 
 BARE = Panel(filter_cycle=())
 CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=801, columns=960))

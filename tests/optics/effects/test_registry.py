@@ -16,7 +16,7 @@ from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.effects import EFFECTS, Effect, Model, Sampling
 from veilcam_optics.plan import plan
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Beam
+from veilcam_optics.transfer.tables import Beam
 
 CAMERA = Camera(panel=Panel(filter_cycle=()), window=Window(6, 4), sensor=Sensor(401, 480))
 SCENE, EMBEDDING = Scene(3, 4, height=0.06), Embedding(4, 5)
@@ -102,8 +102,8 @@ def test_a_plan_weighs_it() -> None:
     found = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Aged(yellowing=0.1))
     own = found.assessments[-1]
     assert (own.name, own.matters, own.reason) == ("yellowing", True, "yellow by 0.1")
-    # Amplitudes squared, beams and light: the eighth power; scenes and measurements are not probed.
-    assert own.error == pytest.approx(1 / 0.9**8 - 1, rel=1e-6)
+    # Amplitudes squared, beams, scenes and light: the 11th power; measurements are not probed.
+    assert own.error == pytest.approx(1 / 0.9**11 - 1, rel=1e-6)
     assert "yellow by 0.1" in found.explain()
     faint = plan(CAMERA, SCENE, EMBEDDING, 1e-2, Aged(yellowing=1e-5))
     assert not faint.assessments[-1].matters

@@ -15,13 +15,14 @@ from tests.oracle.judge import computed, truth
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import PARAXIAL, Conditions
+from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
 from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.plan import plan
-from veilcam_optics.plan.bounds import far_pairs
+from veilcam_optics.plan.bounds import far_pairs, grid_error
+from veilcam_optics.plan.grids import OVERSAMPLINGS, GridErrors
 from veilcam_optics.plan.probe import Probe
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 
 
 def square(pitch: float, parts: int = 1, open_parts: int = 1) -> Panel:
@@ -129,3 +130,132 @@ def test_only_the_grid_counts_large_angles(method: str) -> None:
     assert found.error > 1e-3
     assert found.matters == (method == "grid")
     assert method == "grid" or chosen.error >= found.error
+
+
+def small(**changes: object) -> Camera:
+    """3 x 2 apertures of 80 um, whose shadows fill the sensor 4 mm behind them."""
+    camera = Camera(
+        panel=square(100e-6, 5, 4),
+        window=Window(3, 2),
+        sensor=Sensor(7, 9, 30e-6),
+        distance=4e-3,
+    )
+    return replace(camera, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "conditions",
+    [
+        Conditions(bayer=True),
+        Conditions(imperfections=Imperfections(stray_light=0.3)),
+        Conditions(bayer=True, imperfections=Imperfections(stray_light=0.3), off_axis=0.5),
+    ],
+    ids=["shares", "scattered", "shares, scattered, fading"],
+)
+def test_a_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
+    """Its entries are those of the transfer matrix, whatever weighs them after the optics."""
+    scene, embedding = Scene(2, 3, height=0.02), Embedding(3, 4)
+    model = Model(small(), scene, embedding, conditions)
+    model = model.with_sampling(reach=Reach(2, 1), step=1e-6, dtype=torch.float64)
+    probe = Probe(model)
+    assert len(probe.kept_y) == 6
+    assert len(probe.kept_x) == 12
+    found = probe.transfer(model)[0]
+    matrix = LightOperator(model)(probe.masks[0]).reshape(2, 3, 3, 4)
+    wanted = matrix.permute(0, 2, 1, 3).reshape(6, 12)
+    assert error(found[probe.kept_y.argsort()][:, probe.kept_x.argsort()], wanted) < 2e-3
+
+
+def test_stray_light_is_judged_behind_the_bayer_pattern() -> None:
+    """Light that is nearly even is not read so: 8 x 10 sensor pixels make 3 x 4 unlike ones."""
+    camera = small(panel=square(1e-3), window=Window(1, 1), distance=5e-3)
+    scene, embedding = Scene(1, 1, height=1e-3), Embedding(3, 4)
+    built = Imperfections(stray_light=0.19)
+    conditions = Conditions(bayer=True, imperfections=built)
+    filters = replace(camera.panel, filter_cycle=(0,))
+    red = replace(camera, panel=filters, sensor=Sensor(8, 10, 30e-6))
+    chosen = plan(red, scene, embedding, 1e-2, conditions)
+    judged = {each.name: each for each in chosen.assessments}["stray light"]
+    sampling = Sampling(reach=Reach(0, 0), dtype=torch.float64)
+    clean = Model(red, scene, embedding, Conditions(bayer=True), sampling)
+    whole = replace(clean, conditions=conditions)
+    weights = torch.ones(1, 1, dtype=torch.float64)
+    measured = error(LightOperator(clean)(weights), LightOperator(whole)(weights))
+    assert measured > 0.03
+    assert judged.error == pytest.approx(measured, rel=0.1)
+    assert judged.matters
+    even = replace(red, sensor=Sensor(6, 8, 35e-6))  # 2 x 2 pixels each: shares are alike
+    found = {each.name: each for each in plan(even, scene, embedding, 1e-2, conditions).assessments}
+    assert found["stray light"].error < measured / 5
+
+
+def test_errors_of_one_sign_add_up() -> None:
+    """One dark pixel 1.1 mm behind two apertures of 15 um, in light of 8.4 and 12 um.
+
+    What is read at the middle, a curved wave and large angles all make it brighter.
+    """
+    panel = replace(square(24.3e-6, 5, 3), rows=2, columns=1)
+    camera = Camera(
+        panel=panel,
+        window=Window(2, 1, 0, 0),
+        sensor=Sensor(25, 34, 0.732e-6),
+        distance=1.11e-3,
+        wavelengths=(8.4e-6, 12e-6, 12e-6),
+    )
+    scene, tolerance = Scene(1, 1, height=33e-6, distance=5.56e-3), 1.26e-2
+    chosen = plan(camera, scene, Embedding(1, 1), tolerance)
+    job = Job(camera, scene, Embedding(1, 1), Conditions(), tolerance, ((5, 3), (5, 3)))
+    weights = masks(job)
+    exact, _ = truth(job, weights, lambda _: 1e-4)
+    found = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
+    assert found == pytest.approx(chosen.error, rel=0.3)
+
+
+def turned(rotation: float) -> Model:
+    """Apertures of 49 x 58 um, of which the sensor 10 um behind them sees the edges alone."""
+    panel = Panel(pitch_y=97e-6, pitch_x=97e-6, aperture_y=49e-6, aperture_x=58e-6, filter_cycle=())
+    camera = Camera(
+        panel=panel,
+        window=Window(1, 2),
+        sensor=Sensor(26, 19, 2.4e-6),
+        distance=10e-6,
+        wavelengths=(3.4e-6,) * 3,
+    )
+    conditions = Conditions(off_axis=0.0, imperfections=Imperfections(rotation=rotation))
+    scene = Scene(2, 1, height=0.05, distance=0.1)
+    return Model(camera, scene, Embedding(1, 1), conditions, Sampling("grid"))
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.15])
+def test_a_grid_is_judged_by_finer_ones(rotation: float) -> None:
+    model, weights = turned(rotation), torch.ones(1, 1, 2, dtype=torch.float64)
+    errors = GridErrors(model, 1.0, weights)
+    scenes = torch.eye(2, dtype=torch.float64).reshape(2, 2, 1)
+
+    def light(oversampling: float) -> Tensor:
+        sampling = replace(model.sampling, oversampling=oversampling, dtype=torch.float64)
+        operator = LightOperator(replace(model, sampling=sampling))
+        return operator.collect(scenes, operator.response(weights[0]))
+
+    fine = light(32.0)
+    for oversampling in OVERSAMPLINGS:
+        measured = error(light(oversampling), fine)
+        assert measured / 2 < errors.at(oversampling)
+    # The fit to what whole apertures do is far off where edges alone are seen.
+    assert error(light(1.0), fine) > 2 * grid_error(model, 1.0)
+
+
+def test_grids_too_large_to_be_looked_at_are_estimated() -> None:
+    """The default panel turned, to a hundredth of a sample: what is known is the fit."""
+    conditions = Conditions(off_axis=0.0, imperfections=Imperfections(rotation=0.1))
+    model = Model(Camera(), Scene(), Embedding(), conditions, Sampling("grid"))
+    errors = GridErrors(model, 30.0, torch.ones(2, *Camera().mask_shape, dtype=torch.float64))
+    assert errors.at(30.0) == grid_error(model, 30.0)
+
+
+def test_grids_are_not_looked_at_where_a_matrix_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: GridErrors, oversampling: float) -> float:
+        raise AssertionError(oversampling)
+
+    monkeypatch.setattr(GridErrors, "at", refuse)
+    assert plan(small(), Scene(2, 3, height=0.02), Embedding(3, 4), 1e-2).reached

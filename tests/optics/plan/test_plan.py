@@ -23,8 +23,9 @@ from veilcam_optics.plan import Plan, plan
 from veilcam_optics.plan.cost import cost
 from veilcam_optics.plan.search import MAX_NUMBERS
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer
+from veilcam_optics.transfer.tables import Reach
 
 BARE = Panel(filter_cycle=())
 CAMERA = Camera(panel=BARE, window=Window(12, 6), sensor=Sensor(rows=500, columns=600))

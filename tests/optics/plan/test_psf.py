@@ -14,8 +14,8 @@ from veilcam_optics.errors import OpticsError
 from veilcam_optics.plan import plan
 from veilcam_optics.plan.psf import psf, psf_shape
 from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.transfer.operator import Reach
 from veilcam_optics.transfer.reference import reference_psf
+from veilcam_optics.transfer.tables import Reach
 
 CAMERA = Camera(window=Window(6, 4), sensor=Sensor(rows=300, columns=400))
 SCENE, EMBEDDING = Scene(2, 2, height=0.05), Embedding(3, 4)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
-from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.conditioning import Conditioning, ConditioningMeter
 from veilcam_optics.transfer.operator import TransferOperator
@@ -19,15 +20,18 @@ def meter() -> ConditioningMeter:
     return ConditioningMeter(CAMERA, Scene(), Embedding(12, 16))
 
 
-def pinhole() -> torch.Tensor:
-    mask = torch.zeros(CAMERA.mask_shape)
+Values = npt.NDArray[np.float32]
+
+
+def pinhole() -> Values:
+    mask = np.zeros(CAMERA.mask_shape, np.float32)
     mask[24:27, 10] = 1
     return mask
 
 
 def test_masks_drawn_at_random_are_what_others_are_compared_with(meter: ConditioningMeter) -> None:
-    generator = torch.Generator().manual_seed(0)
-    found = [meter(random_mask(CAMERA, generator)) for _ in range(8)]
+    drawn = np.random.default_rng(0).random((8, *CAMERA.mask_shape), np.float32)
+    found = [meter(mask) for mask in drawn]
     for name in ("directions", "spread", "own"):
         shares = [getattr(each, name) for each in found]
         assert sum(shares) / len(shares) == pytest.approx(1, abs=1e-9)
@@ -35,10 +39,10 @@ def test_masks_drawn_at_random_are_what_others_are_compared_with(meter: Conditio
 
 def test_an_open_window_has_nothing_of_its_own_however_dark(meter: ConditioningMeter) -> None:
     for transmittance in (1.0, 0.5, 0.1):
-        found = meter(torch.full(CAMERA.mask_shape, transmittance))
+        found = meter(np.full(CAMERA.mask_shape, transmittance, np.float32))
         assert found.own < 1e-9
         assert found.directions < 0.5
-    assert meter(torch.zeros(CAMERA.mask_shape)) == Conditioning(0, 0, 0)
+    assert meter(np.zeros(CAMERA.mask_shape, np.float32)) == Conditioning(0, 0, 0)
 
 
 def test_a_hole_sees_one_place_from_each_pixel(meter: ConditioningMeter) -> None:
@@ -52,12 +56,12 @@ def test_a_hole_sees_one_place_from_each_pixel(meter: ConditioningMeter) -> None
 def test_directions_are_singular_values(meter: ConditioningMeter) -> None:
     transfer = TransferOperator(CAMERA, Scene(), Embedding(12, 16))
 
-    def count(mask: torch.Tensor) -> int:
-        matrix = transfer(mask).double()
+    def count(mask: Values) -> int:
+        matrix = transfer(torch.from_numpy(mask)).double()
         values = torch.linalg.svdvals(matrix - matrix.mean(0))
         return int((values > 0.01 * values[0]).sum())
 
-    other = random_mask(CAMERA, torch.Generator().manual_seed(9))
+    other = np.random.default_rng(9).random(CAMERA.mask_shape, np.float32)
     ratio = meter(pinhole()).directions / meter(other).directions
     assert ratio == pytest.approx(count(pinhole()) / count(other), rel=1e-9)
 
@@ -73,4 +77,4 @@ def test_a_finer_embedding_is_measured_as_the_finest() -> None:
 
 def test_a_mask_of_another_window_is_refused(meter: ConditioningMeter) -> None:
     with pytest.raises(OpticsError, match=r"weights\.shape"):
-        meter(torch.ones(Camera(window=Window(9, 5)).mask_shape))
+        meter(np.ones(Camera(window=Window(9, 5)).mask_shape, np.float32))

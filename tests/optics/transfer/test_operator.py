@@ -16,8 +16,9 @@ from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer.factored import aperture_fields, fresnel_integral
 from veilcam_optics.transfer.kernels import box_kernel
-from veilcam_optics.transfer.operator import Beam, Reach, TransferOperator, Variables
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
+from veilcam_optics.transfer.tables import Beam, Reach, Variables
 
 SMALL = Camera(window=Window(rows=6, columns=3), sensor=Sensor(rows=480, columns=640))
 LEAKY = replace(SMALL, panel=Panel(filter_leakage=0.1))

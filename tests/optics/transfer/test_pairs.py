@@ -12,10 +12,11 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer import product
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Measurement
 from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.regions import Region
+from veilcam_optics.transfer.tables import Reach
 
 # Seven rows: three of one colour and two of each other, so that stacks are of several shapes.
 CAMERA = Camera(window=Window(rows=7, columns=3), sensor=Sensor(rows=480, columns=640))

@@ -15,9 +15,10 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.product import Transfer
 from veilcam_optics.transfer.regions import Region
+from veilcam_optics.transfer.tables import Reach
 
 Values = npt.NDArray[Any]
 TYPES = {torch.float32: np.float32, torch.float64: np.float64}

@@ -12,8 +12,9 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sens
 from veilcam_optics.camera.masks import random_mask
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import TransferBinning, reference_psf, reference_transfer
+from veilcam_optics.transfer.tables import Reach
 
 SMALL = Camera(window=Window(rows=7, columns=3), sensor=Sensor(rows=488, columns=648))
 SCENE = Scene(rows=4, columns=3, height=0.03)

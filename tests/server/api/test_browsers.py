@@ -11,6 +11,7 @@ import anyio.lowlevel
 import httpx
 import pytest
 from starlette.types import Message
+from tests.server.api.test_page import POLICY
 
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES
@@ -55,8 +56,11 @@ def check(answer: httpx.Response) -> int:
     # What has a tag is kept by who asked, who asks each time whether it still holds.
     kept = "private, no-cache" if "etag" in answer.headers else "no-store"
     assert answer.headers.get_list("cache-control") == [kept]
+    page = answer.status_code == 200 and answer.url.path in ("/", "/docs")
+    # What the two pages may load: test_page.py.
+    policy = {"content-security-policy": POLICY} if page else {}
     assert {name: answer.headers.get_list(name) for name in HEADERS} == {
-        name: [value] for name, value in HEADERS.items()
+        name: [value] for name, value in {**HEADERS, **policy}.items()
     }, (answer.request, answer.status_code)
     return answer.status_code
 

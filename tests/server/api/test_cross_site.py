@@ -203,6 +203,8 @@ async def test_the_same_requests_of_a_program_or_of_the_same_origin_do_what_they
         "not_calibrating",
         "calibration_impossible",
         "scene_api_off",
+        "tokens_off",  # of sessions
+        "not_found",  # a file of the page
     }
     assert codes["get", "/v1/events"] == "too_many_streams"
     assert all(codes[each] is None for each in BODIES if "calibration" not in each[1])
@@ -232,7 +234,8 @@ async def test_no_get_changes_anything(
     ("method", "path", "change", "status"),
     [
         ("GET", "/", {}, 200),
-        ("GET", "/docs", {}, 404),
+        ("GET", "/docs", {}, 200),
+        ("GET", "/page/app.js", {}, 403),
         ("HEAD", "/", {}, 403),
         ("POST", "/", {}, 403),
         ("GET", "/v1/status", {}, 403),

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 
-from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
+from veilcam_client import Camera
+from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
 from veilcam_server.api.app import create_app
 from veilcam_server.api.dependencies import ALWAYS, OPEN
-from veilcam_server.api.openapi import document
+from veilcam_server.api.openapi import TAGS, document
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench
@@ -86,3 +87,49 @@ def test_every_reference_leads_somewhere(found: dict[str, Any]) -> None:
 def test_request_examples_are_served(found: dict[str, Any]) -> None:
     asked = found["paths"]["/v1/rotation"]["put"]["requestBody"]["content"]["application/json"]
     assert set(asked["examples"]) == {"RotationOff", "EverySeconds", "EveryCaptures"}
+
+
+def operations(found: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Method with path, and the operation."""
+    for path, methods in found["paths"].items():
+        for method, operation in methods.items():
+            yield f"{method.upper()} {path}", operation
+
+
+def test_operations_are_called_as_the_sdk_calls_them(found: dict[str, Any]) -> None:
+    ids = [operation["operationId"] for _, operation in operations(found)]
+    assert len(set(ids)) == len(ids)
+    asked = {name for name in vars(Camera) if not name.startswith("_")}
+    # What is no request of its own, or one of two ways to ask the same.
+    assert asked - set(ids) == {"close", "discover", "with_raw_response", "lease", "break_lease"}
+    assert set(ids) - asked == {
+        *("page", "docs", "page_file", "healthz", "readyz", "metrics", "openapi", "doctor"),
+        *("session", "begin_session", "end_session", "take_scene_away"),
+    }
+
+
+def test_every_operation_has_a_subject_and_every_subject_operations(found: dict[str, Any]) -> None:
+    subjects = [subject for _, operation in operations(found) for subject in operation["tags"]]
+    assert set(subjects) == {tag["name"] for tag in found["tags"]} == set(TAGS)
+    assert len(subjects) == len(list(operations(found)))
+
+
+def test_it_says_where_the_api_is_and_under_which_licence(found: dict[str, Any]) -> None:
+    assert [server["url"] for server in found["servers"]] == ["/"]
+    assert found["info"]["license"]["identifier"] == "Apache-2.0"
+
+
+def test_headers_of_answers_are_documented(found: dict[str, Any]) -> None:
+    headers = {
+        (name, status): set(answer["headers"])
+        for name, operation in operations(found)
+        for status, answer in operation["responses"].items()
+    }
+    always = {"X-Request-Id", "Cache-Control"}
+    assert all(always <= each for each in headers.values())
+    assert headers["GET /v1/status", "200"] == headers["GET /v1/status", "304"] == always | {"ETag"}
+    assert headers["GET /v1/status", "401"] == always | {"WWW-Authenticate"}
+    assert "Retry-After" in headers["POST /v1/captures", "503"]
+    assert "Retry-After" not in headers["POST /v1/captures", "422"]
+    assert "Veilcam-Epoch" in headers["POST /v1/captures", "200"]
+    assert "Set-Cookie" in headers["POST /v1/session", "201"]

@@ -1,4 +1,4 @@
-"""What everybody may ask: a page for people, and whether the daemon is well and ready."""
+"""What everybody may ask: whether the daemon is well and ready."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.api.routes.public import PATHS
 from veilcam_server.devices import DisplayError
 from veilcam_server.security.admission import Admission
@@ -95,13 +94,3 @@ async def test_no_while_the_device_does_not_answer(
     async with running() as client:
         monkeypatch.setattr(MaskedCamera, "healthy", lambda _: False)
         assert await words(client) == [NO, YES]
-
-
-async def test_the_page_says_what_this_is_and_nothing_of_the_camera(running: Running) -> None:
-    async with running() as client:
-        answer = await client.get("/")
-    assert answer.headers["content-type"] == "text/html; charset=utf-8"
-    assert "<title>Veilcam</title>" in answer.text
-    # Nothing that its policy, which allows nothing, would keep from it.
-    for word in ("<script", "<style", "<link", "src=", "http", *SCOPES, "ready"):
-        assert word not in answer.text

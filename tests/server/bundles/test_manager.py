@@ -14,10 +14,10 @@ import pytest
 import torch
 from tests.server.damage import DAMAGES
 
+from veilcam_client.wire.base import Problem
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE, InstalledBundle, InstalledBundles
 from veilcam_client.wire.captures import Classification
 from veilcam_client.wire.events import BundleChanged, Event, Fault
-from veilcam_client.wire.problems import Problem
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.status import Status
 from veilcam_optics.camera.geometry import Embedding
@@ -62,8 +62,8 @@ def other(bundle: Bundle, *, pairs: int = 2, seed: int = 1, task: str = "other")
             pair,
             levels=random.integers(0, 64, pair.levels.shape, np.uint8),
             weights={
-                name: torch.randn(tensor.shape, generator=generator)
-                for name, tensor in pair.weights.items()
+                name: torch.randn(array.shape, generator=generator).numpy()
+                for name, array in pair.weights.items()
             },
         )
         for pair in bundle.pairs[:pairs]
@@ -123,7 +123,7 @@ async def label(client: httpx.AsyncClient) -> Classification:
 def expected(bundle: Bundle, bench: Bench) -> str:
     """What the classifier of the mask on the panel says."""
     (pair,) = [p for p in bundle.pairs if np.array_equal(p.levels, bench.display.shown[-1])]
-    logits = pair.weights["0.weight"] @ torch.from_numpy(bench.sensor.measurement).ravel()
+    logits = pair.weights["0.weight"] @ bench.sensor.measurement.ravel()
     return bundle.labels[int((logits + pair.weights["0.bias"]).argmax())]
 
 
@@ -265,7 +265,9 @@ async def test_what_cannot_be_used_is_refused_with_the_reason(
     bundle = bench.bundle
     unfit = tmp_path / "unfit.veilcam"
     pairs = tuple(
-        dataclasses.replace(pair, weights={**pair.weights, "0.weight": torch.zeros(10, 12)})
+        dataclasses.replace(
+            pair, weights={**pair.weights, "0.weight": np.zeros((10, 12), np.float32)}
+        )
         for pair in bundle.pairs
     )
     layers = tuple(

@@ -12,8 +12,7 @@ from veilcam_optics.effects import Model, Sampling
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated, calibrate
-from veilcam_server.calibration.rig import Geometry, Patterns
-from veilcam_server.calibration.targets import CalibrationScene
+from veilcam_server.calibration.rig import CalibrationScene, Geometry, Patterns
 from veilcam_server.devices.base import Device
 from veilcam_server.devices.simulated.device import Conditions, raw_shape, simulated_device
 

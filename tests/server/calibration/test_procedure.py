@@ -12,8 +12,8 @@ from veilcam_client.wire.calibration import CalibrationRecord
 from veilcam_optics.camera import imperfections as optical
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.calibration.record import imperfections_of
+from veilcam_server.calibration.rig import CalibrationScene
 from veilcam_server.calibration.settling import SETTLED
-from veilcam_server.calibration.targets import CalibrationScene
 from veilcam_server.devices.corrected import CalibratedSensor
 from veilcam_server.errors import CalibrationError
 

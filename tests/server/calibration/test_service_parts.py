@@ -13,8 +13,8 @@ from veilcam_client.wire.calibration import CalibrationRun
 from veilcam_server.calibration import service as calibration_service
 from veilcam_server.calibration.procedure import Calibrated
 from veilcam_server.calibration.record import RecordFile
+from veilcam_server.calibration.rig import dark, white
 from veilcam_server.calibration.service import CalibrationService
-from veilcam_server.calibration.targets import dark, white
 from veilcam_server.devices.base import Device
 from veilcam_server.errors import CalibrationError
 from veilcam_server.sealing.identity import DeviceKey

@@ -46,7 +46,7 @@ def test_a_capture_names_what_vouches_for_it(bench: Bench) -> None:
     [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
     assert signed is not None
     with camera.exclusive():
-        camera.adopt(signed, 0.0, bench.source)
+        camera.adopt(signed, 0.0, bench.source, bench.mask_tests)
     later = camera.capture(release=False).provenance
     assert later.calibration == calibration_digest(signed)
     assert later.mask != first.mask
@@ -60,7 +60,7 @@ def test_mask_and_classifier_change_together(bench: Bench) -> None:
         assert index is not None
         reader = camera.capture(release=False).reader
         assert isinstance(reader, PairReader)
-        weight = reader.classifier.module.state_dict()["0.weight"]
+        weight = reader.classifier.network.weights["0.weight"]
         assert bool((weight == bench.bundle.pairs[index].weights["0.weight"]).all())
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from tests.server.conftest import FakeMaskTests
 
 from veilcam_client.wire.rotation import EveryCaptures, RotationOff, RotationPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
@@ -44,7 +45,7 @@ from veilcam_training.bundle.layers import Linear
 
 CAMERA, EMBEDDING = Camera(window=Window(rows=9, columns=6)), Embedding(2, 3)
 LEVELS = (12, 24, 36, 48, 60)
-MODE = SensorMode(8, 12, line_time=5e-4, frame_duration=0.01)
+MODE = SensorMode(48, 66, line_time=6.25e-5, frame_duration=0.01)
 SETTLE = 0.06
 ROUNDING = 1e-3
 
@@ -79,8 +80,8 @@ def make_bundle() -> Bundle:
             levels=np.full(CAMERA.mask_shape, level, np.uint8),
             layers=(Linear(inputs=EMBEDDING.size, outputs=2),),
             weights={
-                "0.weight": torch.full((2, EMBEDDING.size), float(level)),
-                "0.bias": torch.zeros(2),
+                "0.weight": np.full((2, EMBEDDING.size), level, np.float32),
+                "0.bias": np.zeros(2, np.float32),
             },
         )
         for level in LEVELS
@@ -151,7 +152,12 @@ class Rig:
         budget, signer = ReleaseBudget(self.directory, 0), DeviceKey.open(self.directory)
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),
-            Preparation(load_pairs(make_bundle()), signer, lambda: Terms("none"), budget),
+            Preparation(
+                load_pairs(make_bundle()),
+                *(signer, lambda: Terms("none"), budget),
+                # This light is of no camera that they could know.
+                FakeMaskTests(),
+            ),
             EMBEDDING.shape,
             Passed(),
             budget=budget,

@@ -41,8 +41,8 @@ class Watched:
             self.device = make(*arguments, **more)
             return self.device
 
-        monkeypatch.setattr("veilcam_server.devices.registry.simulated_device", made)
-        monkeypatch.setattr("veilcam_server.devices.registry.planned_light", planned_once)
+        monkeypatch.setattr("veilcam_server.devices.simulated.device.simulated_device", made)
+        monkeypatch.setattr("veilcam_server.devices.simulated.device.planned_light", planned_once)
         start = FakePicamera2.start
 
         def started(camera: FakePicamera2) -> None:

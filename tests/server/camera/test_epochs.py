@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from torch import Tensor
 
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.capture_log import mask_commitment
@@ -53,7 +52,7 @@ def alone(bench: Bench) -> Preparation:
     """What makes epochs ready, without a camera."""
     make_directory(bench.state_dir)
     budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
+    return Preparation(bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests)
 
 
 def pair_with(bench: Bench, key: ReceiverKey = RECEIVER) -> str:
@@ -61,23 +60,23 @@ def pair_with(bench: Bench, key: ReceiverKey = RECEIVER) -> str:
     return bench.receivers.add("archive", key.public).id
 
 
-def pieces(epoch: Epoch) -> list[np.ndarray]:
-    """All arrays that hold something of an epoch's mask."""
-    reader = epoch.mask.reader
+def pieces(mask: Mask) -> list[np.ndarray]:
+    """All arrays that hold something of a mask."""
+    reader = mask.reader
     assert isinstance(reader, FreshReader)
     decoder, whitening = reader.decoder, reader.whitening
-    tensors = [
+    arrays = [
         *(decoder.mean_measurement, decoder.estimator, decoder.noise),
         *(decoder.response, decoder.deviation),
     ]
     if whitening is not None:
-        tensors += [each for each in vars(whitening).values() if isinstance(each, Tensor)]
-    return [epoch.mask.levels, *(tensor.numpy() for tensor in tensors)]
+        arrays += [each for each in vars(whitening).values() if isinstance(each, np.ndarray)]
+    return [mask.levels, *arrays]
 
 
 def is_whole(epoch: Epoch) -> bool:
     """Whether nothing of an epoch was overwritten."""
-    return not epoch.erased and all(array.any() for array in pieces(epoch))
+    return not epoch.erased and all(array.any() for array in pieces(epoch.mask))
 
 
 def is_gone(epoch: Epoch) -> bool:
@@ -85,7 +84,7 @@ def is_gone(epoch: Epoch) -> bool:
     sealer = epoch.sealer
     return (
         epoch.erased
-        and not any(array.any() for array in pieces(epoch))
+        and not any(array.any() for array in pieces(epoch.mask))
         and (sealer is None or not any(sealer._key))
     )
 
@@ -206,7 +205,7 @@ def test_the_key_is_gone_before_its_mask_is_shown(
             key.reveal()
 
 
-@pytest.mark.parametrize("step", ["make", "seal"])
+@pytest.mark.parametrize("step", ["make", "test", "seal"])
 def test_what_cannot_be_prepared_leaves_no_key_and_no_mask(
     sealed_bench: Bench, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
@@ -227,17 +226,20 @@ def test_what_cannot_be_prepared_leaves_no_key_and_no_mask(
     monkeypatch.setattr(FreshSource, "make", noted)
     if step == "seal":
         monkeypatch.setattr("veilcam_server.camera.epochs.seal_key", fail)
+    if step == "test":
+        monkeypatch.setattr(sealed_bench.mask_tests, "prepare", fail)
     with closing(alone(sealed_bench)) as preparation, pytest.raises(ZeroDivisionError):
         preparation.take()
     assert not any(keys[0]._value)
     assert all(is_gone_mask(mask) for mask in masks)
-    assert len(masks) == (step == "seal")
+    assert len(masks) == (step != "make")
+    assert all(test.erased for test in sealed_bench.mask_tests.made)
+    assert len(sealed_bench.mask_tests.made) == (step == "seal")
 
 
 def is_gone_mask(mask: Mask) -> bool:
     """Whether nothing is left of a mask."""
-    epoch = Epoch("", mask, "none", "")
-    return not any(array.any() for array in pieces(epoch))
+    return not any(array.any() for array in pieces(mask))
 
 
 def test_an_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: Bench) -> None:
@@ -256,6 +258,14 @@ def test_an_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: 
         assert is_whole(other)
         other.retire()
         assert is_gone(other)
+
+
+def test_a_test_is_of_the_levels_that_are_shown(bench: Bench) -> None:
+    camera = bench.camera()
+    for _ in range(3):
+        assert active(camera).test.test.levels.tolist() == bench.display.shown[-1].tolist()  # type: ignore[attr-defined]
+        camera.rotate()
+    camera.preparation.close()
 
 
 def test_a_stored_mask_outlives_its_epochs(bench: Bench) -> None:

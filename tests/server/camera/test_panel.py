@@ -17,6 +17,7 @@ from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.engine import Condition
 from veilcam_server.camera.epochs import Epoch, Preparation
 from veilcam_server.camera.panel import MaskedPanel
+from veilcam_server.camera.proof import ShownMasks
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.errors import LightError
@@ -40,10 +41,13 @@ class Rig:
         self.display, self.test, self.clock = bench.display, bench.test, Clock()
         make_directory(bench.state_dir)
         budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-        self.preparation = Preparation(bench.source, bench.key, lambda: bench.terms, budget)
+        self.preparation = Preparation(
+            bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests
+        )
         device = Device(bench.display, bench.sensor, simulated=True)
         self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
-        self.panel = MaskedPanel(bench.display, self.preparation, self.proof)
+        self.shown = ShownMasks()
+        self.panel = MaskedPanel(bench.display, self.preparation, self.proof, self.shown)
         self.states: list[Condition] = []
         self.masks: list[str] = []
         self.panel.publish = self._note
@@ -318,7 +322,7 @@ def test_a_lone_mask_is_not_prepared_again(lone_bench: Bench) -> None:
 
 def test_nobody_has_to_listen(bench: Bench) -> None:
     rig = Rig(bench)
-    panel = MaskedPanel(rig.display, rig.preparation, rig.proof)
+    panel = MaskedPanel(rig.display, rig.preparation, rig.proof, rig.shown)
     panel.show(rig.preparation.take())
     assert panel.state == READY
     rig.preparation.close()

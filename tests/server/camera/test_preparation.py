@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.wire.captures import Release
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.wire.sealing import Release
 from veilcam_server.camera import epochs as preparation_module
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
@@ -74,7 +74,7 @@ def alone(bench: Bench) -> Preparation:
     """What makes epochs ready, without a camera."""
     make_directory(bench.state_dir)
     budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
+    return Preparation(bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests)
 
 
 def settled(camera: MaskedCamera) -> MaskedCamera:

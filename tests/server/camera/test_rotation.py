@@ -61,7 +61,7 @@ def test_captures_beyond_what_is_due(policy: RotationPolicy, captures: int) -> N
 
 
 def make_active() -> ActiveMask:
-    epoch = Epoch("a", object(), "none", "")  # type: ignore[arg-type]
+    epoch = Epoch("a", object(), "none", "", object())  # type: ignore[arg-type]
     return ActiveMask(epoch, since=0.0, completed_at=0.0)
 
 
@@ -76,6 +76,6 @@ def test_a_mask_that_is_due_serves_as_often_as_allowed_and_each_time_counts() ->
 
 def test_neither_masks_nor_what_reads_them_show_themselves() -> None:
     secret = "0123456789"
-    epoch = Epoch("a", secret, "sealed", "", secret)  # type: ignore[arg-type]
+    epoch = Epoch("a", secret, "sealed", "", secret, secret)  # type: ignore[arg-type]
     assert secret not in repr(epoch)
     assert secret not in repr(ActiveMask(epoch, 0.0, 0.0))

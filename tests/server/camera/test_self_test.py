@@ -13,12 +13,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from tests.server.conftest import FakeMaskTests
 from tests.server.devices.clock import Clock
 
 from veilcam_client.keys.epoch_key import EpochKey
-from veilcam_client.wire.captures import Prediction, Release
+from veilcam_client.wire.captures import Prediction
+from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import PanelFaults
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
+from veilcam_optics.proof import PROOF
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_server.camera.budget import ReleaseBudget
@@ -38,17 +41,18 @@ from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.devices.st7735r import ST7735R
 from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
-from veilcam_server.masks.source import Mask, Terms
+from veilcam_server.masks.source import Evidence, Mask, Terms
 from veilcam_server.sealing.identity import DeviceKey
 
 pytestmark = pytest.mark.numerical
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
 FENCE = Fence(settle=0.05)
-FINER = 2
 CAPTURES = 9
 """Of one test."""
-MODE = SensorMode(FINER * 12, FINER * 16, line_time=0.0, frame_duration=0.0)
+LIGHT, REPEATED = Embedding(24, 32), 2
+"""How finely light is computed, and how often each value is repeated along both axes."""
+MODE = SensorMode(*PROOF.shape, line_time=0.0, frame_duration=0.0)
 RNG = np.random.default_rng(3)
 PICTURE = RNG.random(SCENE.shape, np.float32)
 
@@ -56,9 +60,7 @@ PICTURE = RNG.random(SCENE.shape, np.float32)
 class Rays:
     """The light of training's optics, on raw pixels; ``floor`` of it gets past an opaque panel."""
 
-    operator = TransferOperator(
-        CAMERA, SCENE, Embedding(MODE.rows, MODE.columns), step=20e-6, dtype=torch.float32
-    )
+    operator = TransferOperator(CAMERA, SCENE, LIGHT, step=20e-6, dtype=torch.float32)
 
     def __init__(self, floor: float = 0.0) -> None:
         self.floor = floor
@@ -69,7 +71,8 @@ class Rays:
             return (self.operator(floor + (1 - floor) * weights.float()),)
 
     def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
-        return (scenes.flatten(1) @ response[0]).reshape(len(scenes), MODE.rows, MODE.columns)
+        light = (scenes.flatten(1) @ response[0]).reshape(len(scenes), *LIGHT.shape)
+        return light.repeat_interleave(REPEATED, 1).repeat_interleave(REPEATED, 2)
 
 
 OPEN = Rays().collect(torch.ones(1, *SCENE.shape), Rays().response(torch.ones(CAMERA.mask_shape)))
@@ -380,6 +383,9 @@ class Unasked:
     def classify(self, measurement: Measurement) -> Prediction:
         raise AssertionError
 
+    def evidence(self, measurement: Measurement) -> Evidence:
+        raise AssertionError
+
     def whiten(self, measurement: Measurement) -> Measurement:
         raise AssertionError
 
@@ -394,7 +400,9 @@ def test_an_engine_whose_bus_breaks_tests_its_panel_again(tmp_path: Path) -> Non
     budget = ReleaseBudget(tmp_path, 0)
     camera = MaskedCamera(
         rig.device,
-        Preparation(Bundled(), DeviceKey.open(tmp_path), lambda: Terms("none"), budget),
+        Preparation(
+            Bundled(), DeviceKey.open(tmp_path), lambda: Terms("none"), budget, FakeMaskTests()
+        ),
         EMBEDDING.shape,
         OpticalSelfTest(CAMERA, SCENE, EMBEDDING),
         budget=budget,

@@ -32,7 +32,7 @@ def unstarted(bench: Bench) -> MaskedCamera:
     budget = ReleaseBudget(bench.state_dir, 0)
     camera = MaskedCamera(
         Device(bench.display, bench.sensor, simulated=True),
-        Preparation(bench.source, bench.key, lambda: bench.terms, budget),
+        Preparation(bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests),
         bench.bundle.embedding.shape,
         bench.test,
         budget=budget,

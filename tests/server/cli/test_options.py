@@ -47,6 +47,8 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "socket": (("--socket", "s"), Path("s")),
     "state_dir": (("--state-dir", "state"), Path("state")),
     "rotation": (("--every-captures", "3", "--reuse", "2"), EveryCaptures(captures=3, reuse=2)),
+    "watch": (("--watch", "2/s"), "2/s"),
+    "quiet_hours": (("--quiet-hours", "22-7"), "22-7"),
     "calibration": (("--calibration", "c.json"), Path("c.json")),
     "release": (("--release", "sealed"), "sealed"),
     "raw_budget": (("--raw-budget", "3"), 3),

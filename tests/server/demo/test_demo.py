@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from veilcam_client.keys.envelopes import seal_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.sealing import EXAMPLE_ENVELOPE
+from veilcam_client.wire.sealing import example_envelope
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.grid import GridLight
@@ -111,11 +111,11 @@ def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
     observer, digits = PairObserver(bundle), load_digits()
     generator = torch.Generator().manual_seed(0)
     for index, pair in enumerate(bundle.pairs):
-        psf = light.psf(to_weights(pair.levels, bundle.camera.panel))
+        psf = light.psf(torch.from_numpy(to_weights(pair.levels, bundle.camera.panel)))
         for image in digits.images[:5]:
             scene = torch.from_numpy(image / np.float32(255))
             seen = shot_noise(light.embed(scene, psf, bundle.embedding)[None], 40.0, generator)
-            assert observer.which(image, seen[0].numpy(), EXAMPLE_ENVELOPE) == index
+            assert observer.which(image, seen[0].numpy(), example_envelope()) == index
 
 
 def test_the_observer_with_a_key_draws_the_mask_of_an_envelope(

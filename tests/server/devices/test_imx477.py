@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 
+from veilcam_optics.proof import PROOF
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices import (
     DeviceMissingError,
@@ -31,7 +32,7 @@ from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera
 
 from .clock import Clock
 
-MODE = SensorMode(30, 41, line_time=1e-4, frame_duration=0.025)
+MODE = SensorMode(60, 82, line_time=1e-4, frame_duration=0.025)
 SHAPE = (4, 5)
 FIXED = ExposureRange(0.01)
 
@@ -95,10 +96,27 @@ def test_a_measurement_is_the_light_without_the_black_level() -> None:
 
 def test_pixels_are_averaged_where_they_are() -> None:
     bench = Bench()
-    frame = np.random.default_rng(4).integers(0, 4000, (30, 41), np.uint16)
+    frame = np.random.default_rng(4).integers(0, 4000, (60, 82), np.uint16)
     bench.cameras[0]._light = lambda *_: frame
     mean = area_average(torch.from_numpy(frame.astype(float)), *SHAPE).numpy()
     np.testing.assert_allclose(bench.capture().embedding, (mean - 256) / (4095 - 256), rtol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["SRGGB12", "SRGGB16"])
+def test_the_proof_is_the_same_frame_in_boxes_of_its_own(layout: str) -> None:
+    bench = Bench(full_scale=2.0, faults=CameraFaults(format=layout))
+    frame = np.random.default_rng(4).integers(0, 4000, (60, 82), np.uint16)
+    # Saturated, at the corner of the frame: one pixel of 4920 is no reason to expose shorter.
+    frame[-1, -1] = 4095
+    bench.cameras[0]._light = lambda *_: frame
+    exposure = bench.capture()
+    mean = area_average(torch.from_numpy(frame.astype(float)), *PROOF.shape).numpy()
+    np.testing.assert_allclose(exposure.proof, 2.0 * (mean - 256) / (4095 - 256), rtol=1e-6)
+    assert exposure.proof.dtype == np.float32
+    assert exposure.proof.mean() == pytest.approx(exposure.embedding.mean(), rel=1e-6)
+    assert np.argwhere(exposure.clipped).tolist() == [[PROOF.rows - 1, PROOF.columns - 1]]
+    frame[-1, -1] = 4094
+    assert not bench.capture().clipped.any()
 
 
 def test_an_exposure_tells_when_its_rows_collected_light() -> None:
@@ -107,7 +125,7 @@ def test_an_exposure_tells_when_its_rows_collected_light() -> None:
     exposure = bench.sensor.capture(asked, 5.0)
     begin, end = bench.lit[0]
     assert exposure.started_at == pytest.approx(begin, abs=1e-9)
-    assert exposure.ended_at == pytest.approx(end + 29e-4, abs=1e-9)
+    assert exposure.ended_at == pytest.approx(end + 59e-4, abs=1e-9)
     assert exposure.integration == pytest.approx(0.01)
     assert asked <= exposure.started_at < asked + 0.025
     assert exposure.ended_at <= bench.clock.now
@@ -121,7 +139,7 @@ def test_no_frame_begins_before_the_fence(asked: float) -> None:
 def test_the_mode_is_pinned_and_all_that_adapts_is_off() -> None:
     bench = Bench(exposures=ExposureRange(0.05))
     asked = bench.cameras[0]._configuration
-    assert asked["raw"]["size"] == asked["sensor"]["output_size"] == (41, 30)
+    assert asked["raw"]["size"] == asked["sensor"]["output_size"] == (82, 60)
     assert asked["sensor"]["bit_depth"] == 12
     assert not asked["queue"]
     _, controls = bench.cameras[0]._controls[-1]
@@ -160,7 +178,7 @@ def test_a_camera_without_raw_frames_is_refused() -> None:
 
     with pytest.raises(SensorError, match=r"gives no raw frames: use a Raspberry Pi HQ camera"):
         IMX477(
-            lambda: Webcam(lambda *_: np.zeros((30, 41), np.uint16), mode=MODE, clock=clock),
+            lambda: Webcam(lambda *_: np.zeros((60, 82), np.uint16), mode=MODE, clock=clock),
             shape=SHAPE,
             mode=MODE,
             clock=clock,
@@ -197,14 +215,14 @@ def test_another_mode_is_refused_and_the_camera_let_go() -> None:
     def open_camera() -> FakePicamera2:
         cameras.append(
             FakePicamera2(
-                lambda *_: np.zeros((30, 41), np.uint16),
+                lambda *_: np.zeros((60, 82), np.uint16),
                 mode=replace(MODE, bit_depth=10),
                 clock=clock,
             )
         )
         return cameras[0]
 
-    with pytest.raises(SensorError, match="did not take the mode 41 x 30, 12 bit"):
+    with pytest.raises(SensorError, match="did not take the mode 82 x 60, 12 bit"):
         IMX477(open_camera, shape=SHAPE, mode=MODE, clock=clock)
     assert cameras[0].closed
 
@@ -397,7 +415,7 @@ def test_a_camera_that_cannot_be_opened_says_what_to_do(
 @pytest.mark.parametrize(
     ("missing", "message"),
     [
-        ("picamera2", r"is not installed: run pip install -e '\.\[server,pi\]'"),
+        ("picamera2", r"is not installed: sudo apt install python3-picamera2"),
         (
             "libcamera",
             "libcamera is not installed, which picamera2 needs: sudo apt install python3-libcamera",

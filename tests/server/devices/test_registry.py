@@ -86,8 +86,8 @@ class Board:
             def fileno(self) -> int:
                 return BUS
 
-            def open_path(self, path: str) -> None:
-                board.asked["spi"] = path
+            def open(self, bus: int, device: int) -> None:
+                board.asked["spi"] = f"/dev/spidev{bus}.{device}"
 
             def writebytes2(self, buffer: memoryview | bytes) -> None:
                 assert self.mode == 0

@@ -54,7 +54,8 @@ class Part:
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
         self._answer()
-        return Exposure(np.ones((1, 1), np.float32), self.clock.now, self.clock.now)
+        ones = np.ones((1, 1), np.float32)
+        return Exposure(ones, self.clock.now, self.clock.now, proof=ones, clipped=ones > 1)
 
     def _answer(self) -> None:
         self.asked += 1

@@ -39,10 +39,10 @@ class SpiDev:
         self.closed = False
         SpiDev.last = self
 
-    def open_path(self, path: str) -> None:
+    def open(self, bus: int, device: int) -> None:
         if self.fault is not None:
             raise self.fault
-        self.path = path
+        self.path = f"/dev/spidev{bus}.{device}"
 
     def writebytes2(self, buffer: memoryview | bytes) -> None:
         self.sent.append(bytes(buffer))
@@ -184,6 +184,17 @@ def test_a_bus_that_is_not_there_says_what_to_do(
     assert spidev.last.closed
 
 
+@pytest.mark.parametrize("path", ["/dev/spi0", "/dev/spidev0", "spidev0.0", "/dev/spidev0.0/x"])
+def test_a_name_that_spidev_cannot_have_is_refused(spidev: type[SpiDev], path: str) -> None:
+    with pytest.raises(DeviceMissingError, match=r"is no bus of spidev's: give --spi"):
+        LinuxSpi.open(path, 1_000_000)
+
+
+def test_the_second_bus_and_device_are_opened_as_they_are_called(spidev: type[SpiDev]) -> None:
+    LinuxSpi.open("/dev/spidev10.1", 1_000_000)
+    assert spidev.last.path == "/dev/spidev10.1"
+
+
 def test_lines_are_asked_for_together_and_reset_is_low(gpiod: Gpiod) -> None:
     lines = LinuxLines.open("pinctrl-rp1", data=25, reset=24)
     assert gpiod.asked["path"] == "/dev/pinctrl-rp1"
@@ -266,10 +277,10 @@ def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "spidev", None)
     monkeypatch.setitem(sys.modules, "gpiod", None)
     with pytest.raises(
-        DeviceMissingError, match=r"spidev is not installed: run pip install -e '\.\[server,pi\]'"
+        DeviceMissingError, match=r"spidev is not installed: sudo apt install python3-spidev"
     ):
         LinuxSpi.open("/dev/spidev0.0", 1_000_000)
     with pytest.raises(
-        DeviceMissingError, match=r"gpiod is not installed: run pip install -e '\.\[server,pi\]'"
+        DeviceMissingError, match=r"gpiod is not installed: install the package veilcam again"
     ):
         LinuxLines.open("pinctrl-rp1", data=25, reset=24)

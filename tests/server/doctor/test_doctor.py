@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, Literal, Never
 
 import pytest
 from typer.testing import CliRunner
@@ -19,9 +19,9 @@ from veilcam_server.devices.driver import DisplayDriver
 from veilcam_server.devices.extras import import_extra
 from veilcam_server.devices.registry import DISPLAYS
 from veilcam_server.doctor import machine as machines
-from veilcam_server.doctor.checkup import Finding, examine
+from veilcam_server.doctor.checkup import Finding, examine, examine_beside
 from veilcam_server.doctor.machine import Machine
-from veilcam_server.settings import DoctorSettings, Wiring
+from veilcam_server.settings import DoctorSettings, Settings, Wiring
 from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
@@ -123,10 +123,25 @@ def test_a_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
 Illness = Callable[[Bed], object]
 ILLNESSES: list[tuple[Illness, str, str, str]] = [
     (lambda bed: bed.remove("/proc/device-tree/model"), "board", "no Raspberry Pi", "--simulate"),
-    (lambda bed: bed.missing.append("spidev"), "spidev", "not installed", "pip install"),
-    (lambda bed: bed.missing.append("gpiod"), "gpiod", "not installed", "pip install"),
+    (
+        lambda bed: bed.missing.append("spidev"),
+        "spidev",
+        "not installed",
+        "apt install python3-spidev",
+    ),
+    (
+        lambda bed: bed.missing.append("gpiod"),
+        "gpiod",
+        "not installed",
+        "reinstall ./veilcam_*.deb",
+    ),
     (lambda bed: bed.missing.append("libcamera"), "libcamera", "not installed", "apt install"),
-    (lambda bed: bed.missing.append("picamera2"), "picamera2", "not installed", "pip install"),
+    (
+        lambda bed: bed.missing.append("picamera2"),
+        "picamera2",
+        "not installed",
+        "install python3-picamera2",
+    ),
     (lambda bed: bed.remove("/dev/spidev0.0"), "panel bus", "there is no", "config.txt: restart"),
     (lambda bed: bed.locked.append("/dev/spidev0.0"), "panel bus", "not yours", "-aG spi"),
     (lambda bed: setattr(bed, "chips", {}), "GPIO chip", "none that you may open", "-aG gpio"),
@@ -183,6 +198,23 @@ def test_what_is_missing_is_named_and_how_to_get_it(
     assert remedy in str(finding.remedy)
 
 
+def test_it_says_which_release_runs_and_whether_it_is_the_one_installed(
+    bed: Bed, plan: DoctorSettings
+) -> None:
+    assert "release" not in findings(bed, plan)  # of a checkout
+    bed.write("/usr/lib/veilcam/unpacked/RELEASE", "2.0-bb\n")
+    state = bed.root / "var/lib/veilcam-release"
+    state.mkdir()
+    for name, outcome in (("2.0-bb", "ok"), ("1.0-aa", "bad")):
+        (state / "current").unlink(missing_ok=True)
+        (state / "current").symlink_to(f"/usr/lib/veilcam/releases/{name}")
+        finding = findings(bed, plan)["release"]
+        assert finding.outcome == outcome
+        assert name in finding.found
+    assert "2.0-bb did not start" in finding.found
+    assert "journalctl" in str(finding.remedy)
+
+
 BROKEN = {
     "ValueError": "numpy.dtype size changed, may indicate binary incompatibility.\\nExpected 96",
     "ImportError": "libcap.so.2: cannot open shared object file",
@@ -214,8 +246,8 @@ def test_a_package_that_fails_at_import_is_named_with_its_error(
     assert kind in found[name].found
     assert text.partition("\\n")[0] in found[name].found
     assert "\n" not in found[name].found
-    remedy = "apt install python3-libcamera" if name == "libcamera" else f"--force-reinstall {name}"
-    assert remedy in str(found[name].remedy)
+    package = "./veilcam_*.deb" if name == "gpiod" else f"python3-{name}"
+    assert f"sudo apt install --reinstall {package}" in str(found[name].remedy)
     # What needs it waits, and all the rest is looked at.
     waiting = {each.name for each in found.values() if each.outcome == "skipped"}
     lines = {"GPIO chip", "line of D/C", "line of RESET"}
@@ -391,3 +423,24 @@ def test_the_command_ends_well_where_all_is_well(
     monkeypatch.setenv("VEILCAM_BUNDLE", str(plan.bundle))
     result = runner.invoke(app, ["doctor", "--state-dir", str(plan.state_dir)])
     assert result.exit_code == 0, result.stdout
+
+
+def test_beside_a_daemon_nothing_is_opened_and_no_path_is_told(
+    tmp_path: Path, bundle_file: Path
+) -> None:
+    def touch(*_: object) -> Never:
+        raise AssertionError("the daemon holds it")
+
+    state = tmp_path / "state"
+    state.mkdir(mode=0o755)
+    machine = Machine(load=touch, chips=touch, line_user=touch, open_camera=touch)
+    devices: tuple[Literal["simulated", "pi"], ...] = ("simulated", "pi")
+    for device in devices:
+        settings = Settings(device=device, bundle=bundle_file, state_dir=state)
+        found = {each.name: each for each in examine_beside(machine, settings)}
+        # What is of the machine, and not of the daemon, matters to a real camera alone.
+        assert ("board" in found) is (device == "pi")
+        assert {"environment", "state directory", "disk", "bundle", "owner"} <= set(found)
+        assert str(tmp_path) not in str(found)
+        assert found["state directory"].remedy == "chmod 700 $VEILCAM_STATE_DIR"
+        assert found["bundle"].found.startswith("$VEILCAM_BUNDLE: ")

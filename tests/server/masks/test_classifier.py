@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
-import torch
 
 from veilcam_server.errors import InferenceError
 from veilcam_server.masks.classifier import Classifier
@@ -21,12 +21,12 @@ LAYERS = (Linear(inputs=2, outputs=2),)
 
 
 def classifier(weight: float) -> Classifier:
-    weights = {"0.weight": torch.full((2, 2), weight), "0.bias": torch.zeros(2)}
+    weights = {"0.weight": np.full((2, 2), weight, np.float32), "0.bias": np.zeros(2, np.float32)}
     return Classifier.load(LAYERS, weights, labels=("a", "b"), inputs=2)
 
 
 def test_probabilities_sum_to_one() -> None:
-    verdict = classifier(1.0).classify(torch.tensor([[0.5, 2.0]]))
+    verdict = classifier(1.0).classify(np.array([[0.5, 2.0]], np.float32))
     assert verdict.scores is not None
     assert sum(verdict.scores.values()) == pytest.approx(1)
     assert verdict.confidence == verdict.scores[verdict.label]
@@ -34,7 +34,7 @@ def test_probabilities_sum_to_one() -> None:
 
 def test_a_network_without_numbers_is_not_loaded() -> None:
     weights = {
-        f"{layer}.{name}": torch.full(size, 3e38)
+        f"{layer}.{name}": np.full(size, 3e38, np.float32)
         for layer in range(2)
         for name, size in (("weight", (2, 2)), ("bias", (2,)))
     }
@@ -44,13 +44,13 @@ def test_a_network_without_numbers_is_not_loaded() -> None:
 
 def test_a_measurement_without_probabilities_is_an_error() -> None:
     with pytest.raises(InferenceError):
-        classifier(3e38).classify(torch.tensor([[2.0, 2.0]]))
+        classifier(3e38).classify(np.array([[2.0, 2.0]], np.float32))
 
 
 @pytest.mark.anyio
 async def test_the_api_says_so(running: Running, bench: Bench) -> None:
     for pair in bench.bundle.pairs:
-        pair.weights["0.weight"].fill_(3e38)
+        pair.weights["0.weight"].fill(3e38)
     from veilcam_server.masks.pairs import load_pairs
 
     bench.source = load_pairs(bench.bundle)

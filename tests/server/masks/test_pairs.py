@@ -13,6 +13,7 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_server.demo_data import BUNDLE, load_digits
 from veilcam_server.devices.simulated.device import Conditions, planned_light, simulated_device
 from veilcam_server.masks.pairs import PairSource, load_pairs
+from veilcam_server.masks.source import transmittance
 from veilcam_training.bundle import Bundle, read_bundle
 
 pytestmark = pytest.mark.numerical
@@ -99,6 +100,22 @@ def test_a_pair_cannot_whiten_and_is_not_erased(bundle: Bundle) -> None:
     mask.reader.erase()
     assert np.array_equal(mask.levels, levels)
     assert mask.reader.classify(measurement) == verdict
+
+
+def test_a_pair_tells_its_light_and_knows_nothing_of_novelty(bundle: Bundle) -> None:
+    for mask in load_pairs(bundle)._masks:
+        measurement = np.full(bundle.embedding.shape, 0.25, np.float32)
+        told, weights = mask.reader.evidence(measurement), mask.levels / 63
+        assert told.labels == bundle.labels
+        assert told.novelty is None
+        assert told.light == pytest.approx(0.25 / (weights**2).mean())
+        scores = np.exp(told.logits) / np.exp(told.logits).sum()
+        assert scores.max() == pytest.approx(mask.reader.classify(measurement).confidence)
+
+
+def test_a_dark_mask_passes_a_level_s_worth() -> None:
+    assert transmittance(np.zeros((2, 2), np.uint8), 64) == 1 / 63**2
+    assert transmittance(np.full((2, 2), 63, np.uint8), 64) == 1.0
 
 
 def test_the_demo_s_bundle_fits_the_demo(demo_bundle: Bundle) -> None:

@@ -13,7 +13,7 @@ import pytest
 from starlette.datastructures import Headers
 from tests.server.security.conftest import bearer
 
-from veilcam_client.wire.problems import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES, Scope
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes import events
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.anyio
 
-OPEN_PATHS = ("/", "/healthz", "/readyz")
+OPEN_PATHS = ("/", "/docs", "/page/{name}", "/healthz", "/readyz")
 """What everybody may ask; all else wants a token."""
 
 

@@ -24,6 +24,7 @@ from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.recording import record
 from veilcam_client.wire.bundles import BundleInfo
 from veilcam_client.wire.events import CaptureTaken, Classified, Event
+from veilcam_client.wire.watch import WatchOff
 from veilcam_server.api.app import create_app
 from veilcam_server.cli.terminal import one_line
 from veilcam_server.daemon import build_service
@@ -140,6 +141,8 @@ async def test_masks_do_not_change_and_nothing_else_either(path: Path) -> None:
     async with camera(path) as sdk:
         assert await code(sdk.rotate()) == "replaying"
         assert await code(sdk.set_rotation(EveryCaptures(captures=1))) == "replaying"
+        assert await code(sdk.watch()) == "replaying"
+        assert await code(sdk.set_watch(WatchOff())) == "replaying"
         assert await code(sdk.bundles()) == "replaying"
         assert await code(sdk.receivers()) == "replaying"
         assert await code(sdk.add_receiver("a", ReceiverKey.generate().public)) == "replaying"

@@ -42,6 +42,28 @@ async def test_the_panel_is_tested_now_and_then(bench: Bench) -> None:
 
 
 @pytest.mark.anyio
+async def test_what_is_added_is_done_when_due_and_an_event_tells_to_look_again(
+    bench: Bench,
+) -> None:
+    camera = bench.camera()
+    due, done = [0.0, 0.0, 3600.0], list[float]()
+
+    async def work() -> None:
+        done.append(due.pop(0))
+
+    made = scheduler(bench, camera)
+    made.add("watch", lambda: due[0], work)
+    async with made.running():
+        await until(lambda: len(done) == 2)
+        due[0] = 0.0
+        due.append(3600.0)
+        made.wake()
+        await until(lambda: len(done) == 3)
+    assert due == [3600.0]
+    camera.stop()
+
+
+@pytest.mark.anyio
 async def test_a_test_that_failed_is_tried_until_it_passes(bench: Bench) -> None:
     camera = bench.camera()
     bench.test.faults = [UndecidedError("it is too dark")] * 4

@@ -13,13 +13,12 @@ from pathlib import Path
 import pytest
 
 from veilcam_server.errors import StartError
-from veilcam_server.settings import Settings
+from veilcam_server.settings import GivenSettings, Settings
 from veilcam_server.siege.client import ask
 from veilcam_server.siege.daemon import (
     Circumstances,
     Launcher,
     NoDiskError,
-    SiegeSettings,
     fill,
     write_certificate,
 )
@@ -56,7 +55,7 @@ def launcher(tmp_path: Path) -> Launcher:
 
 def settings(tmp_path: Path, panel: str = "ST7735R") -> Settings:
     (tmp_path / "disk").mkdir(exist_ok=True)
-    return SiegeSettings(
+    return GivenSettings(
         bundle=tmp_path / "bundle.veilcam",
         device="simulated",
         panel=panel,

@@ -29,14 +29,14 @@ def test_nothing_is_nothing(loot: Loot) -> None:
 
 def test_one_mask_in_two_epochs_is_one(loot: Loot) -> None:
     for epoch in ("a", "b"):
-        loot.take(reply(epoch, 0.1, 0.2))
-    loot.take(reply("c", 0.1, 0.3))
+        loot.take(reply(epoch, 0.125, 0.25))
+    loot.take(reply("c", 0.125, 0.375))
     assert (loot.most, len(loot.masks), loot.epochs.total()) == (2, 2, 3)
 
 
 def test_two_embeddings_in_one_epoch_are_behind_one_mask(loot: Loot) -> None:
     """Whatever they hold: the scene may have changed."""
-    for value in (0.1, 0.2, 0.3):
+    for value in (0.125, 0.25, 0.375):
         loot.take(reply("a", value))
     assert loot.most == 3
 

@@ -11,7 +11,7 @@ import pytest
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.system import listeners
-from veilcam_server.system.listeners import open_listeners
+from veilcam_server.system.listeners import open_listeners, require_free
 
 
 def test_what_listens_elsewhere_is_left_alone(tmp_path: Path, bundle_file: Path) -> None:
@@ -85,3 +85,22 @@ def test_no_tls_on_a_unix_socket(
         settings = Settings(bundle=bundle_file, tls_certificate=Path("c"), tls_key=Path("k"))
         with pytest.raises(StartError, match="needs no TLS"), open_listeners(settings):
             pass
+
+
+def test_a_place_that_is_free_is_left_free(
+    bundle_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "api.sock"
+    settings = Settings(device="simulated", bundle=bundle_file, socket=place)
+    require_free(settings)
+    assert not place.exists()
+    with open_listeners(settings), pytest.raises(StartError, match="is occupied"):
+        require_free(settings)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        occupied = Settings(device="simulated", bundle=bundle_file, port=port)
+        with pytest.raises(StartError, match=f"port {port} is occupied"):
+            require_free(occupied)
+        # What systemd passes comes first, so the settings' own place is nobody's concern.
+        monkeypatch.setenv("LISTEN_FDS", "1")
+        require_free(occupied)

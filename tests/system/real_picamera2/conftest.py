@@ -34,10 +34,10 @@ class Rig:
 
 def fake_rig(stack: ExitStack) -> Rig:
     """Return one of the fake camera, in real time."""
-    mode, faults = SensorMode(48, 48, line_time=0.0, frame_duration=0.002), CameraFaults()
+    mode, faults = SensorMode(96, 96, line_time=0.0, frame_duration=0.002), CameraFaults()
 
     def open_camera() -> FakePicamera2:
-        return FakePicamera2(lambda *_: np.full((48, 48), 300, np.uint16), mode=mode, faults=faults)
+        return FakePicamera2(lambda *_: np.full((96, 96), 300, np.uint16), mode=mode, faults=faults)
 
     def hang(_: object) -> None:
         faults.hangs = 1

@@ -34,8 +34,8 @@ from picamera2.previews import NullPreview
 
 from veilcam_server.devices.raw import SensorMode
 
-MODE = SensorMode(48, 48, line_time=0.0, frame_duration=0.002)
-"""Of the raw frames: as many bytes as NV12 has for the 64 x 48 pixels of virtual.yaml."""
+MODE = SensorMode(96, 96, line_time=0.0, frame_duration=0.002)
+"""Of the raw frames: as many bytes as NV12 has for the 128 x 96 pixels of virtual.yaml."""
 BUFFERS = 4
 """The virtual pipeline has so many, whatever is asked."""
 ROUND = 0.002

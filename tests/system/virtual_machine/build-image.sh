@@ -1,6 +1,6 @@
 #!/bin/sh
-# Builds a disk image with Debian 12, as Raspberry Pi OS has it, and veilcamd installed by
-# deploy/install.sh: build-image.sh FOLDER. What is in FOLDER already is used again.
+# Builds a disk image with Debian 12, as Raspberry Pi OS has it, and the package of veilcam installed:
+# build-image.sh FOLDER. What is in FOLDER already is used again.
 # The kernel is Debian's newest, since gpio-sim is not in that of Debian 12.
 set -eu
 
@@ -14,7 +14,7 @@ say() { echo "image: $*"; }
 if [ ! -e base.tar ]; then
     say "Debian 12 with systemd and Python (some minutes)"
     mmdebstrap --quiet --format=tar --variant=minbase --include=systemd,systemd-sysv,udev,kmod,dbus \
-        --include=python3-venv,python3-dev,gcc,libc6-dev,libfuse3-dev,pkg-config,busybox-static \
+        --include=python3-numpy,python3-spidev,gcc,libc6-dev,libfuse3-dev,pkg-config,busybox-static \
         bookworm base.tar.part "$mirror"
     mv base.tar.part base.tar
 fi
@@ -30,39 +30,35 @@ if [ ! -e kernel.tar ]; then
     mv kernel.tar.part kernel.tar
 fi
 
-# Packages for Python, as pip on this machine finds them; nothing is downloaded in the image.
-if [ ! -e wheels/complete ]; then
-    say "Python packages"
-    "${PYTHON:-python3.11}" -m pip download --quiet --dest wheels --no-binary spidev \
-        "$project[server]" spidev gpiod hatchling setuptools wheel
-    touch wheels/complete
+# Light is simulated with these, which no device has.
+if [ ! -e light/complete ]; then
+    say "what light is simulated with"
+    "${PYTHON:-python3.11}" -m pip install --quiet --target light torch scipy matplotlib pillow
+    touch light/complete
 fi
 
 git -C "$project" describe --always --dirty --abbrev=12 --exclude='*' > commit
-say "installing veilcamd with deploy/install.sh"
-rm -rf root
-mkdir -p root/tmp/veilcam
+say "the package"
+rm -rf root packages
+(cd "$project" && "${BUILDER:-python3}" -m deploy.debian.build --architecture amd64 --out "$OLDPWD/packages")
+mkdir -p root/tmp
 tar -C root -xf base.tar --exclude='./dev/*'
 mknod -m 666 root/dev/null c 1 3
 mknod -m 666 root/dev/urandom c 1 9
 tar -C root --keep-directory-symlink -xf kernel.tar --wildcards './usr/lib/modules/*' \
     || tar -C root --keep-directory-symlink -xf kernel.tar --wildcards './lib/modules/*'
-cp -r wheels root/tmp/wheels
-cd "$project"
-tar -cf - --exclude=__pycache__ pyproject.toml README.md LICENSE client optics training server \
-    deploy | tar -C "$OLDPWD/root/tmp/veilcam" -xf -
-cd "$OLDPWD"
+cp packages/veilcam_*_amd64.deb root/srv/
 inside() { chroot root env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 "$@"; }
-inside PIP_NO_INDEX=1 PIP_FIND_LINKS=/tmp/wheels /tmp/veilcam/deploy/install.sh
-# What a Raspberry Pi would have got by itself.
-inside /opt/veilcam/current/bin/pip install --quiet --no-index --find-links /tmp/wheels spidev gpiod
+inside sh -c 'dpkg --install /srv/veilcam_*.deb'
+mkdir -p root/usr/local/lib/python3.11/dist-packages
+cp -r light/. root/usr/local/lib/python3.11/dist-packages
 
 say "what the checks need"
 cp "$here/spidev.c" root/tmp/
 inside sh -c 'gcc -Wall -Wextra -Werror -O1 -o /usr/local/bin/spidev-in-user-space /tmp/spidev.c \
     $(pkg-config --cflags --libs fuse3)'
 mkdir -p root/usr/local/lib/veilcam-checks/guest
-cp "$project/deploy/uninstall.sh" "$project/deploy/README.md" root/usr/local/lib/veilcam-checks/
+cp "$project/deploy/README.md" root/usr/local/lib/veilcam-checks/
 cp "$here"/guest/*.py root/usr/local/lib/veilcam-checks/guest/
 cp "$here"/guest/*.service root/etc/systemd/system/
 install -D -m 644 "$here/guest/virtual-machine.conf" \
@@ -70,7 +66,7 @@ install -D -m 644 "$here/guest/virtual-machine.conf" \
 cp "$here/guest/veilcam.env" root/etc/veilcam/veilcam.env
 inside systemctl --quiet enable veilcam-prepare.service veilcam-checks.service
 inside systemctl --quiet mask serial-getty@ttyS0.service getty@.service systemd-timesyncd.service
-rm -rf root/tmp/*
+rm -rf root/tmp/* root/srv/*
 
 say "initial file system"
 version=$(ls root/usr/lib/modules | sort -V | tail -n 1)

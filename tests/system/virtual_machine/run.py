@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -112,7 +113,9 @@ def main(
         console.print(f"NOT RUN: {reason}")
         return
     if not again:
-        subprocess.run([str(IMAGE), str(build)], check=True)
+        subprocess.run(
+            [str(IMAGE), str(build)], check=True, env={**os.environ, "BUILDER": sys.executable}
+        )
     console.print("machine: booting")
     for line in boot(build):
         console.print(line.rstrip(), markup=False, soft_wrap=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
+from veilcam_optics.arrays import Array, as_type, namespace, solve_triangular
 from veilcam_optics.decoding import Decoder
 from veilcam_optics.decoding.release import Whitening
 from veilcam_training.attacks.mask_recovery import Form
@@ -38,16 +38,16 @@ def white_with_length(mask: VictimMask, measurements: Tensor) -> Tensor:
     return directions * white_lengths(decoder, measurements)[:, None].float()
 
 
-def white_lengths(decoder: Decoder, measurements: Tensor) -> Tensor:
+def white_lengths(decoder: Decoder[Array], measurements: Array) -> Array:
     """Lengths of white measurements, (count,) float64: a rotation changes none."""
-    deviation = decoder.noise.double().sqrt()
-    scaled = decoder.response.double() / deviation[:, None]
-    covariance = scaled @ scaled.T
-    covariance.diagonal().add_(1.0)
-    centred = (measurements.flatten(1).double() - decoder.mean_measurement.double()) / deviation
-    factor = torch.linalg.cholesky(covariance)
-    white: Tensor = torch.linalg.solve_triangular(factor, centred.T, upper=False)
-    lengths: Tensor = torch.linalg.vector_norm(white, dim=0)
+    xp = namespace(measurements)
+    deviation = xp.sqrt(as_type(decoder.noise, "float64"))
+    scaled = as_type(decoder.response, "float64") / deviation[:, None]
+    factor = xp.linalg.cholesky(scaled @ scaled.T + xp.eye(scaled.shape[0], dtype=xp.float64))
+    expected = as_type(decoder.mean_measurement, "float64")
+    flat = xp.reshape(as_type(measurements, "float64"), (measurements.shape[0], -1))
+    white = solve_triangular(factor, ((flat - expected) / deviation).T)
+    lengths: Array = xp.linalg.vector_norm(white, axis=0)
     return lengths
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
@@ -47,7 +49,10 @@ def test_strangers_are_told_apart_and_the_same_person_is_found(match: FaceMatch)
     same = match(one, other)
     strangers = match(one, other.roll(1, 0))
     scores = torch.cat([same, strangers])
-    assert auc(scores, torch.arange(80) < 40) > 0.85
+    # Whoever says nothing of persons is at one half with this error (Mann and Whitney 1947), and
+    # five of them above it once in three million times.
+    error = math.sqrt((40 + 40 + 1) / (12 * 40 * 40))
+    assert auc(scores, torch.arange(80) < 40) > 0.5 + 5 * error
     assert match(one, one) == pytest.approx(torch.ones(40), abs=1e-5)
 
 

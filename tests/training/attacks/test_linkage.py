@@ -17,6 +17,7 @@ from veilcam_training.attacks.linkage import (
     Link,
     blocks_of,
     by_cosines,
+    by_known_angles,
     by_known_lengths,
     by_known_spread,
     by_lengths,
@@ -128,6 +129,28 @@ def test_what_masks_change_is_divided_out_of_cosines() -> None:
     nothing = captures(3, leaking=False)
     link = by_known_spread(captures(4, leaking=False), ridge=1e-3)
     assert abs(link_area(link, *nothing) - 0.5) < luck(nothing[0])
+
+
+def test_angles_and_lengths_together_say_more_than_either() -> None:
+    def seen(seed: int) -> tuple[Tensor, Tensor]:
+        random = torch.Generator().manual_seed(seed)
+        scenes = torch.randn(BLOCKS, 10, PIXELS, generator=random)
+        sizes = torch.randn(BLOCKS, 10, 1, generator=random)
+        noise = torch.randn(2, BLOCKS, 10, PIXELS, generator=random)
+        first, second = normalize(scenes + 1.5 * noise, dim=3) * sizes.exp()
+        spread = (0.3 * torch.randn(2, BLOCKS, 10, 1, generator=random)).exp()
+        return first * spread[0], second * spread[1]
+
+    learned, asked = seen(1), seen(2)
+    both = link_area(by_known_angles(learned), *asked)
+    angles = link_area(partial(by_cosines, mean=torch.zeros(PIXELS)), *asked)
+    assert both > max(angles, link_area(by_known_lengths(learned), *asked)) + luck(asked[0])
+    nothing = captures(3, leaking=False)
+    blind = by_known_angles(captures(4, leaking=False))
+    assert abs(link_area(blind, *nothing) - 0.5) < luck(nothing[0])
+    # Where lengths are all alike, angles are what there is.
+    unit = normalize(asked[0], dim=2), normalize(asked[1], dim=2)
+    assert abs(link_area(by_known_angles(unit), *unit) - angles) < luck(unit[0])
 
 
 def test_rare_lengths_say_more() -> None:

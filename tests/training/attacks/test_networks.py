@@ -16,6 +16,7 @@ from veilcam_training.attacks.networks import (
     FAMILIES,
     TRIALS,
     Build,
+    Correlations,
     Family,
     Seen,
     attackers,
@@ -36,6 +37,7 @@ BUILDS: dict[str, Build] = {
     "linear": linear,
     "perceptron": perceptron,
     "convolutions": partial(convolutions, SHAPE),
+    "correlations": partial(Correlations, SHAPE),
 }
 
 

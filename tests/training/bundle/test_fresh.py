@@ -19,14 +19,12 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import MeasurementNoise, SceneStatistics
 from veilcam_optics.keys.masks import MaskDistribution, draw_levels
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_server.demo_data import FRESH
 from veilcam_training.bundle import (
     Bundle,
     BundleError,
     Fresh,
-    build_classifier,
-    build_untrained,
     classifier_inputs,
     read_bundle,
     write_bundle,
@@ -41,6 +39,7 @@ from veilcam_training.bundle.layers import (
     ReLU,
     Reshape,
 )
+from veilcam_training.models.network import build_classifier, build_untrained, weights_of
 
 CAMERA = Camera(window=Window(rows=9, columns=5))
 SCENE = Scene(rows=6, columns=7, height=0.12)
@@ -60,10 +59,8 @@ def make_fresh(**changes: Any) -> Fresh:
         Linear(inputs=3 * PIXELS, outputs=4),
     )
     weights = {
-        name: torch.rand(tensor.shape, generator=generator)
-        if tensor.is_floating_point()
-        else tensor
-        for name, tensor in build_untrained(layers).state_dict().items()
+        name: torch.rand(array.shape, generator=generator).numpy() if array.ndim else array
+        for name, array in weights_of(build_untrained(layers)).items()
     }
     given: dict[str, Any] = {
         "distribution": MaskDistribution.power(CAMERA, 2.0),
@@ -71,7 +68,7 @@ def make_fresh(**changes: Any) -> Fresh:
             torch.rand(PIXELS, generator=generator),
             torch.randn(PIXELS, RANK, generator=generator),
             torch.rand(PIXELS, generator=generator),
-        ),
+        ).in_numpy(),
         "noise": MeasurementNoise(35.0, 0.01),
         "layers": layers,
         "weights": weights,
@@ -111,9 +108,9 @@ def test_it_comes_back_as_it_was_written(path: Path) -> None:
             getattr(fresh.distribution, name), getattr(written.distribution, name)
         )
     for name in ("mean", "basis", "residual"):
-        assert torch.equal(getattr(fresh.statistics, name), getattr(written.statistics, name))
+        assert np.array_equal(getattr(fresh.statistics, name), getattr(written.statistics, name))
     assert fresh.weights.keys() == written.weights.keys()
-    assert all(torch.equal(fresh.weights[n], written.weights[n]) for n in written.weights)
+    assert all(np.array_equal(fresh.weights[n], written.weights[n]) for n in written.weights)
 
 
 def test_the_same_bundle_gives_the_same_bytes(path: Path) -> None:
@@ -132,8 +129,10 @@ def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -
         fresh = bundle.fresh
         assert fresh is not None
         levels = draw_levels(key, camera=bundle.camera, distribution=fresh.distribution)
-        frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding)
-        decoder = frame.decoding().prepare(to_weights(levels, bundle.camera.panel))
+        frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding).in_torch()
+        decoder = frame.decoding().prepare(
+            torch.from_numpy(to_weights(levels, bundle.camera.panel))
+        )
         measurements = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
         inputs = classifier_inputs(decoder, measurements, fresh.features)
         assert inputs.shape == (3, fresh.inputs)
@@ -146,7 +145,7 @@ def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -
 def test_features_choose_what_the_classifier_is_given() -> None:
     both, estimate = make_fresh(), make_fresh(features=("estimate",))
     turned = make_fresh(features=("deviation", "estimate"))
-    frame = both.frame(CAMERA, SCENE, EMBEDDING)
+    frame = both.frame(CAMERA, SCENE, EMBEDDING).in_torch()
     decoder = frame.decoding().prepare(torch.rand(CAMERA.mask_shape))
     measurements = torch.rand(2, EMBEDDING.size)
     inputs = classifier_inputs(decoder, measurements, both.features)

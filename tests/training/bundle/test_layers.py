@@ -6,9 +6,10 @@ import pytest
 import torch
 from pydantic import TypeAdapter
 
-from veilcam_training.bundle import BundleError, LayerRecord, build_untrained
+from veilcam_training.bundle import BundleError, LayerRecord
 from veilcam_training.bundle import layers as L  # noqa: N812 - a test of every name in it
-from veilcam_training.bundle.classifier import MAX_LAYERS, build_classifier, output_shape
+from veilcam_training.bundle.classifier import MAX_LAYERS, output_shape
+from veilcam_training.models.network import build_classifier, build_untrained, weights_of
 
 CASES: list[tuple[LayerRecord, tuple[int, ...]]] = [
     (L.Linear(inputs=6, outputs=4, bias=False), (6,)),
@@ -39,9 +40,8 @@ def test_record_module_and_shape_agree(layer: LayerRecord, shape: tuple[int, ...
     adapter: TypeAdapter[LayerRecord] = TypeAdapter(LayerRecord)
     assert adapter.validate_json(adapter.dump_json(layer)) == layer
     with torch.no_grad():
-        weights = module.state_dict()
         x = torch.rand(3, *shape)
-        torch.testing.assert_close(build_classifier([layer], weights)(x), module(x))
+        torch.testing.assert_close(build_classifier([layer], weights_of(module))(x), module(x))
 
 
 @pytest.mark.parametrize(

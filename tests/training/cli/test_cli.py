@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import sys
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training.bundle import build_classifier, read_bundle
+from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
@@ -23,6 +24,7 @@ from veilcam_training.data import Source
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import stream
 from veilcam_training.trainer import loop as fitting
 
@@ -66,7 +68,7 @@ def test_keyring_end_to_end(
     test, share = source.test(), {}
     operator = TransferOperator(bundle.camera, bundle.scene, bundle.embedding)
     for i, mask in enumerate(bundle.pairs):
-        weights = to_weights(mask.levels, bundle.camera.panel)
+        weights = torch.from_numpy(to_weights(mask.levels, bundle.camera.panel))
         binning = shot_noise(operator.embed(test.scenes(), weights), 40, stream(0, "noise"))
         for j, pair in enumerate(bundle.pairs):
             logits = build_classifier(pair.layers, pair.weights)(binning.flatten(1))
@@ -109,8 +111,10 @@ def test_file_logs_and_other_options(
     config.write_text(
         'embedding = "3x4"\nencoder = "lens"\nchange = "rotate"\n[recipe]\nepochs = 2\n'
     )
+    table = tmp_path / "epochs.csv"
+    table.write_text("epoch,training_loss\n1,9\n2,9\n3,9\n")  # of a run before this one
     options = ("--config", config, "--embedding", "6x8", "--tensorboard", logs, "--device", "cpu")
-    assert call(monkeypatch, "fit", "--data", digit_folder, *options) == 0
+    assert call(monkeypatch, "fit", "--data", digit_folder, *options, "--csv", table) == 0
     printed = capsys.readouterr().out
     assert "lens" in printed
     assert "6x8" in printed
@@ -119,6 +123,18 @@ def test_file_logs_and_other_options(
     curves.Reload()
     assert len(curves.Scalars("accuracy/validation")) == 2
     assert [point.step for point in curves.Scalars("loss/training")] == [1, 2]
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["epoch"] for row in rows] == ["1", "2"]
+    for column, curve in (
+        ("training_loss", "loss/training"),
+        ("validation_loss", "loss/validation"),
+        ("training_accuracy", "accuracy/training"),
+        ("validation_accuracy", "accuracy/validation"),
+        ("seconds", "seconds"),
+    ):
+        points = [point.value for point in curves.Scalars(curve)]
+        # TensorBoard keeps float32.
+        assert [float(row[column]) for row in rows] == pytest.approx(points, rel=1e-6)
 
 
 def test_download_says_what_it_can_fetch(

@@ -16,6 +16,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -123,6 +124,7 @@ def settings(place: Place, **changes: Any) -> Settings:
         ("faces", Part(datasets=["faces-glasses"]), 2 * 7),
         ("celeba", Part(), 2 * 2 * 7),
         ("cifar10", Part(), 4 * 7),
+        ("own", Part(), 2 * 4 * 7),
     ],
 )
 def test_a_chosen_part(table: str, part: Part, count: int) -> None:
@@ -416,7 +418,7 @@ def test_a_killed_table_ends_with_the_same_numbers(
         for work in (broken, whole)
     ]
     assert (pairs[0].levels == pairs[1].levels).all()
-    assert all(torch.equal(pairs[0].weights[k], pairs[1].weights[k]) for k in pairs[1].weights)
+    assert all(np.array_equal(pairs[0].weights[k], pairs[1].weights[k]) for k in pairs[1].weights)
     # And it was taken up, not begun again.
     epochs = next(load_results(broken)).epochs
     assert [epoch.loss for epoch in epochs][: len(done)] == [epoch["loss"] for epoch in done]
@@ -454,6 +456,7 @@ def test_budget(
         ("cifar10", "cifar_files", ("--binnings", "area"), 1),
         ("celeba", "celeba_files", (), 4),
         ("faces", "faces_file", ("--binnings", "area"), 3),
+        ("own", "drawn_files", ("--binnings", "area", "--classifiers", "LR"), 1),
     ],
 )
 def test_every_data_set_has_its_table(

@@ -12,14 +12,16 @@ import torch
 from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.bundle import build_classifier, read_bundle, write_bundle
+from veilcam_training.bundle import read_bundle, write_bundle
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import SOURCES, open_source, split
-from veilcam_training.data.celeba import CelebaSource, stratified
+from veilcam_training.data.base import stratified
+from veilcam_training.data.celeba import CelebaSource
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
 from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.models.network import build_classifier
 
 Writer = Callable[..., Path]
 
@@ -80,7 +82,9 @@ def test_bad_faces(
 def test_too_few_people(faces_file: Writer, tmp_path: Path, people: int) -> None:
     source = open_source("faces-gender", faces_file(tmp_path, identity=np.arange(120) % people))
     for read in (source.training, source.test):
-        with pytest.raises(TrainingError, match=rf"has {people} identities, .* use more of them"):
+        with pytest.raises(
+            TrainingError, match=rf"faces.npz has groups: {people}, .* use more of them"
+        ):
             read()
 
 
@@ -242,10 +246,10 @@ def test_from_files_to_a_bundle(
 
 def test_stratified_needs_both_classes() -> None:
     with pytest.raises(TrainingError, match="use more of them"):
-        stratified(torch.tensor([0] * 50 + [1]), 0.15)
+        stratified(torch.tensor([0] * 50 + [1]), 0.15, where=Path(), classes=2)
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", [name for name in SOURCES if name != "image-folder"])
 def test_every_source_says_what_it_is(name: str, tmp_path: Path) -> None:
     source = open_source(name, tmp_path)
     assert source.name == name

@@ -133,7 +133,9 @@ def test_masks_transfer_what_the_panel_shows(name: str) -> None:
     assert levels.dtype == np.uint8
     assert levels.shape == CAMERA.mask_shape
     assert len(np.unique(levels)) == CAMERA.panel.levels
-    shown = TransferOperator(CAMERA, SCENE, EMBEDDING)(to_weights(levels, CAMERA.panel))
+    shown = TransferOperator(CAMERA, SCENE, EMBEDDING)(
+        torch.from_numpy(to_weights(levels, CAMERA.panel))
+    )
     torch.testing.assert_close(encoder.transfer(), shown)
 
 
@@ -239,7 +241,7 @@ def test_psf_and_transfer_operator_agree(point: bool) -> None:
     mask = fresh("fixed_simulated", None, point=point)
     assert isinstance(mask, FixedMask)
     light = GridLight(CAMERA, SCENE, oversampling=4)
-    psf = light.psf(to_weights(mask.levels(), CAMERA.panel).double())
+    psf = light.psf(torch.from_numpy(to_weights(mask.levels(), CAMERA.panel)).double())
     spread = Psf(psf, float(light.grid.pitch_y), CAMERA.distance)
     other = PsfEncoder(mask.setup, spread).transfer()
     error = (other - mask.transfer()).norm() / mask.transfer().norm()

@@ -18,7 +18,8 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.effects import Model
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.operator import LightOperator
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
@@ -79,7 +80,7 @@ def test_an_empty_test_set_costs_no_fit(digit_folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("people", "reason"),
-    [(3, "has 3 identities, too few"), (5, "leaves 0 of 4 groups to validate with: use more")],
+    [(3, "has groups: 3, too few"), (5, "leaves 0 of 4 groups to validate with: use more")],
 )
 def test_too_few_faces_for_all_parts(
     faces_file: Writer, tmp_path: Path, people: int, reason: str
@@ -152,7 +153,7 @@ def test_what_is_checked_is_what_training_used(
 def whole_error(encoder: Mask, scene: Scene) -> float:
     """Every entry, every pair."""
     camera, embedding = encoder.setup.camera, encoder.setup.embedding
-    weights = to_weights(encoder.levels(), camera.panel)
+    weights = torch.from_numpy(to_weights(encoder.levels(), camera.panel))
     full = TransferOperator(
         camera, scene, embedding, reach=Reach(8, 8), step=0.1e-6, dtype=torch.float64
     )(weights.double())

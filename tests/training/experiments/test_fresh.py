@@ -15,7 +15,7 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.keys.masks import MaskDistribution, draw_levels
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_training.bundle import build_classifier, classifier_inputs, read_bundle, write_bundle
+from veilcam_training.bundle import classifier_inputs, read_bundle, write_bundle
 from veilcam_training.config.settings import FreshSettings
 from veilcam_training.data import Source, open_source
 from veilcam_training.encoders.fresh import Misalignment
@@ -23,6 +23,7 @@ from veilcam_training.errors import TrainingError
 from veilcam_training.experiments import fit as fitting
 from veilcam_training.experiments.fit import run_fresh
 from veilcam_training.experiments.keyring import as_fresh_bundle
+from veilcam_training.models.network import build_classifier
 from veilcam_training.trainer.evaluation import evaluate
 
 CAMERA = Camera(window=Window(rows=18, columns=9))
@@ -66,8 +67,10 @@ def test_the_bundle_classifies_behind_a_mask_from_its_key_policy(
     assert fresh is not None
     assert bundle.accuracy == result.accuracy
     levels = draw_levels(os.urandom(32), camera=CAMERA, distribution=fresh.distribution)
-    weights = to_weights(levels, CAMERA.panel)
-    decoder = fresh.frame(CAMERA, bundle.scene, bundle.embedding).decoding().prepare(weights)
+    weights = torch.from_numpy(to_weights(levels, CAMERA.panel))
+    decoder = (
+        fresh.frame(CAMERA, bundle.scene, bundle.embedding).in_torch().decoding().prepare(weights)
+    )
     test = source.test()
     clean = TransferOperator(CAMERA, bundle.scene, bundle.embedding).embed(test.scenes(), weights)
     measurements = shot_noise(clean, 40.0, torch.Generator().manual_seed(0))

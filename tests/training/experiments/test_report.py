@@ -82,6 +82,9 @@ def work(tmp_path: Path) -> Path:
     finish(folder, 0.78, classifier="LR", embedding="3x4", seed=0)  # 79.3
     finish(folder, 0.80, classifier="LR", embedding="3x4", seed=1)
     finish(folder, 0.88, classifier="LR", embedding="3x4", binning="point")
+    for seed in range(3):
+        finish(folder, 0.950 + 0.001 * seed, classifier="LR", embedding="12x16", seed=seed)  # 93.5
+        finish(folder, 0.90 + 0.01 * seed, classifier="LR", embedding="6x8", seed=seed)  # 91.4
     finish(folder, 0.99, classifier="CNN16", embedding="24x32")
     return folder
 
@@ -90,7 +93,7 @@ def work(tmp_path: Path) -> Path:
 def test_report(work: Path, tmp_path: Path) -> None:
     out = tmp_path / "report"
     results = list(load_results(work))
-    assert len(results) == 5
+    assert len(results) == 11
     write_report(out, find_table("mnist"), results, work)
     markdown, page = ((out / name).read_text() for name in ("report.md", "report.html"))
 
@@ -100,22 +103,23 @@ def test_report(work: Path, tmp_path: Path) -> None:
         if len(cells := [cell.strip() for cell in line.split("|")]) == 8
     }
     assert rows["LR", "learned mask"] == [
-        "96.00 (95.5, ▲ +0.5)",
-        "– (93.5)",
-        "– (91.4)",
-        "79.00 ± 1.41 (79.3, ▼ −0.3)",
+        "96.00 (95.5, +0.5)",  # one seed decides nothing
+        "95.10 ± 0.25 (93.5, ▲ +1.6)",
+        "91.00 ± 2.48 (91.4, = −0.4)",
+        "79.00 ± 12.71 (79.3, −0.3)",
     ]
-    assert rows["LR", "learned mask, point binning"][3] == "88.00 (79.3, ▲ +8.7)"
+    assert rows["LR", "learned mask, point binning"][3] == "88.00 (79.3, +8.7)"
     assert rows["CNN16", "learned mask"][0] == "99.00"
     assert rows["LR", "fixed mask, measured"] == ["– (92.8)", "– (91.9)", "– (87.7)", "– (73.4)"]
     assert ("FC800", "learned mask, point binning") not in rows
     assert "| `mnist_LR_learned_3x4` | 2 | 78.00 % | 79.00 % | 79.3 % | −0.3 | 3 (2) |" in markdown
-    assert markdown.count("| 12 s | 34 µs |") == 3
+    assert "| 95.10 % | 93.5 % | +1.6 (win) |" in markdown
+    assert markdown.count("| 12 s | 34 µs |") == 5
     assert markdown.count("| 12 s* | 34 µs |") == 1
 
-    assert page.count('class="better"') == 2 * 2  # in the table and in the list
-    assert page.count('class="worse"') == 2 * 1
-    assert "79.00 ± 1.41" in page
+    for verdict, count in (("win", 1), ("tie", 1), ("loss", 0)):
+        assert page.count(f'class="{verdict}"') == 2 * count  # in the table and in the list
+    assert "79.00 ± 12.71" in page
     assert "table mnist &lt;here&gt;" in page
     for text in (markdown, page):
         for said in ("abc123", "a machine", "Bezzam"):
@@ -137,6 +141,32 @@ def test_report(work: Path, tmp_path: Path) -> None:
         "confusion_LR",
         "confusion_CNN16",
     }
+
+
+@pytest.mark.parametrize(
+    ("tests", "verdict"),
+    [
+        ((96.5,), None),
+        ((96.5, 96.5), None),
+        # Of no spread: the paper's 95.5 stands for all from 95.45 to 95.55.
+        ((95.56, 95.56, 95.56), "win"),
+        ((95.54, 95.54, 95.54), "tie"),
+        ((95.44, 95.44, 95.44), "loss"),
+        # Half of the interval of three, d apart, is 4.303 d / sqrt(3); of four 3.182 * 1.291 d / 2.
+        ((95.9, 96.0, 96.1), "win"),  # 96 - 0.25
+        ((95.8, 96.0, 96.2), "tie"),  # 96 - 0.50
+        ((95.75, 95.9, 96.05, 96.2), "win"),  # 95.975 - 0.31
+        ((95.0, 94.9, 94.8), "loss"),
+    ],
+)
+def test_seeds_decide(tmp_path: Path, tests: tuple[float, ...], verdict: str | None) -> None:
+    results = [
+        finish(tmp_path, test / 100, classifier="LR", embedding="24x32", seed=seed)
+        for seed, test in enumerate(tests)
+    ]
+    (entry,) = Summary(find_table("mnist"), results).finished()
+    assert entry.paper == 95.5
+    assert entry.verdict == verdict
 
 
 def test_report_of_nothing(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import distributed
@@ -65,7 +66,7 @@ def seeds(bundle: Bundle) -> list[int]:
 def same(one: Bundle, other: Bundle) -> bool:
     return all(
         (a.levels == b.levels).all()
-        and all(torch.equal(a.weights[name], b.weights[name]) for name in a.weights)
+        and all(np.array_equal(a.weights[name], b.weights[name]) for name in a.weights)
         for a, b in zip(one.pairs, other.pairs, strict=True)
     )
 

@@ -10,7 +10,7 @@ import torch
 from pydantic import TypeAdapter
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.bundle import LayerRecord, build_classifier, build_untrained
+from veilcam_training.bundle import LayerRecord
 from veilcam_training.bundle.classifier import output_shape
 from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
 from veilcam_training.config.recipes import Recipe
@@ -27,6 +27,7 @@ from veilcam_training.models.classifiers import (
     Task,
     make_layers,
 )
+from veilcam_training.models.network import build_classifier, build_untrained, weights_of
 
 NAMES = ("LR", "FC20", "MLP16", "CNN4", "VGG11")
 
@@ -47,7 +48,7 @@ def test_it_fits_the_papers_embeddings(name: str, shape: tuple[int, int, int]) -
     module = build_untrained(layers)
     x = torch.rand(2, inputs)
     with torch.no_grad():
-        assert build_classifier(layers, module.state_dict())(x).shape == (2, 10)
+        assert build_classifier(layers, weights_of(module))(x).shape == (2, 10)
     adapter: TypeAdapter[tuple[LayerRecord, ...]] = TypeAdapter(tuple[LayerRecord, ...])
     assert adapter.validate_json(adapter.dump_json(layers)) == layers
 

@@ -8,7 +8,6 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.bundle import build_classifier
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source, split
@@ -16,6 +15,7 @@ from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.keyring import as_pair
 from veilcam_training.experiments.model import make_model
 from veilcam_training.models.classifiers import Task, make_layers
+from veilcam_training.models.network import build_classifier
 from veilcam_training.models.whitening import WhitenedWeights, plain, whiten
 from veilcam_training.trainer.loop import fit
 

@@ -19,6 +19,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy,
 from veilcam_training.attacks.intervals import area
 from veilcam_training.attacks.networks import (
     Build,
+    Density,
     Family,
     Progress,
     Trial,
@@ -33,6 +34,8 @@ PAIRS = 10
 
 _OUTPUTS = 64
 """Of a metric network."""
+_RIDGE = 1e-4
+"""Beside a covariance of features that have variance 1."""
 
 Blocks = tuple[Tensor, Tensor]
 """First and second captures."""
@@ -67,18 +70,13 @@ def by_known_lengths(learned: Blocks, *, width: float = 0.2) -> Link:
     one, other = (_log_lengths(each).flatten() for each in learned)
     known = torch.cat([one, other])
     apart = (one - other).std().clamp_min(1e-30)
-    unit = width * known.std().clamp_min(1e-30)
+    unit = width * float(known.std().clamp_min(1e-30))
+    density = Density(known, unit, torch.ones(len(known), 1))
 
     def link(first: Tensor, second: Tensor) -> Tensor:
-        left, right = _log_lengths(first)[:, :, None], _log_lengths(second)[:, None]
-        middles = (left + right) / 2
-        density = torch.stack(
-            [
-                (-((each.flatten()[:, None] - known) / unit).square() / 2).exp().mean(1)
-                for each in middles
-            ]
-        ).reshape(middles.shape)
-        return -((left - right) / apart).square() / 2 - density.clamp_min(1e-300).log()
+        middle, between = _middles(first, second)
+        rarity = -density(middle)[..., 0].clamp_min(1e-300).log()
+        return rarity - (between / apart).square() / 2
 
     return link
 
@@ -86,6 +84,12 @@ def by_known_lengths(learned: Blocks, *, width: float = 0.2) -> Link:
 def _log_lengths(vectors: Tensor) -> Tensor:
     lengths: Tensor = vectors.double().norm(dim=2).clamp_min(1e-30).log()
     return lengths
+
+
+def _middles(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and distance of the logarithms of lengths, of each first with each second."""
+    left, right = _log_lengths(first)[:, :, None], _log_lengths(second)[:, None]
+    return (left + right) / 2, (left - right).abs()
 
 
 def by_products(first: Tensor, second: Tensor) -> Tensor:
@@ -131,6 +135,31 @@ def by_known_spread(learned: Blocks, *, ridge: float) -> Link:
         return left @ right.transpose(1, 2)
 
     return link
+
+
+def by_known_angles(learned: Blocks) -> Link:
+    """Fisher's discriminant of the angle between two vectors together with both of their lengths.
+
+    Args:
+        learned: pairs behind masks of the attacker's own; of its blocks all others are strangers.
+    """
+    known = _angles_and_lengths(*learned)
+    features = (known - known.mean((0, 1, 2))) / known.std((0, 1, 2)).clamp_min(1e-12)
+    own = torch.eye(known.shape[1], dtype=torch.bool)
+    same, other = features[:, own].flatten(0, 1), features[:, ~own].flatten(0, 1)
+    spread = torch.cov(same.T) + torch.cov(other.T) + _RIDGE * torch.eye(features.shape[3])
+    direction = torch.linalg.solve(spread, same.mean(0) - other.mean(0))
+    weights = direction / known.std((0, 1, 2)).clamp_min(1e-12)
+    return lambda first, second: _angles_and_lengths(first, second) @ weights
+
+
+def _angles_and_lengths(first: Tensor, second: Tensor) -> Tensor:
+    """Of each first with each second, (blocks, pairs, pairs, 9)."""
+    middle, apart = _middles(first, second)
+    product = by_products(first, second) / first.shape[2]
+    cosine, between = product * (-2 * middle).exp(), product * (-middle).exp()
+    lengths = [middle, middle.square(), apart, apart.square()]
+    return torch.stack([*lengths, cosine, cosine.square(), cosine * middle, between, product], 3)
 
 
 def by_distances(first: Tensor, second: Tensor) -> Tensor:
@@ -214,8 +243,8 @@ def by_metric(
 ) -> Link:
     """Fit a network whose outputs are alike where captures show the same (two of one network).
 
-    Its outputs have length 1; their cosines, over a temperature of 0.1, are to tell the second of
-    each first from its block (Sohn 2016, the N-pair loss). The best epoch on ``check`` counts.
+    Its outputs have length 1; cosines, over a temperature of 0.1, are to tell the second of each
+    first from its block (Sohn 2016, the N-pair loss). The best epoch on ``check`` counts.
     """
     first, second = learned
     scale = 1 / float(first.square().mean().sqrt())
@@ -307,6 +336,7 @@ def links(
     mean = torch.cat(learned).flatten(0, 1).mean(0)
     tried: list[Link] = [by_products, by_distances, partial(by_cosines, mean=mean)]
     tried += [by_known_spread(learned, ridge=ridge) for ridge in (1e-3, 1e-2, 1e-1)]
+    tried.append(by_known_angles(learned))
     if family == "networks":
         tried = [by_network(learned, check, trial=trial, epochs=epochs) for trial in trials]
         tried += [

@@ -71,7 +71,7 @@ class FreshMasks:
     def __call__(self, generator: torch.Generator) -> tuple[int, Tensor]:
         """A new one."""
         levels = draw_levels(_key(generator), camera=self.camera, distribution=self.distribution)
-        return -1, to_weights(levels, self.camera.panel)
+        return -1, torch.from_numpy(to_weights(levels, self.camera.panel))
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,11 @@
 
 from veilcam_training.bundle.archive import add_card, read_bundle, sign_bundle, write_bundle
 from veilcam_training.bundle.card import CardRow, Finding, Outcome, PrivacyCard
-from veilcam_training.bundle.classifier import build_classifier, build_untrained
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature, Fresh, classifier_inputs
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.model import Accuracy, Bundle, Pair, TransferError
+from veilcam_training.bundle.network import Network
 from veilcam_training.bundle.signature import OwnerKey, read_key, write_key
 
 __all__ = [
@@ -18,14 +18,13 @@ __all__ = [
     "Finding",
     "Fresh",
     "LayerRecord",
+    "Network",
     "Outcome",
     "OwnerKey",
     "Pair",
     "PrivacyCard",
     "TransferError",
     "add_card",
-    "build_classifier",
-    "build_untrained",
     "classifier_inputs",
     "read_bundle",
     "read_key",

@@ -1,10 +1,11 @@
-"""From layer records and weights to a torch module, with every mismatch found first."""
+"""Layer records that follow one another, and weights for them: every mismatch is found first."""
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-import torch
-from torch import Tensor, nn
+import numpy as np
+import numpy.typing as npt
 
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.layers import (
@@ -48,41 +49,17 @@ def count_operations(layers: Sequence[LayerRecord], inputs: int) -> int:
     return total
 
 
-def build_untrained(layers: Sequence[LayerRecord]) -> nn.Sequential:
-    """A new module with random parameters, in training mode."""
-    return nn.Sequential(*(layer.module() for layer in layers))
+def check_weights(layers: Sequence[LayerRecord], weights: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Raise :class:`BundleError` unless ``weights`` are exactly what ``layers`` need.
 
-
-def build_classifier(layers: Sequence[LayerRecord], weights: Mapping[str, Tensor]) -> nn.Module:
-    """The classifier that ``layers`` and ``weights`` describe, in evaluation mode.
-
-    Args:
-        layers: records in order.
-        weights: by the names of the module's ``state_dict``; they are copied.
-
-    Returns:
-        A module from (batch, embedding.size) float32 to logits (batch, labels).
-
-    Raises:
-        BundleError: names, shapes, types or values that do not fit the layers.
+    Messages name arrays but hold no number of theirs.
     """
-    # On the meta device a module has shapes but no numbers: a lying record costs no memory.
-    with torch.device("meta"):
-        module = build_untrained(layers)
-    check_weights(module, weights)
-    module.load_state_dict(
-        {name: tensor.detach().clone() for name, tensor in weights.items()}, assign=True
-    )
-    return module.requires_grad_(False).eval()
-
-
-def check_weights(module: nn.Module, weights: Mapping[str, Tensor]) -> None:
-    """Raise :class:`BundleError` unless ``weights`` are exactly what ``module`` needs.
-
-    Messages name tensors but hold no number of theirs.
-    """
-    expected = module.state_dict()
-    total = sum(math.prod(tensor.shape) for tensor in expected.values())
+    expected = {
+        f"{index}.{name}": needed
+        for index, layer in enumerate(layers)
+        for name, needed in layer.parameters.items()
+    }
+    total = sum(math.prod(shape) for shape, _ in expected.values())
     require(
         total <= MAX_PARAMETERS,
         f"a classifier has {total} parameters: use at most {MAX_PARAMETERS}",
@@ -95,18 +72,17 @@ def check_weights(module: nn.Module, weights: Mapping[str, Tensor]) -> None:
         raise BundleError(f"weights lack {missing[0]!r}: export the bundle again")
     if unknown:
         raise BundleError(f"weights hold unknown {unknown[0]!r}: export the bundle again")
-    for name, wanted in expected.items():
-        tensor = weights[name]
+    for name, (shape, dtype) in expected.items():
+        array = weights[name]
         require(
-            tensor.shape == wanted.shape and tensor.dtype == wanted.dtype,
-            f"weight {name!r} is {tensor.dtype} {tuple(tensor.shape)}: "
-            f"use {wanted.dtype} {tuple(wanted.shape)}",
+            array.shape == shape and array.dtype == dtype,
+            f"weight {name!r} is {array.dtype} {array.shape}: use {dtype} {shape}",
         )
         require(
-            bool(torch.isfinite(tensor).all()),
+            bool(np.isfinite(array).all()),
             f"weight {name!r} holds NaN or infinity: train it again",
         )
         require(
-            not (name.endswith("running_var") and (tensor < 0).any()),
+            not (name.endswith("running_var") and bool((array < 0).any())),
             f"weight {name!r} holds a negative variance: train it again",
         )

@@ -5,16 +5,16 @@ None of it is secret: masks come from a key that the camera alone has.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
-import torch
-from torch import Tensor
+import numpy.typing as npt
 
+from veilcam_optics.arrays import Array, namespace
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import Decoder, MeasurementNoise, SceneFrame, SceneStatistics
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.keys.masks import KEY_BYTES, MaskDistribution, draw_levels
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.layers import LayerRecord
 
@@ -35,11 +35,11 @@ class Fresh:
 
     distribution: MaskDistribution
     """What masks are drawn from; its curve holds the levels that the panel can show."""
-    statistics: SceneStatistics
+    statistics: SceneStatistics[npt.NDArray[Any]]
     noise: MeasurementNoise
     layers: tuple[LayerRecord, ...]
-    weights: Mapping[str, Tensor] = field(repr=False)
-    """By the names of the built module's ``state_dict``."""
+    weights: Mapping[str, npt.NDArray[Any]] = field(repr=False)
+    """By the names of the ``state_dict`` of torch's ``nn.Sequential``."""
     reach: Reach = field(default_factory=Reach)
     features: tuple[Feature, ...] = FEATURES
     """What the classifier is given, each as large as the scene, one after the other."""
@@ -49,15 +49,17 @@ class Fresh:
         """How many numbers the classifier takes."""
         return len(self.features) * self.statistics.pixels
 
-    def frame(self, camera: Camera, scene: Scene, embedding: Embedding) -> SceneFrame:
+    def frame(
+        self, camera: Camera, scene: Scene, embedding: Embedding
+    ) -> SceneFrame[npt.NDArray[Any]]:
         """All that decoding needs besides the key of a mask."""
         known = (self.statistics, self.noise, self.reach, self.distribution)
         return SceneFrame(camera, scene, embedding, *known)
 
 
 def classifier_inputs(
-    decoder: Decoder, measurements: Tensor, features: tuple[Feature, ...] = FEATURES
-) -> Tensor:
+    decoder: Decoder[Array], measurements: Array, features: tuple[Feature, ...] = FEATURES
+) -> Array:
     """What the classifier is given of measurements behind one mask.
 
     Args:
@@ -68,9 +70,13 @@ def classifier_inputs(
     Returns:
         (batch, features x scene pixels).
     """
-    estimate = decoder(measurements).flatten(1)
-    known = {"estimate": estimate, "deviation": decoder.deviation.flatten().expand_as(estimate)}
-    return torch.cat([known[feature] for feature in features], dim=1)
+    xp = namespace(measurements)
+    estimate = decoder(measurements)
+    shape = (estimate.shape[0], decoder.scene.rows * decoder.scene.columns)
+    deviation = xp.broadcast_to(xp.reshape(decoder.deviation, (1, shape[1])), shape)
+    known = {"estimate": xp.reshape(estimate, shape), "deviation": deviation}
+    inputs: Array = xp.concat([known[feature] for feature in features], axis=1)
+    return inputs
 
 
 def check_fresh(fresh: Fresh, camera: Camera, scene: Scene, embedding: Embedding) -> None:

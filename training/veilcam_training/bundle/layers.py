@@ -1,17 +1,20 @@
 """Layer records: a classifier as data, so that loading one runs no code of its author.
 
-Every record knows the torch module it stands for and the shape that comes out of it; shapes are
-those of one sample, without the batch.
+Every record knows the arrays that it needs and the shape that comes out of it; shapes are those of
+one sample, without the batch. :mod:`veilcam_training.bundle.network` computes it, and
+:mod:`veilcam_training.models.network` has the module that learns.
 """
 
 import math
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal, TypeAlias
 
-import torch
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from torch import Tensor, nn
 
 Shape = tuple[int, ...]
+Needs: TypeAlias = Mapping[str, tuple[Shape, "np.dtype[np.generic]"]]
+"""Shape and type of arrays, by name."""
 Width = Annotated[int, Field(ge=1, le=2**16)]
 Side = Annotated[int, Field(ge=1, le=4096)]
 Small = Annotated[int, Field(ge=1, le=64)]
@@ -20,6 +23,9 @@ MAX_VALUES = 2**24
 """Most numbers that one sample may occupy between two layers, or within a convolution."""
 _PER_VALUE = 16
 """What any layer is taken to cost for each number that it gives: as much as so many products."""
+
+
+_FLOAT, _WHOLE = np.dtype(np.float32), np.dtype(np.int64)
 
 
 class LayerShapeError(ValueError):
@@ -33,10 +39,20 @@ class _Record(BaseModel):
         """Return the shape after this layer: by default the same."""
         return shape
 
+    @property
+    def parameters(self) -> Needs:
+        """Shape and type of the arrays that it needs, by name: by default none."""
+        return {}
+
 
 def _require(condition: bool, shape: Shape, wants: str) -> None:
     if not condition:
         raise LayerShapeError(f"gets shape {shape} but wants {wants}")
+
+
+def _with_bias(shape: Shape, *, bias: bool) -> Needs:
+    weight: Needs = {"weight": (shape, _FLOAT)}
+    return {**weight, "bias": (shape[:1], _FLOAT)} if bias else weight
 
 
 class Linear(_Record):
@@ -47,9 +63,10 @@ class Linear(_Record):
     outputs: Width
     bias: bool = True
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.Linear(self.inputs, self.outputs, bias=self.bias)
+    @property
+    def parameters(self) -> Needs:
+        """Shape and type of the arrays that it needs, by name."""
+        return _with_bias((self.outputs, self.inputs), bias=self.bias)
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -65,11 +82,12 @@ class BatchNorm(_Record):
     dimensions: Literal[1, 2] = 1
     epsilon: Annotated[float, Field(gt=0, le=1)] = 1e-5
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        if self.dimensions == 1:
-            return nn.BatchNorm1d(self.features, eps=self.epsilon)
-        return nn.BatchNorm2d(self.features, eps=self.epsilon)
+    @property
+    def parameters(self) -> Needs:
+        """Shape and type of the arrays that it needs, by name."""
+        names = ("weight", "bias", "running_mean", "running_var")
+        counted = {"num_batches_tracked": ((), _WHOLE)}  # torch writes it, and nobody reads it
+        return dict.fromkeys(names, ((self.features,), _FLOAT)) | counted
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -90,9 +108,10 @@ class LayerNorm(_Record):
     affine: bool = True
     epsilon: Annotated[float, Field(gt=0, le=1)] = 1e-5
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.LayerNorm(self.shape, eps=self.epsilon, elementwise_affine=self.affine)
+    @property
+    def parameters(self) -> Needs:
+        """Shape and type of the arrays that it needs, by name."""
+        return {name: (self.shape, _FLOAT) for name in ("weight", "bias") if self.affine}
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -107,29 +126,17 @@ class Affine(_Record):
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     offset: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return AffineModule(self.scale, self.offset)
-
 
 class ReLU(_Record):
     """max(x, 0)."""
 
     kind: Literal["relu"] = "relu"
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.ReLU()
-
 
 class GELU(_Record):
     """x times the normal distribution function of x."""
 
     kind: Literal["gelu"] = "gelu"
-
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.GELU()
 
 
 class Dropout(_Record):
@@ -138,19 +145,11 @@ class Dropout(_Record):
     kind: Literal["dropout"] = "dropout"
     probability: Annotated[float, Field(ge=0, lt=1)] = 0.5
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.Dropout(self.probability)
-
 
 class Flatten(_Record):
     """All numbers of a sample in one row."""
 
     kind: Literal["flatten"] = "flatten"
-
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.Flatten()
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer."""
@@ -162,10 +161,6 @@ class Reshape(_Record):
 
     kind: Literal["reshape"] = "reshape"
     shape: tuple[Side, Side, Side]
-
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.Unflatten(1, self.shape)
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -179,10 +174,6 @@ class Resize(_Record):
     kind: Literal["resize"] = "resize"
     rows: Side
     columns: Side
-
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.Upsample((self.rows, self.columns), mode="bilinear")
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -202,17 +193,11 @@ class Conv2d(_Record):
     groups: Side = 1
     bias: bool = True
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.Conv2d(
-            self.inputs,
-            self.outputs,
-            self.kernel,
-            stride=self.stride,
-            padding=self.padding,
-            groups=self.groups,
-            bias=self.bias,
-        )
+    @property
+    def parameters(self) -> Needs:
+        """Shape and type of the arrays that it needs, by name."""
+        kernels = (self.outputs, self.inputs // self.groups, self.kernel, self.kernel)
+        return _with_bias(kernels, bias=self.bias)
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -240,10 +225,6 @@ class MaxPool(_Record):
     kind: Literal["max_pool"] = "max_pool"
     kernel: Small = 2
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.MaxPool2d(self.kernel)
-
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
         _require(
@@ -260,10 +241,6 @@ class AveragePool(_Record):
     kind: Literal["average_pool"] = "average_pool"
     rows: Side = 1
     columns: Side = 1
-
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return nn.AdaptiveAvgPool2d((self.rows, self.columns))
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -297,9 +274,14 @@ class Residual(_Record):
         Field(min_length=1, max_length=16),
     ]
 
-    def module(self) -> nn.Module:
-        """Return a new torch module."""
-        return ResidualModule(*(layer.module() for layer in self.layers))
+    @property
+    def parameters(self) -> Needs:
+        """Shape and type of the arrays that it needs, by name."""
+        return {
+            f"layers.{index}.{name}": needed
+            for index, layer in enumerate(self.layers)
+            for name, needed in layer.parameters.items()
+        }
 
     def output_shape(self, shape: Shape) -> Shape:
         """Return the shape after this layer, or raise :class:`LayerShapeError`."""
@@ -336,27 +318,3 @@ def operations(layer: PlainLayer | Residual, shape: Shape) -> int:
         return values * (layer.inputs // layer.groups * layer.kernel**2 + _PER_VALUE)
     # Pooling looks at every number that goes in.
     return max(values, math.prod(shape)) * _PER_VALUE
-
-
-class AffineModule(nn.Module):
-    """``scale * x + offset``."""
-
-    def __init__(self, scale: float, offset: float) -> None:
-        super().__init__()
-        self.scale, self.offset = scale, offset
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Apply it to a tensor of any shape."""
-        return torch.add(x * self.scale, self.offset)
-
-
-class ResidualModule(nn.Module):
-    """``x + layers(x)``."""
-
-    def __init__(self, *layers: nn.Module) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(*layers)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Apply it to a tensor of any shape that the layers take."""
-        return torch.add(x, self.layers(x))

@@ -7,7 +7,7 @@ from pydantic import BaseModel, Field, JsonValue, ValidationError, model_validat
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.decoding import MeasurementNoise
-from veilcam_optics.transfer.operator import Reach
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.errors import BundleError
 from veilcam_training.bundle.fresh import Feature
 from veilcam_training.bundle.layers import LayerRecord

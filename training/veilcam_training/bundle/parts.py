@@ -1,14 +1,12 @@
 """The arrays of a bundle as safetensors parts, and back."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import safetensors.numpy
-import safetensors.torch
-import torch
 from safetensors import SafetensorError
-from torch import Tensor
 
 from veilcam_optics.decoding import SceneStatistics
 from veilcam_optics.errors import OpticsError
@@ -17,6 +15,8 @@ from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.fresh import Fresh
 from veilcam_training.bundle.manifest import FreshManifest, PairManifest
 from veilcam_training.bundle.model import Bundle, Pair
+
+Values = npt.NDArray[Any]
 
 MASKS, WEIGHTS, SCENES = "masks.safetensors", "weights.safetensors", "scene_stats.safetensors"
 PARTS: Mapping[str, tuple[str, ...]] = {
@@ -34,17 +34,17 @@ def dump_parts(bundle: Bundle) -> dict[str, bytes]:
     if bundle.fresh is None:
         masks = {f"pair.{i}.levels": pair.levels for i, pair in enumerate(bundle.pairs)}
         weights = {
-            f"pair.{i}.{name}": tensor
+            f"pair.{i}.{name}": array
             for i, pair in enumerate(bundle.pairs)
-            for name, tensor in pair.weights.items()
+            for name, array in pair.weights.items()
         }
-        return {MASKS: _dump_masks(masks), WEIGHTS: _dump_tensors(weights)}
+        return {MASKS: _dump(masks), WEIGHTS: _dump(weights)}
     fresh = bundle.fresh
     statistics = fresh.statistics.to("float32")
     return {
-        MASKS: _dump_masks({name: getattr(fresh.distribution, name) for name in _DISTRIBUTION}),
-        WEIGHTS: _dump_tensors({f"classifier.{n}": t for n, t in fresh.weights.items()}),
-        SCENES: _dump_tensors({name: getattr(statistics, name) for name in _STATISTICS}),
+        MASKS: _dump({name: getattr(fresh.distribution, name) for name in _DISTRIBUTION}),
+        WEIGHTS: _dump({f"classifier.{n}": a for n, a in fresh.weights.items()}),
+        SCENES: _dump({name: getattr(statistics, name) for name in _STATISTICS}),
     }
 
 
@@ -54,14 +54,14 @@ def load_pairs(pairs: tuple[PairManifest, ...], parts: Mapping[str, bytes]) -> t
     Raises:
         BundleError: a part that is no safetensors file, or holds too much or too little.
     """
-    masks, weights = _load_masks(parts[MASKS]), _load_tensors(parts[WEIGHTS])
+    masks, weights = _load(parts[MASKS]), _load(parts[WEIGHTS])
     count = len(pairs)
     require(
         masks.keys() == {f"pair.{index}.levels" for index in range(count)},
         f"{MASKS} does not hold one mask for each of {count} pairs",
     )
-    sorted_weights: list[dict[str, Tensor]] = [{} for _ in range(count)]
-    for key, tensor in weights.items():
+    sorted_weights: list[dict[str, Values]] = [{} for _ in range(count)]
+    for key, array in weights.items():
         prefix, _, rest = key.partition(".")
         index, _, name = rest.partition(".")
         require(
@@ -69,7 +69,7 @@ def load_pairs(pairs: tuple[PairManifest, ...], parts: Mapping[str, bytes]) -> t
             f"{WEIGHTS} holds unknown {key!r}: export the bundle again",
         )
         require(int(index) < count, f"{WEIGHTS} holds {key!r} but there are {count} pairs")
-        sorted_weights[int(index)][name] = tensor
+        sorted_weights[int(index)][name] = array
     return tuple(
         Pair(masks[f"pair.{index}.levels"], pair.layers, own, pair.transfer_error)
         for index, (pair, own) in enumerate(zip(pairs, sorted_weights, strict=True))
@@ -82,8 +82,8 @@ def load_fresh(manifest: FreshManifest, parts: Mapping[str, bytes]) -> Fresh:
     Raises:
         BundleError: as :func:`load_pairs`, or arrays that are no distribution or statistics.
     """
-    arrays, weights = _load_masks(parts[MASKS]), _load_tensors(parts[WEIGHTS])
-    scenes = _load_tensors(parts[SCENES])
+    arrays, weights = _load(parts[MASKS]), _load(parts[WEIGHTS])
+    scenes = _load(parts[SCENES])
     for name, found, wanted in (
         (MASKS, arrays.keys(), _DISTRIBUTION),
         (SCENES, scenes.keys(), _STATISTICS),
@@ -93,14 +93,14 @@ def load_fresh(manifest: FreshManifest, parts: Mapping[str, bytes]) -> Fresh:
             f"{name} does not hold {', '.join(wanted)}: export the bundle again",
         )
     require(
-        all(tensor.dtype == torch.float32 for tensor in scenes.values()),
+        all(array.dtype == np.float32 for array in scenes.values()),
         f"{SCENES} is not float32: export the bundle again",
     )
     own = {}
-    for key, tensor in weights.items():
+    for key, array in weights.items():
         prefix, _, name = key.partition(".")
         require(prefix == "classifier", f"{WEIGHTS} holds unknown {key!r}: export the bundle again")
-        own[name] = tensor
+        own[name] = array
     try:
         return Fresh(
             distribution=MaskDistribution(**arrays),
@@ -115,23 +115,12 @@ def load_fresh(manifest: FreshManifest, parts: Mapping[str, bytes]) -> Fresh:
         raise BundleError(str(error)) from None
 
 
-def _dump_masks(arrays: Mapping[str, npt.NDArray[np.uint8]]) -> bytes:
-    return safetensors.numpy.save({n: np.ascontiguousarray(a) for n, a in arrays.items()})
+def _dump(arrays: Mapping[str, Values]) -> bytes:
+    return safetensors.numpy.save({n: np.asarray(a, order="C") for n, a in arrays.items()})
 
 
-def _dump_tensors(tensors: Mapping[str, Tensor]) -> bytes:
-    return safetensors.torch.save({n: t.detach().cpu().contiguous() for n, t in tensors.items()})
-
-
-def _load_masks(data: bytes) -> dict[str, npt.NDArray[np.uint8]]:
+def _load(data: bytes) -> dict[str, Values]:
     try:
         return safetensors.numpy.load(data)
-    except (SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise BundleError(f"a part is not a safetensors file: {error}") from None
-
-
-def _load_tensors(data: bytes) -> dict[str, Tensor]:
-    try:
-        return safetensors.torch.load(data)
     except (SafetensorError, ValueError, KeyError, TypeError) as error:
         raise BundleError(f"a part is not a safetensors file: {error}") from None

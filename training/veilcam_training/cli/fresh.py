@@ -12,6 +12,7 @@ from veilcam_training.bundle import read_bundle, write_bundle
 from veilcam_training.cli.options import (
     Batch,
     Config,
+    Csv,
     Device,
     Epochs,
     Folder,
@@ -22,11 +23,13 @@ from veilcam_training.cli.options import (
     check_places,
     given,
     prepare,
+    show_summary,
     watch,
 )
 from veilcam_training.config.recipes import TASKS
 from veilcam_training.config.settings import load_fresh_settings
-from veilcam_training.data import open_source
+from veilcam_training.data import open_source, recognise
+from veilcam_training.data.base import ReadOnce
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
 from veilcam_training.experiments.keyring import as_fresh_bundle
@@ -50,18 +53,21 @@ def fit_fresh_command(
     ] = None,
     work: Work = None,
     tensorboard: Logs = None,
+    csv: Csv = None,
     device: Device = "auto",
     threads: Threads = 1,
 ) -> None:
     """Fit one classifier to a stream of fresh masks; test it on unseen ones; write a bundle."""
     place = prepare(device, threads)
-    check_places(out, work, tensorboard)
-    settings = load_fresh_settings(config, given(task=task, epochs=epochs, batch=batch, seed=seed))
-    source, camera = open_source(settings.data, data), Camera()
+    check_places(out, work, tensorboard, csv)
+    overrides = given(task=task, epochs=epochs, batch=batch, seed=seed)
+    settings = load_fresh_settings(config, overrides, found=recognise(data))
+    source, camera = ReadOnce(open_source(settings.data, data)), Camera()
+    show_summary(console, source)
     with join_ranks(place) as (ranks, place):
         settings = settle_seed(settings, work, ranks)
         name = f"{settings.classifier} fresh {settings.embedding}"
-        with watch(console, name, settings.epochs, tensorboard, ranks) as callbacks:
+        with watch(console, name, settings.epochs, ranks, logs=tensorboard, table=csv) as callbacks:
             result = run_fresh(
                 settings,
                 source,

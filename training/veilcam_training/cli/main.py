@@ -11,12 +11,15 @@ from rich.table import Table
 from veilcam_optics.camera.geometry import Camera
 from veilcam_optics.errors import OpticsError
 from veilcam_training.bundle import BundleError, write_bundle
+from veilcam_training.cli.adapt import adapt_command
 from veilcam_training.cli.attack import app as attack_app
 from veilcam_training.cli.bundle import app as bundle_app
+from veilcam_training.cli.export import export_command
 from veilcam_training.cli.fresh import fit_fresh_command, frame_command
 from veilcam_training.cli.options import (
     Batch,
     Config,
+    Csv,
     Device,
     Epochs,
     Folder,
@@ -27,13 +30,16 @@ from veilcam_training.cli.options import (
     check_places,
     given,
     prepare,
+    show_summary,
     watch,
 )
 from veilcam_training.cli.table import report_command, table_command
 from veilcam_training.config.recipes import RECIPES
 from veilcam_training.config.settings import Settings, load_settings
-from veilcam_training.data import SOURCES, open_source
+from veilcam_training.data import SOURCES, open_source, recognise
+from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
+from veilcam_training.data.drawn import SHAPES, draw_folder
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
@@ -52,7 +58,13 @@ app = typer.Typer(
 console = Console()
 
 
-Dataset = Annotated[str | None, typer.Option("--dataset", help=f"One of {', '.join(SOURCES)}.")]
+Dataset = Annotated[
+    str | None,
+    typer.Option(
+        "--dataset",
+        help=f"One of {', '.join(SOURCES)}; own pictures are found by themselves, else mnist.",
+    ),
+]
 Classifier = Annotated[
     str | None, typer.Option("--classifier", help="LR, FC<width>, MLP<width>, CNN<width>, VGG11.")
 ]
@@ -99,12 +111,14 @@ def fit_command(
     out: Annotated[Path | None, typer.Option("--out", help="Bundle to write, *.veilcam.")] = None,
     work: Work = None,
     tensorboard: Logs = None,
+    csv: Csv = None,
     device: Device = "auto",
     threads: Threads = None,
 ) -> None:
     """Fit one camera and classifier; print its accuracy on the test set; write a bundle."""
     settings = _settings(
         config,
+        data,
         data=dataset,
         classifier=classifier,
         encoder=encoder,
@@ -116,14 +130,18 @@ def fit_command(
         recipe=given(base=recipe, epochs=epochs, batch=batch),
     )
     place = prepare(device, threads)
-    check_places(out, work, tensorboard)
-    source, camera = open_source(settings.data, data), Camera()
+    check_places(out, work, tensorboard, csv)
+    source, camera = ReadOnce(open_source(settings.data, data)), Camera()
     if out is not None:
         check_pairs(settings, source, camera)
     with join_ranks(place) as (ranks, place):
         settings = settle_seed(settings, work, ranks)
+        if ranks.is_first:
+            show_summary(console, source)
         name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-        with watch(console, name, settings.recipe.epochs, tensorboard, ranks) as callbacks:
+        with watch(
+            console, name, settings.recipe.epochs, ranks, logs=tensorboard, table=csv
+        ) as callbacks:
             result = run_fit(
                 settings,
                 source,
@@ -165,6 +183,7 @@ def keyring_command(
     """Fit several pairs of mask and classifier, each from its own seed, into one bundle."""
     settings = _settings(
         config,
+        data,
         data=dataset,
         classifier=classifier,
         encoder=encoder,
@@ -208,8 +227,22 @@ app.command("table")(table_command)
 app.command("report")(report_command)
 app.command("fit-fresh")(fit_fresh_command)
 app.command("frame")(frame_command)
+app.command("adapt")(adapt_command)
+app.command("export")(export_command)
 app.add_typer(bundle_app, name="bundle")
 app.add_typer(attack_app, name="attack")
+
+
+@app.command("draw")
+def draw_command(
+    folder: Annotated[Path, typer.Argument(help="New folder to put the pictures into.")],
+    count: Annotated[int, typer.Option(help="How many, a fifth of them of each shape.")] = 2000,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same ones.")] = 0,
+) -> None:
+    """Draw pictures of five shapes: a data set to try a fit with, where there is no other."""
+    check_folder("FOLDER", folder)
+    draw_folder(folder, count, seed)
+    console.print(f"drew {', '.join(SHAPES)} into {folder}/train and {folder}/test")
 
 
 @app.command("download")
@@ -236,8 +269,8 @@ def _fail(message: str) -> NoReturn:
     sys.exit(1)
 
 
-def _settings(config: Path | None, **options: object) -> Settings:
-    return load_settings(config, given(**options))
+def _settings(config: Path | None, folder: Path, **options: object) -> Settings:
+    return load_settings(config, given(**options), found=recognise(folder))
 
 
 def _show(result: FitResult) -> None:

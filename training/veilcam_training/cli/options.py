@@ -8,10 +8,14 @@ from typing import Annotated
 import torch
 import typer
 from rich.console import Console
+from rich.table import Table
 
+from veilcam_training.data import Source
+from veilcam_training.data.summary import summarise
 from veilcam_training.files import check_file, check_folder
 from veilcam_training.trainer.callbacks import (
     Callback,
+    CsvLog,
     FitProgress,
     TensorBoardLog,
     make_progress,
@@ -36,6 +40,7 @@ Work = Annotated[
     Path | None, typer.Option("--work", help="Folder for checkpoints: resumes what is in it.")
 ]
 Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
+Csv = Annotated[Path | None, typer.Option("--csv", help="File of accuracies and losses, *.csv.")]
 Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
 
@@ -45,7 +50,9 @@ def given(**options: object) -> dict[str, object]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-def check_places(out: Path | None, work: Path | None, logs: Path | None = None) -> None:
+def check_places(
+    out: Path | None, work: Path | None, logs: Path | None = None, table: Path | None = None
+) -> None:
     """Refuse places that cannot be written to, before the work."""
     if out is not None:
         check_file("--out", out, ".veilcam")
@@ -53,6 +60,8 @@ def check_places(out: Path | None, work: Path | None, logs: Path | None = None) 
         check_folder("--work", work)
     if logs is not None:
         check_folder("--tensorboard", logs)
+    if table is not None:
+        check_file("--csv", table, ".csv")
 
 
 def prepare(device: str, threads: int | None) -> torch.device:
@@ -62,9 +71,26 @@ def prepare(device: str, threads: int | None) -> torch.device:
     return choose_device(device)
 
 
+def show_summary(console: Console, source: Source) -> None:
+    """Print what ``source`` holds; raises TrainingError where it cannot be read."""
+    summary = summarise(source)
+    table = Table("class", "training", "test", title=f"{source.name}: {summary.form}")
+    for label, training, test in zip(source.labels, summary.training, summary.test, strict=True):
+        table.add_row(label, f"{training}", f"{test}")
+    console.print(table)
+    for warning in summary.warnings:
+        console.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+
+
 @contextmanager
 def watch(
-    console: Console, name: str, epochs: int, logs: Path | None, ranks: Ranks
+    console: Console,
+    name: str,
+    epochs: int,
+    ranks: Ranks,
+    *,
+    logs: Path | None,
+    table: Path | None,
 ) -> Iterator[Sequence[Callback]]:
     """Callbacks of a fit, shown by the first rank alone while it lasts."""
     with make_progress(console if ranks.is_first else Console(quiet=True)) as progress:
@@ -73,4 +99,6 @@ def watch(
             callbacks.append(FitProgress(progress, name, epochs))
             if logs is not None:
                 callbacks.append(TensorBoardLog(logs))
+            if table is not None:
+                callbacks.append(CsvLog(table))
         yield callbacks

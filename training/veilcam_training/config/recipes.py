@@ -116,8 +116,28 @@ def find_recipe(name: str, situation: Situation) -> Recipe:
     return RECIPES[name](situation)
 
 
+OWN_CLASSIFIER = "FC800"
+"""Of somebody's own pictures, unless another is named."""
+OWN = Recipe(
+    epochs=60,
+    batch=256,
+    mask_rate=0.1,
+    normalisation="white",
+    exposure="automatic",
+    dropout=0.2,
+    jitter=Augmentation(rotation=10.0, scale=0.15, shift=0.08),
+)
+"""``FC<width>`` on own pictures: some thousand at most, which are learned by heart unless jittered.
+
+Chosen on the validation part of drawn shapes (:mod:`veilcam_training.data.drawn`): 97.5 % of them,
+where one cycle of 15 epochs without jitter reads 80.6 %.
+"""
+
+
 def _default(situation: Situation) -> Recipe:
     """Large batches and one cycle. A linear classifier stands, and needs, a higher rate."""
+    if situation.data == "image-folder" and situation.classifier.startswith("FC"):
+        return OWN
     if situation.classifier == "LR":
         return Recipe(epochs=15, batch=256, rate=4e-2, mask_rate=5e-2)
     if situation.classifier in ("VGG11",) or situation.classifier.startswith("CNN"):

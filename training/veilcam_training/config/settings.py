@@ -27,6 +27,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_training.config.recipes import (
+    OWN_CLASSIFIER,
     TASKS,
     Recipe,
     Situation,
@@ -155,18 +156,24 @@ def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
+def load_settings(
+    path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
+) -> Settings:
     """Settings of ``path``, with ``overrides`` in the place of what it says.
 
     Args:
         path: TOML file; None for the defaults alone.
         overrides: values by the names of :class:`Settings`; those of the recipe under ``recipe``,
             as in the file.
+        found: somebody's own pictures, by that name of a data set: used where nothing names one,
+            with a classifier that suits few pictures.
 
     Raises:
         TrainingError: a file that is missing or no TOML, an unknown key, or a bad value.
     """
     content = _read(path)
+    if found is not None and "data" not in content:
+        content = {"data": found, "classifier": OWN_CLASSIFIER} | content
     table = content.pop("recipe", {})
     if not isinstance(table, str | dict):
         raise TrainingError("recipe is not valid: use a name or a table")
@@ -190,17 +197,22 @@ def load_settings(path: Path | None, overrides: Mapping[str, Any]) -> Settings:
         return settings.model_copy(update={"recipe": Recipe.model_validate(merged)})
 
 
-def load_fresh_settings(path: Path | None, overrides: Mapping[str, Any]) -> FreshSettings:
+def load_fresh_settings(
+    path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
+) -> FreshSettings:
     """Settings of ``path``, with ``overrides`` in their place, on the ground of its task's.
 
     Args:
         path: TOML file; None for a task alone.
         overrides: values by the names of :class:`FreshSettings`, and ``task``.
+        found: data set that the folder was seen to hold; used where nothing names one or a task.
 
     Raises:
         TrainingError: a file that is missing or no TOML, an unknown task or key, or a bad value.
     """
     content = _merge(_with_nulls(FreshSettings, _read(path)), overrides)
+    if found is not None and "task" not in content:
+        content = {"data": found} | content
     task = str(content.pop("task", "mnist_24x32"))
     require(task in TASKS, f"task {task!r} is unknown: use one of {', '.join(TASKS)}")
     with _refused(f"task {task}" if path is None else str(path)):

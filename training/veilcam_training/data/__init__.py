@@ -1,6 +1,6 @@
 """Data sets, read from disk in their published formats."""
 
 from veilcam_training.data.base import Images, Source, Split, split
-from veilcam_training.data.registry import SOURCES, open_source
+from veilcam_training.data.registry import SOURCES, open_source, recognise
 
-__all__ = ["SOURCES", "Images", "Source", "Split", "open_source", "split"]
+__all__ = ["SOURCES", "Images", "Source", "Split", "open_source", "recognise", "split"]

@@ -1,6 +1,9 @@
 """Images with labels, where they come from, and the part of them that validates."""
 
 import hashlib
+import tokenize
+import zipfile
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,6 +19,21 @@ from veilcam_training.errors import TrainingError, require
 
 SPLIT_SEED = 20220429
 """The validation split is the same for every run, so that no two runs select on different data."""
+TEST_SEED = 1
+"""Of the test set, where a data set has none of its own."""
+
+UNREADABLE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    RuntimeError,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What numpy, or the zip file below it, raises where a file is damaged or of another kind."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +158,45 @@ def split(images: Images, share: float = 0.1) -> Split:
     sequence = places.argsort(stable=True)
     training = int((places < len(known) - held).sum())
     return Split(images.take(sequence[:training]), images.take(sequence[training:]))
+
+
+def stratified(
+    labels: Tensor, share: float, *, where: Path, classes: int, groups: Tensor | None = None
+) -> Tensor:
+    """Which images test: the same ``share`` of each class, or of all groups, by a fixed seed.
+
+    Args:
+        labels: int64 (count,), of 0 to ``classes`` - 1.
+        share: in (0, 1).
+        where: they come from, for the refusal.
+        classes: how many there are.
+        groups: int64 (count,) of images that are never split apart; a group may have many classes,
+            so its share is of all of them.
+
+    Returns:
+        bool (count,).
+
+    Raises:
+        TrainingError: a class or the groups are too few for both parts.
+    """
+    held = torch.zeros(len(labels), dtype=torch.bool)
+    generator = torch.Generator().manual_seed(TEST_SEED)
+    if groups is not None:
+        chosen = _drawn(torch.unique(groups), share, f"{where} has groups", generator)
+        return torch.isin(groups, chosen)
+    for label in range(classes):
+        members = (labels == label).nonzero().flatten()
+        held[_drawn(members, share, f"{where} has images of class {label}", generator)] = True
+    return held
+
+
+def _drawn(members: Tensor, share: float, what: str, generator: torch.Generator) -> Tensor:
+    count = round(share * len(members))
+    require(
+        0 < count < len(members),
+        f"{what}: {len(members)}, too few for a training and a test set: use more of them",
+    )
+    return members[torch.randperm(len(members), generator=generator)[:count]]
 
 
 class ReadOnce:

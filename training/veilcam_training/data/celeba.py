@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from PIL import Image
-from torch import Tensor
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import FileSource, Images, digest, find
+from veilcam_training.data.base import FileSource, Images, digest, find, stratified
 from veilcam_training.errors import TrainingError, require
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
@@ -25,7 +24,6 @@ ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
 """Task: the column that holds it, and what its -1 and 1 are called."""
 FIRST = 100_000
 TEST_SHARE = 0.15
-SPLIT_SEED = 1
 SHAPE = (218, 178)
 """Rows and columns of an aligned photograph."""
 ATTRIBUTE_FILE = "list_attr_celeba.txt"
@@ -97,7 +95,7 @@ class CelebaSource(FileSource):
     def _read(self, *, test: bool) -> Images:
         attributes = self._attributes()
         labels = torch.tensor(list(attributes.values()))
-        chosen = stratified(labels, TEST_SHARE) == test
+        chosen = stratified(labels, TEST_SHARE, where=self.folder, classes=2) == test
         names = [name for name, take in zip(attributes, chosen.tolist(), strict=True) if take]
         pixels = np.stack([self._pixels(self._photograph(name)) for name in names])
         return Images(torch.from_numpy(pixels), labels[chosen])
@@ -115,23 +113,3 @@ class CelebaSource(FileSource):
                 return np.asarray(gray)
         except (OSError, SyntaxError, Image.DecompressionBombError) as error:
             raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
-
-
-def stratified(labels: Tensor, share: float) -> Tensor:
-    """Which of ``labels`` are held out: the same ``share`` of each class, by a fixed seed.
-
-    Raises:
-        TrainingError: a class is missing, or too small for both parts.
-    """
-    held = torch.zeros(len(labels), dtype=torch.bool)
-    generator = torch.Generator().manual_seed(SPLIT_SEED)
-    for label in (0, 1):
-        members = (labels == label).nonzero().flatten()
-        count = round(share * len(members))
-        require(
-            0 < count < len(members),
-            f"{len(members)} photographs of class {label} do not make a training and a test "
-            "set: use more of them",
-        )
-        held[members[torch.randperm(len(members), generator=generator)[:count]]] = True
-    return held

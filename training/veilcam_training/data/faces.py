@@ -3,9 +3,6 @@
 They are easier than photographs: their numbers do not stand beside those of photographs as equals.
 """
 
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +11,7 @@ import numpy as np
 import torch
 
 from veilcam_optics.camera.geometry import Scene
-from veilcam_training.data.base import FileSource, Images, digest, find
+from veilcam_training.data.base import UNREADABLE, FileSource, Images, digest, find, stratified
 from veilcam_training.errors import TrainingError, require
 
 ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
@@ -24,19 +21,6 @@ ATTRIBUTES: Mapping[str, tuple[str, str, str]] = {
 }
 """Task: the array that holds it, and what its 0 and 1 are called."""
 TEST_SHARE = 0.15
-SPLIT_SEED = 1
-UNREADABLE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    EOFError,
-    RuntimeError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""What numpy, or the zip file below it, raises where a file is damaged or of another kind."""
 
 
 @dataclass(frozen=True)
@@ -93,13 +77,6 @@ class FacesSource(FileSource):
             f"{path} has {array} other than 0 and 1: get it again",
         )
         groups = torch.from_numpy(identities.astype(np.int64))
-        known = torch.unique(groups)
-        order = torch.randperm(len(known), generator=torch.Generator().manual_seed(SPLIT_SEED))
-        held = known[order[: round(TEST_SHARE * len(known))]]
-        require(
-            len(held) > 0,
-            f"{path} has {len(known)} identities, too few for a training and a test set: "
-            "use more of them",
-        )
         images = Images(torch.from_numpy(pixels), torch.from_numpy(labels.astype(np.int64)), groups)
-        return images.take((torch.isin(groups, held) == test).nonzero().flatten())
+        held = stratified(images.labels, TEST_SHARE, where=path, classes=2, groups=groups)
+        return images.take((held == test).nonzero().flatten())

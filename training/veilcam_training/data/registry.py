@@ -7,7 +7,9 @@ from pathlib import Path
 from veilcam_training.data import celeba, faces
 from veilcam_training.data.base import Source
 from veilcam_training.data.cifar10 import Cifar10Source
+from veilcam_training.data.collection import is_collection
 from veilcam_training.data.idx import CLOTHES, DIGITS, IdxSource
+from veilcam_training.data.image_folder import NAME, ImageFolderSource
 from veilcam_training.errors import require
 
 SOURCES: Mapping[str, Callable[[Path], Source]] = {
@@ -16,6 +18,7 @@ SOURCES: Mapping[str, Callable[[Path], Source]] = {
     "cifar10": Cifar10Source,
     **{name: partial(faces.FacesSource, name) for name in faces.ATTRIBUTES},
     **{name: partial(celeba.CelebaSource, name) for name in celeba.ATTRIBUTES},
+    NAME: ImageFolderSource,
 }
 
 
@@ -28,3 +31,12 @@ def open_source(name: str, folder: Path) -> Source:
     require(name in SOURCES, f"data set {name!r} is unknown: use one of {', '.join(SOURCES)}")
     require(folder.is_dir(), f"{folder} is not a folder: give the one that holds {name} as --data")
     return SOURCES[name](folder)
+
+
+def recognise(folder: Path) -> str | None:
+    """Name of the data set that ``folder`` shows by itself to hold: somebody's own pictures.
+
+    Returns:
+        None where it shows nothing; the data set has to be named then.
+    """
+    return NAME if is_collection(folder) else None

@@ -245,7 +245,9 @@ class FreshCamera(Encoder):
         panels = self.panels(str(purpose[0]))
         choice = stream(self.schedule.seed, "panel", *purpose)
         for number in itertools.count():
-            weights = to_weights(self.draw_levels(*purpose, number), self.setup.camera.panel)
+            weights = torch.from_numpy(
+                to_weights(self.draw_levels(*purpose, number), self.setup.camera.panel)
+            )
             yield self.prepare(weights.to(self._device), panels, choice)
 
     def prepare(

@@ -8,7 +8,8 @@ from torch import Tensor
 
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections, Spreads
 from veilcam_optics.transfer.kernels import Approximation
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.encoders.base import Setup
 
 

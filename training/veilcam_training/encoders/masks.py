@@ -131,13 +131,15 @@ class FixedMask(Mask):
         self.constant = not errors.any
         self.register_buffer("shown", torch.from_numpy(levels))
         for grid, operator in enumerate(self._operators[0]):
-            self.register_buffer(f"matrix_{grid}", operator(to_weights(levels, panel)))
+            self.register_buffer(
+                f"matrix_{grid}", operator(torch.from_numpy(to_weights(levels, panel)))
+            )
 
     def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T, a constant as long as the panel does not err."""
         if self.training and self.errors.any:
             panel = self.setup.camera.panel
-            shown = to_weights(self.levels(), panel).to(self.shown.device)
+            shown = torch.from_numpy(to_weights(self.levels(), panel)).to(self.shown.device)
             return self._transfer(shown, part, grid)
         return self._of_part(self.get_buffer(f"matrix_{grid}"), part, grid)
 

@@ -137,7 +137,7 @@ def transfer_error(encoder: Mask) -> TransferError | None:
     setup = encoder.setup
     if setup.point_binning:
         return None
-    weights = to_weights(encoder.levels(), setup.camera.panel)
+    weights = torch.from_numpy(to_weights(encoder.levels(), setup.camera.panel))
     # A scene much larger than the images is trained on in parts: its whole matrix may be too large.
     factors = Sampling(method="factors")
     models = [

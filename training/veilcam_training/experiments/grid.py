@@ -264,6 +264,7 @@ TABLES: Mapping[str, Table] = {
             ("VGG11",),
             ("27x36", "13x17", "6x8", "3x4"),
         ),
+        Table("own", "Own pictures", ("image-folder",), ("LR", "FC800"), GRAY_SIZES),
     )
 }
 

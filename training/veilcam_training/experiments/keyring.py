@@ -7,7 +7,6 @@ from pathlib import Path
 from statistics import mean
 
 import torch
-from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import Bundle, Fresh, Pair, TransferError
@@ -20,6 +19,7 @@ from veilcam_training.experiments.fit import FitResult, FreshResult, run_fit
 from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.records import provenance
 from veilcam_training.models.lensless import LenslessClassifier
+from veilcam_training.models.network import weights_of
 from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import derive
 from veilcam_training.trainer.callbacks import Callback
@@ -141,14 +141,7 @@ def as_pair(model: LenslessClassifier, error: TransferError | None = None) -> Pa
             "this encoder has no mask that a panel can show: "
             "use 'learned' or 'fixed_simulated', or leave out --out"
         )
-    return Pair(encoder.levels(), model.layers, _weights(model), error)
-
-
-def _weights(model: LenslessClassifier) -> dict[str, Tensor]:
-    return {
-        name: tensor.cpu().clone(memory_format=torch.contiguous_format)
-        for name, tensor in plain(model.classifier).state_dict().items()
-    }
+    return Pair(encoder.levels(), model.layers, weights_of(plain(model.classifier)), error)
 
 
 def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> Bundle:
@@ -209,10 +202,10 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
         mode="fresh",
         fresh=Fresh(
             distribution=result.camera.distribution,
-            statistics=frame.statistics,
+            statistics=frame.statistics.in_numpy(),
             noise=frame.noise,
             layers=model.layers,
-            weights=_weights(model),
+            weights=weights_of(plain(model.classifier)),
         ),
         provenance=record,
         accuracy=result.accuracy,

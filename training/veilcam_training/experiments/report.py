@@ -8,7 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from veilcam_training.experiments.grid import Table, load_paper
 from veilcam_training.experiments.plots import draw_charts
-from veilcam_training.experiments.results import CellResult, Entry, Summary
+from veilcam_training.experiments.results import SEEDS_FOR_A_VERDICT, CellResult, Summary
 from veilcam_training.experiments.style import encoder_title
 
 PICTURE_FOLDER = "pictures"
@@ -45,23 +45,13 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
         "commands": dict.fromkeys(result.origin.command for result in results),
         "commits": dict.fromkeys(result.origin.commit for result in results),
         "machines": dict.fromkeys(result.origin.machine for result in results),
-        "mark": mark,
+        "seeds": SEEDS_FOR_A_VERDICT,
         "folder": PICTURE_FOLDER,
     }
     inlined = [(_inline(folder / name), caption) for name, caption in charts]
     for template, pictures in (("report.html", inlined), ("report.md", charts)):
         text = environment.get_template(f"{template}.jinja").render(context, pictures=pictures)
         (out / template).write_text(text)
-
-
-def mark(entry: Entry) -> str:
-    """How an entry compares with the paper: ``better``, ``equal``, ``worse`` or ``none``."""
-    difference = entry.difference
-    if difference is None:
-        return "none"
-    if difference == 0:
-        return "equal"
-    return "better" if difference > 0 else "worse"
 
 
 def _inline(path: Path) -> str:

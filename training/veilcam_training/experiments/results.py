@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from pathlib import Path
 from statistics import mean, stdev
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from pydantic import BaseModel, JsonValue, ValidationError
+from scipy.stats import t as student
 
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
@@ -21,6 +23,12 @@ RESULT = "result.json"
 PICTURES = "pictures.npz"
 BUNDLE = "pair.veilcam"
 CHECKPOINT = "checkpoint"
+SEEDS_FOR_A_VERDICT = 3
+_LEVEL = 0.95
+_ROUNDING = 0.05
+"""The paper's percents have one digit after the point."""
+
+Verdict: TypeAlias = Literal["win", "loss", "tie"]
 
 
 class EpochRecord(BaseModel, frozen=True, extra="forbid"):
@@ -168,11 +176,16 @@ class Entry:
         return 100 * mean(r.validation_accuracy for r in self.results) if self.results else None
 
     @property
-    def spread(self) -> float | None:
-        """Standard deviation of the test accuracy over the seeds, if there are several."""
-        if len(self.results) < 2:
+    def interval(self) -> float | None:
+        """Half of the 95 % interval of the mean over seeds, by Student's t; None of one seed.
+
+        Other seeds are what it is about: all of them read one test set.
+        """
+        count = len(self.results)
+        if count < 2:
             return None
-        return 100 * stdev(result.test_accuracy for result in self.results)
+        spread = stdev(result.test_accuracy for result in self.results)
+        return 100 * float(student.ppf((1 + _LEVEL) / 2, count - 1)) * spread / sqrt(count)
 
     @property
     def paper(self) -> float | None:
@@ -185,6 +198,22 @@ class Entry:
         if self.test is None or self.paper is None:
             return None
         return round(self.test - self.paper, 1) + 0.0  # no -0.0
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the paper's number is outside of the interval, by more than its rounding.
+
+        None with fewer than three seeds: runs that differ in their seed alone differ by as much as
+        many cells do from the paper's.
+        """
+        if len(self.results) < SEEDS_FOR_A_VERDICT:
+            return None
+        if self.test is None or self.paper is None or self.interval is None:
+            return None
+        margin = self.interval + _ROUNDING
+        if abs(self.test - self.paper) <= margin:
+            return "tie"
+        return "win" if self.test > self.paper else "loss"
 
 
 class Summary:

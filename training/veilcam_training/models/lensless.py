@@ -6,9 +6,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from veilcam_training.bundle import LayerRecord, build_untrained
+from veilcam_training.bundle import LayerRecord
 from veilcam_training.encoders import Encoder
 from veilcam_training.encoders.fresh import FreshCamera
+from veilcam_training.models.network import build_untrained
 from veilcam_training.models.whitening import whiten
 from veilcam_training.seeding import stream
 from veilcam_training.transforms.scene import Identity, Transform

@@ -1,7 +1,9 @@
-"""Callbacks of a fit: progress, TensorBoard's logs, and the running mean of its weights."""
+"""Callbacks of a fit: progress, logs for TensorBoard and as CSV, and a mean of its weights."""
 
 import copy
-from collections.abc import Iterator
+import csv
+import io
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from veilcam_optics.files import write_whole
 from veilcam_training.models.lensless import LenslessClassifier
 
 
@@ -147,3 +150,41 @@ class TensorBoardLog:
         ):
             self._writer.add_scalar(name, value, epoch.number + 1)
         self._writer.flush()
+
+
+class CsvLog:
+    """Writes accuracies and losses of one run into a file, a row for each epoch. No mask is logged.
+
+    A run that is taken up goes on in it; rows of epochs that are done again are replaced.
+    """
+
+    COLUMNS = (
+        *("epoch", "training_loss", "validation_loss"),
+        *("training_accuracy", "validation_accuracy", "seconds"),
+    )
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def step(self, epoch: int, done: int, steps: int) -> None:
+        """Nothing: one row for each epoch is enough."""
+
+    def epoch(self, epoch: Epoch) -> None:
+        """Write one row."""
+        content = self._path.read_text() if self._path.exists() else ""
+        earlier = [row for row in csv.reader(io.StringIO(content)) if row and row[0].isdigit()]
+        rows: list[Sequence[object]] = [
+            self.COLUMNS,
+            *(row for row in earlier if int(row[0]) <= epoch.number),
+            (
+                epoch.number + 1,
+                epoch.loss,
+                epoch.validation_loss,
+                epoch.training_accuracy,
+                epoch.validation_accuracy,
+                epoch.seconds,
+            ),
+        ]
+        written = io.StringIO()
+        csv.writer(written, lineterminator="\n").writerows(rows)
+        write_whole(self._path, written.getvalue().encode())

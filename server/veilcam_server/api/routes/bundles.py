@@ -40,7 +40,12 @@ _UPLOAD: dict[str, Any] = {
 _CHANGE = (*CHANGE, "bundles_busy", "bundle_not_stored", "replaying")
 _USE = ("bundle_invalid", "bundle_unfit", "bundle_untrusted", "bundle_older", "bundle_reveals")
 
-router = APIRouter(prefix=PREFIX, dependencies=[requires("admin:bundles")], redirect_slashes=False)
+router = APIRouter(
+    prefix=PREFIX,
+    dependencies=[requires("admin:bundles")],
+    redirect_slashes=False,
+    tags=["Bundles"],
+)
 
 
 @router.get(
@@ -63,7 +68,7 @@ async def bundles(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Respo
         *("bundle_not_stored", "replaying"),
     ),
 )
-async def install(service: ServiceDep, request: Request) -> InstalledBundle:
+async def install_bundle(service: ServiceDep, request: Request) -> InstalledBundle:
     """Take in a bundle, a `*.veilcam` file as it is. It is checked, and not used yet.
 
     Repeating it changes nothing: a bundle is named by its content.
@@ -79,7 +84,7 @@ async def install(service: ServiceDep, request: Request) -> InstalledBundle:
         *(*_USE, *_CHANGE, *KEYED, *DEVICE),
     ),
 )
-async def activate(
+async def activate_bundle(
     service: ServiceDep, once: OnceDep, digest: Digest, allow_older: AllowOlder = False
 ) -> InstalledBundle:
     """Use this bundle from now on: mask and classifier change as one, or not at all."""
@@ -90,6 +95,6 @@ async def activate(
     "/{digest}",
     responses=problems("invalid_request", "unknown_bundle", "bundle_in_use", *_CHANGE),
 )
-async def remove(service: ServiceDep, digest: Digest) -> InstalledBundles:
+async def remove_bundle(service: ServiceDep, digest: Digest) -> InstalledBundles:
     """Remove a bundle for good, but not the one in use."""
     return await service.bundles.remove(digest)

@@ -13,7 +13,7 @@ from veilcam_client.wire.calibration import (
 from veilcam_server.api.dependencies import BODY, CHANGE, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.scopes import requires
 
-router = APIRouter(prefix="/v1/calibration", redirect_slashes=False)
+router = APIRouter(prefix="/v1/calibration", redirect_slashes=False, tags=["Calibration"])
 
 _CALIBRATES = (requires("calibrate"), unleased())
 
@@ -35,7 +35,7 @@ async def calibration(service: ServiceDep) -> CalibrationStatus:
         *BODY, *CHANGE, "leased", "calibrating", "calibration_impossible", "not_ready"
     ),
 )
-async def start(
+async def start_calibration(
     service: ServiceDep, once: OnceDep, question: CalibrationRequest | None = None
 ) -> CalibrationRun:
     """Measure the camera with itself; it takes no captures meanwhile.
@@ -51,7 +51,7 @@ async def start(
     dependencies=_CALIBRATES,
     responses=problems(*BODY, *CHANGE, "leased", "not_calibrating", "scene_not_wanted"),
 )
-async def confirm(
+async def confirm_scene(
     service: ServiceDep, once: OnceDep, question: SceneConfirmation
 ) -> CalibrationRun:
     """Confirm that the scene that the calibration waits for is set."""
@@ -67,6 +67,6 @@ async def confirm(
     dependencies=_CALIBRATES,
     responses=problems(*CHANGE, "invalid_request", "leased", "not_calibrating"),
 )
-async def cancel(service: ServiceDep) -> CalibrationRun:
+async def cancel_calibration(service: ServiceDep) -> CalibrationRun:
     """End the calibration that is under way; answered once the camera is back."""
     return await service.calibration.cancel()

@@ -15,19 +15,19 @@ from veilcam_client.wire.captures import (
     Capture,
     Classification,
     ClassificationRequest,
-    Release,
+    Embedding,
 )
+from veilcam_client.wire.sealing import Release
 from veilcam_server.api.dependencies import BODY, DEVICE, OnceDep, ServiceDep, problems, unleased
 from veilcam_server.api.problems import NotAcceptableError
-from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.api.scopes import CallerDep, requires, scores_for
 from veilcam_server.security.caller import Caller
-from veilcam_server.service.responses import Scores
 from veilcam_server.service.service import Service
 
 _RELEASE = ("embedding_withheld", "no_receiver", "masks_spent", "release_not_recorded")
 _REFUSALS = (*BODY, "leased", *DEVICE, "replaying", "replay_over", *_RELEASE)
 
-router = APIRouter(prefix="/v1", redirect_slashes=False)
+router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Captures"])
 
 
 @router.post(
@@ -47,30 +47,41 @@ async def capture(
 ) -> Response:
     """Take one embedding; ``Accept: application/x-npy`` gives the array alone, as float32.
 
-    A sealed embedding is no array: it comes as JSON.
+    A sealed embedding is no array: it comes as JSON, where that is accepted too.
     """
     _require_embedding(caller, service)
     media_type = preferred(accept, ("application/json", NPY_MEDIA_TYPE))
     if media_type is None:
         raise NotAcceptableError(f"captures come as application/json or {NPY_MEDIA_TYPE}")
-    if media_type == NPY_MEDIA_TYPE:
+    array_alone = preferred(accept, ("application/json",)) is None
+    if array_alone:
         _require_array(service.release)
     taken = await once(service.capture)
-    if media_type == NPY_MEDIA_TYPE:
-        # Another receiver may have been paired since, or one before the mask that is shown.
+    # Another receiver may have been paired since, or one before the mask that is shown.
+    if media_type == NPY_MEDIA_TYPE and isinstance(taken.embedding, Embedding):
+        return _array(taken, taken.embedding)
+    if array_alone:
         _require_array(taken.embedding.form)
-        buffer = io.BytesIO()
-        np.save(buffer, np.asarray(taken), allow_pickle=False)
-        names = {
-            "Veilcam-Capture": taken.id,
-            "Veilcam-Epoch": taken.epoch,
-            "Veilcam-Number": str(taken.number),
-            "Veilcam-Form": taken.embedding.form,
-        }
-        if taken.replay is not None:
-            names["Veilcam-Replay"] = str(taken.replay.place)
-        return Response(buffer.getvalue(), headers=names, media_type=NPY_MEDIA_TYPE)
     return Response(taken.model_dump_json(), media_type="application/json")
+
+
+def _array(taken: Capture, embedding: Embedding) -> Response:
+    """The array of a capture, and all else in headers."""
+    buffer = io.BytesIO()
+    np.save(buffer, np.asarray(embedding), allow_pickle=False)
+    names = {
+        "Veilcam-Capture": taken.id,
+        "Veilcam-Epoch": taken.epoch,
+        "Veilcam-Number": str(taken.number),
+        "Veilcam-Taken-At": taken.taken_at.isoformat(),
+        "Veilcam-Form": embedding.form,
+    }
+    if taken.proof is not None:
+        names["Veilcam-Proof"] = taken.proof
+    if taken.replay is not None:
+        names["Veilcam-Replay"] = str(taken.replay.place)
+        names["Veilcam-Replay-Capture"] = taken.replay.capture
+    return Response(buffer.getvalue(), headers=names, media_type=NPY_MEDIA_TYPE)
 
 
 @router.post(
@@ -91,14 +102,8 @@ async def classify(
     include_embedding = question is not None and question.include_embedding
     if include_embedding:
         _require_embedding(caller, service)
-    scores = _scores_for(caller)
+    scores = scores_for(caller)
     return await once(lambda: service.classify(include_embedding=include_embedding, scores=scores))
-
-
-def _scores_for(caller: Caller) -> Scores:
-    if caller.may("read:scores"):
-        return "all"
-    return "rounded" if caller.may("read:scores:rounded") else "none"
 
 
 def _require_array(form: Release) -> None:

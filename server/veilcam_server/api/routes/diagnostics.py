@@ -2,28 +2,63 @@
 
 from __future__ import annotations
 
+import asyncio
+import math
 import platform
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeAlias
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from veilcam_client.wire.diagnostics import Diagnostics
-from veilcam_client.wire.status import Status
+from veilcam_client.wire.status import Diagnostics, DoctorFinding, DoctorFindings, Status
 from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
-from veilcam_server.api.scopes import requires
+from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.doctor.checkup import Finding
 
+Examine: TypeAlias = Callable[[], Iterable[Finding]]
+"""What the doctor finds on the machine of a running daemon."""
+CHECKUP_EVERY = 5.0
+"""The machine is looked at no more often than that, whoever asks [s]."""
 PACKAGES = ("veilcam", "fastapi", "numpy", "pydantic", "starlette", "torch", "uvicorn")
 """Whose versions matter."""
 AGING = {"uptime_s": True, "rotation": {"epoch_age_s"}}
 """What of the status only tells that time goes by."""
 
-router = APIRouter(prefix="/v1", redirect_slashes=False)
+
+class Checkups:
+    """What the doctor finds on the machine of a running daemon, one look at a time.
+
+    Args:
+        examine: takes a look, on a thread of its own: it reads the bundle, and asks programs.
+        now: a clock that is never set [s].
+    """
+
+    def __init__(self, examine: Examine, now: Callable[[], float] = time.monotonic) -> None:
+        self._examine, self._now = examine, now
+        self._lock = asyncio.Lock()
+        self._found, self._at = DoctorFindings(findings=()), -math.inf
+
+    async def findings(self) -> DoctorFindings:
+        """Those of the last look, or of a new one where that was a while ago."""
+        async with self._lock:
+            if self._now() - self._at >= CHECKUP_EVERY:
+                found = await asyncio.to_thread(lambda: tuple(self._examine()))
+                self._found = DoctorFindings(
+                    findings=tuple(DoctorFinding(**asdict(each)) for each in found)
+                )
+                self._at = self._now()
+            return self._found
+
+
+router = APIRouter(prefix="/v1", redirect_slashes=False, tags=["Status"])
 
 
 @router.get(
@@ -56,9 +91,16 @@ async def metrics(request: Request) -> Response:
 
 
 @router.get("/diagnostics", dependencies=[requires("read:status")], responses=problems())
-async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnostics:
-    """Versions, settings without paths and labels, and the last states and faults."""
+async def diagnostics(
+    service: ServiceDep, admission: AdmissionDep, caller: CallerDep
+) -> Diagnostics:
+    """Versions, settings without paths and labels, and the last states and faults.
+
+    `proof` is for who has the scopes `admin:receivers` and `read:embedding` alone.
+    """
     history = service.history
+    # Whoever may pair a receiver, and read what is sealed to it, reads it of each capture anyway.
+    lit = caller.may("admin:receivers") and caller.may("read:embedding")
     return Diagnostics(
         versions={
             "python": platform.python_version(),
@@ -71,7 +113,18 @@ async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnosti
         events=dict(history.events),
         fault_counts=dict(history.faults),
         audit_lost=0 if admission.audit is None else admission.audit.lost,
+        proof=service.proof() if lit else None,
     )
+
+
+@router.get("/doctor", dependencies=[requires("read:status")], responses=problems())
+async def doctor(request: Request) -> DoctorFindings:
+    """What the doctor finds on this machine, and what helps.
+
+    It leaves out what needs panel or camera: `veilcamd doctor` looks, where no daemon runs.
+    """
+    checkups: Checkups = request.app.state.checkups
+    return await checkups.findings()
 
 
 @router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())

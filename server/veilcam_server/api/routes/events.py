@@ -9,9 +9,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from veilcam_client.wire.events import Classified
+from veilcam_client.wire.events import Classified, Event, Gone, Seen
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
-from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.api.scopes import CallerDep, requires, scores_for
+from veilcam_server.security.caller import Caller
+from veilcam_server.service.responses import told_confidence
 
 RETRY_MS = 1000
 """What a browser waits before it reconnects to the events."""
@@ -21,7 +23,7 @@ RECHECK = 1.0
 
 LastEventId = Annotated[str | None, Header(max_length=128)]
 
-router = APIRouter(prefix="/v1/events", redirect_slashes=False)
+router = APIRouter(prefix="/v1/events", redirect_slashes=False, tags=["Events"])
 
 
 async def _stream_place(admission: AdmissionDep, caller: CallerDep) -> AsyncIterator[None]:
@@ -44,7 +46,8 @@ async def events(
 ) -> AsyncIterator[ServerSentEvent]:
     """Stream events; resume with ``Last-Event-ID``, comments are heartbeats.
 
-    Labels are among them where the token has the scope `classify`. The stream ends with the token.
+    Labels are among them where the token has the scope `classify`, confidences as scores are. The
+    stream ends with the token.
     """
     yield ServerSentEvent(retry=RETRY_MS, comment="veilcam events")
     checked = time.monotonic()
@@ -55,5 +58,15 @@ async def events(
             checked = time.monotonic()
         if event is None:
             yield ServerSentEvent(comment="heartbeat")
-        elif not isinstance(event, Classified) or "classify" in caller.scopes:
-            yield ServerSentEvent(raw_data=event.model_dump_json(), event=event.kind, id=event.id)
+        elif (told := _told(event, caller)) is not None:
+            yield ServerSentEvent(raw_data=told.model_dump_json(), event=told.kind, id=told.id)
+
+
+def _told(event: Event, caller: Caller) -> Event | None:
+    """An event as a caller may see it; None: not at all."""
+    if isinstance(event, (Classified, Seen, Gone)) and not caller.may("classify"):
+        return None
+    if isinstance(event, (Seen, Gone)):
+        confidence = told_confidence(event.confidence, scores_for(caller))
+        return event.model_copy(update={"confidence": confidence})
+    return event

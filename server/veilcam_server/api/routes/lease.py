@@ -13,17 +13,17 @@ from veilcam_server.api.dependencies import BODY, AdmissionDep, HolderDep, OnceD
 from veilcam_server.api.scopes import CallerDep, requires
 from veilcam_server.security.admission import Admission
 
-router = APIRouter(prefix="/v1/lease", redirect_slashes=False)
+router = APIRouter(prefix="/v1/lease", redirect_slashes=False, tags=["Lease"])
 
 
 @router.get("", dependencies=[requires("read:status")], responses=problems("invalid_request"))
-async def lease(admission: AdmissionDep, holder: HolderDep) -> LeaseResponse:
+async def lease_state(admission: AdmissionDep, holder: HolderDep) -> LeaseResponse:
     """Whether somebody holds the camera."""
     return LeaseResponse(**_response(admission, holder))
 
 
 @router.post("", dependencies=[requires("mask:rotate")], responses=problems(*BODY, "leased"))
-async def take(
+async def take_lease(
     admission: AdmissionDep, holder: HolderDep, once: OnceDep, question: LeaseRequest
 ) -> NewLease:
     """Hold the camera, or go on holding it: others take no captures and change no mask."""
@@ -44,7 +44,7 @@ async def take(
 @router.delete(
     "", dependencies=[requires("mask:rotate")], responses=problems("invalid_request", "leased")
 )
-async def release(
+async def release_lease(
     request: Request,
     admission: AdmissionDep,
     caller: CallerDep,

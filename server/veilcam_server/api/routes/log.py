@@ -13,11 +13,11 @@ from veilcam_server.api.scopes import requires
 
 _REFUSALS = ("invalid_request", "replaying", "log_not_written")
 
-router = APIRouter(prefix="/v1/log", redirect_slashes=False)
+router = APIRouter(prefix="/v1/log", redirect_slashes=False, tags=["Log"])
 
 
 @router.get("", dependencies=[requires("read:log")], responses=problems(*_REFUSALS))
-async def records(
+async def log(
     service: ServiceDep,
     after: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
     limit: Annotated[int, Query(ge=1, le=RECORDS_AT_ONCE)] = RECORDS_AT_ONCE,
@@ -27,6 +27,6 @@ async def records(
 
 
 @router.get("/head", dependencies=[requires("read:log")], responses=problems(*_REFUSALS))
-async def head(service: ServiceDep) -> LogHead:
+async def log_head(service: ServiceDep) -> LogHead:
     """Where the log ends now, signed; what it names is on the disk."""
     return await asyncio.to_thread(service.capture_log.head)

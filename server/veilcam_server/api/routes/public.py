@@ -1,24 +1,15 @@
-"""Routes that want no token: a page for people, and what a monitor asks every few seconds."""
+"""Routes that want no token: what a monitor asks every few seconds."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from fastapi import APIRouter
-from fastapi.responses import HTMLResponse, PlainTextResponse
+from fastapi.responses import PlainTextResponse
 
 from veilcam_server.api.dependencies import ServiceDep, open_problems
 
-PATHS = ("/", "/healthz", "/readyz")
-PAGE = """<!DOCTYPE html>
-<html lang="en">
-<meta charset="utf-8">
-<title>Veilcam</title>
-<h1>Veilcam</h1>
-<p>This is a camera without a lens. Programs ask it: the command <code>veilcam</code>, or the Python
-package <code>veilcam_client</code>.</p>
-</html>
-"""
+PATHS = ("/healthz", "/readyz")
 _WELL = ("ready", "self-test", "replay")
 """States in which a capture is taken, if need be after a self test."""
 
@@ -30,19 +21,9 @@ def _word(word: str) -> dict[str, Any]:
     }
 
 
-_PAGE: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/html": {"example": PAGE}}},
-    **open_problems(),
-}
 _WORDS: dict[int | str, dict[str, Any]] = {200: _word("yes"), 503: _word("no"), **open_problems()}
 
-router = APIRouter(redirect_slashes=False)
-
-
-@router.get("/", response_class=HTMLResponse, responses=_PAGE)
-async def page() -> str:
-    """What this is, for people; it says nothing of the camera."""
-    return PAGE
+router = APIRouter(redirect_slashes=False, tags=["Pages"])
 
 
 @router.get("/healthz", response_class=PlainTextResponse, responses=_WORDS)

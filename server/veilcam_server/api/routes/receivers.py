@@ -15,7 +15,7 @@ _CHANGE = (*CHANGE, "receivers_not_stored", "replaying")
 
 ReceiverId = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", examples=["0f" * 32])]
 
-router = APIRouter(prefix="/v1/receivers", redirect_slashes=False)
+router = APIRouter(prefix="/v1/receivers", redirect_slashes=False, tags=["Receivers"])
 
 
 @router.get("", dependencies=[requires("read:status")], responses=problems("replaying"))
@@ -32,7 +32,7 @@ async def receivers(service: ServiceDep) -> Receivers:
         *(*BODY, *_CHANGE, "receiver_invalid", "receiver_known", "too_many_receivers")
     ),
 )
-async def add(
+async def add_receiver(
     request: Request, service: ServiceDep, once: OnceDep, question: ReceiverRequest
 ) -> PairedReceiver:
     """Seal to this receiver, too, from the next epoch on."""
@@ -48,6 +48,6 @@ async def add(
     dependencies=[requires("admin:receivers")],
     responses=problems(*_CHANGE, "invalid_request", "unknown_receiver"),
 )
-async def remove(service: ServiceDep, receiver_id: ReceiverId) -> None:
+async def remove_receiver(service: ServiceDep, receiver_id: ReceiverId) -> None:
     """Seal nothing more to this receiver, from the next epoch on; what it has it can open."""
     await service.pairing.remove(receiver_id)

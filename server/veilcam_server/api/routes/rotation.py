@@ -16,7 +16,7 @@ from veilcam_server.api.dependencies import (
 )
 from veilcam_server.api.scopes import requires
 
-router = APIRouter(prefix="/v1/rotation", redirect_slashes=False)
+router = APIRouter(prefix="/v1/rotation", redirect_slashes=False, tags=["Masks"])
 
 
 @router.get("", dependencies=[requires("read:status")], responses=problems())
@@ -42,7 +42,7 @@ async def set_rotation(service: ServiceDep, policy: RotationPolicy) -> Rotation:
     dependencies=[requires("mask:rotate"), unleased()],
     responses=problems(*BODY, "leased", *DEVICE, "replaying", "replay_over"),
 )
-async def advance(
+async def rotate(
     service: ServiceDep,
     once: OnceDep,
 ) -> Rotation:

@@ -29,7 +29,10 @@ _REFUSALS = (
 )
 
 router = APIRouter(
-    prefix=PREFIX, dependencies=[requires("simulate"), unleased()], redirect_slashes=False
+    prefix=PREFIX,
+    dependencies=[requires("simulate"), unleased()],
+    redirect_slashes=False,
+    tags=["Simulation"],
 )
 
 

@@ -34,7 +34,10 @@ ID = r"^[0-9a-f]{12}$"
 TokenId = Annotated[str, Path(pattern=ID, examples=["0123456789ab"])]
 
 router = APIRouter(
-    prefix="/v1/tokens", dependencies=[requires("admin:tokens")], redirect_slashes=False
+    prefix="/v1/tokens",
+    dependencies=[requires("admin:tokens")],
+    redirect_slashes=False,
+    tags=["Tokens"],
 )
 
 
@@ -56,7 +59,7 @@ def tokens(
 
 
 @router.post("", status_code=201, responses=problems(*BODY, *CHANGE, "tokens_off"))
-async def create(
+async def create_token(
     store: StoreDep,
     caller: CallerDep,
     once: OnceDep,
@@ -76,7 +79,7 @@ async def create(
 @router.delete(
     "/{token_id}", responses=problems(*CHANGE, "invalid_request", "unknown_token", "tokens_off")
 )
-def revoke(store: StoreDep, token_id: TokenId) -> Token:
+def revoke_token(store: StoreDep, token_id: TokenId) -> Token:
     """Let a token do nothing any more, from the next request on."""
     return store.revoke(token_id)
 

@@ -26,6 +26,7 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.plan import plan
+from veilcam_optics.proof import PROOF
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_server.devices import imx477, st7735r
@@ -35,13 +36,16 @@ from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
+from veilcam_server.system.memory import give_back_free_memory
 
-_CACHED_MASKS = 8
-"""Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway."""
+_CACHED_MASKS = 2
+"""Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway, and a
+stored one after captures that took longer."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
 _FINER = 4
-"""Raw pixels along each side of an embedding's box; each stands for many of the real sensor."""
+"""Raw pixels along each side of an embedding's box, at least; each stands for many of a real
+sensor's."""
 _HEADROOM = 1.1
 """What saturated pixels give, over the brightest one of a white scene through an open panel."""
 
@@ -49,6 +53,15 @@ TOLERANCE = 0.025
 """Relative error of the simulated light: it has to be right, not the same as the decoder's."""
 
 Number = TypeVar("Number", bound=np.generic)
+
+
+def use_torch_sparingly() -> None:
+    """Make simulated light fit for a small machine and a sandbox."""
+    # One thread: two pools fighting over the cores of a Raspberry Pi are slower than one.
+    torch.set_num_threads(1)
+    # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
+    # Torch's own are as fast for one scene at a time (deploy/README.md).
+    torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
 
 
 class Light(Protocol):
@@ -62,8 +75,17 @@ class Light(Protocol):
 
 
 def raw_shape(embedding: Embedding) -> tuple[int, int]:
-    """Rows and columns of simulated raw frames: finer than the embedding."""
-    return _FINER * embedding.rows, _FINER * embedding.columns
+    """Rows and columns of simulated raw frames: finer than the embedding.
+
+    Boxes of the embedding and of the proof are of whole pixels: one that an edge cuts would count
+    as if its light were even.
+    """
+
+    def pixels(boxes: int, proof: int) -> int:
+        whole = math.lcm(boxes, proof)
+        return whole * math.ceil(_FINER * boxes / whole)
+
+    return pixels(embedding.rows, PROOF.rows), pixels(embedding.columns, PROOF.columns)
 
 
 def planned_light(
@@ -74,6 +96,9 @@ def planned_light(
 ) -> Light:
     """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
 
+    The proof has finer bins. It asks for the texture of a mask, which a plan for the embedding
+    keeps; one for the proof's own bins is ten times slower where the window is small.
+
     Args:
         camera: as it is, its filters' leakage included.
         scene: in front of it.
@@ -83,7 +108,9 @@ def planned_light(
     # Decoders take the scene for paraxial, and so does what is simulated for them.
     conditions = replace(optical.PARAXIAL, imperfections=imperfections)
     chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
-    return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
+    light = LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
+    give_back_free_memory()
+    return light
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,10 +231,13 @@ class _Responses:
     def response(self, levels: Levels) -> Response:
         key = hashlib.sha256(levels.tobytes()).digest()
         if key not in self.kept:
-            self.kept[key] = self.light.response(to_weights(levels, self.camera.panel))
+            self.kept[key] = self.light.response(
+                torch.from_numpy(to_weights(levels, self.camera.panel))
+            )
         self.kept.move_to_end(key)
         while len(self.kept) > _CACHED_MASKS:
             self.kept.popitem(last=False)
+            give_back_free_memory()
         return self.kept[key]
 
 

@@ -6,13 +6,13 @@ Values are taken as reflectances, as training takes them: no gamma is undone.
 from __future__ import annotations
 
 import io
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from PIL import Image, ImageOps, UnidentifiedImageError
 
-from veilcam_optics.propagation.sampling import area_average
+if TYPE_CHECKING:
+    from PIL import Image
 
 Picture = npt.NDArray[np.generic]
 Reflectance = npt.NDArray[np.float32]
@@ -45,6 +45,9 @@ def as_scene(picture: bytes | Picture, shape: tuple[int, int]) -> Reflectance:
 
 
 def _decoded(content: bytes) -> Picture:
+    # With the extra `simulate` alone, as torch: who has no simulated camera holds nothing up to it.
+    from PIL import Image, ImageOps, UnidentifiedImageError  # noqa: PLC0415
+
     try:
         if content.startswith(_NPY):
             array: Picture = np.load(io.BytesIO(content), allow_pickle=False)
@@ -64,6 +67,10 @@ def _fitted(picture: Picture, shape: tuple[int, int]) -> Reflectance:
     scale = min(wanted / given for wanted, given in zip(shape, grey.shape, strict=True))
     inner = tuple(max(1, round(scale * given)) for given in grey.shape)
     if inner != grey.shape:
+        import torch  # noqa: PLC0415 - as Pillow
+
+        from veilcam_optics.propagation.sampling import area_average  # noqa: PLC0415
+
         # Of pixels that come together, the light is averaged; rounding may leave [0, 1].
         grey = area_average(torch.from_numpy(grey).double(), *inner).clamp(0, 1).float().numpy()
     if inner == shape:

@@ -12,15 +12,17 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from veilcam_optics.files import replacing
 from veilcam_server.devices.errors import LightError
 from veilcam_server.devices.simulated.images import Picture, PictureError, as_scene
+
+if TYPE_CHECKING:
+    import torch
 
 MAX_BYTES = 64 * 2**20
 

@@ -16,6 +16,7 @@ from tests.server.devices.clock import Clock
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.proof import PROOF
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import Response
 from veilcam_optics.transfer.operator import TransferOperator
@@ -93,7 +94,7 @@ class Simulation:
         self.clock.now = awake
 
     def seen(self, levels: npt.NDArray[np.uint8]) -> Measurement:
-        response = self.light.response(to_weights(levels, CAMERA.panel))
+        response = self.light.response(torch.from_numpy(to_weights(levels, CAMERA.panel)))
         raw = self.light.collect(torch.from_numpy(self.scene.image)[None], response)[0]
         return area_average(raw, *EMBEDDING.shape).numpy().astype(np.float32)
 
@@ -104,6 +105,25 @@ class Simulation:
 def difference(one: Measurement, other: Measurement) -> float:
     """Relative L2."""
     return float(np.linalg.norm(one - other) / np.linalg.norm(other))
+
+
+@pytest.mark.parametrize(
+    ("shape", "raw"),
+    [
+        ((24, 32), (96, 128)),
+        ((12, 16), (48, 64)),
+        ((3, 4), (48, 64)),
+        ((4, 5), (48, 320)),
+        ((27, 36), (432, 576)),
+    ],
+)
+def test_raw_pixels_are_whole_in_boxes_of_embedding_and_proof(
+    shape: tuple[int, int], raw: tuple[int, int]
+) -> None:
+    assert raw_shape(Embedding(*shape)) == raw
+    for pixels, boxes, proof in zip(raw, shape, PROOF.shape, strict=True):
+        assert pixels % boxes == pixels % proof == 0
+        assert pixels >= 4 * boxes
 
 
 ROUNDING = 2e-3
@@ -124,9 +144,25 @@ def test_its_light_agrees_with_the_transfer_operator_of_training(light: Light) -
     simulation.display.show(NEW)
     operator = TransferOperator(CAMERA, Scene(), EMBEDDING)
     scene = torch.from_numpy(simulation.scene.image).reshape(1, -1)
-    expected = (scene @ operator(to_weights(NEW, CAMERA.panel))).reshape(EMBEDDING.shape).numpy()
+    expected = (
+        (scene @ operator(torch.from_numpy(to_weights(NEW, CAMERA.panel))))
+        .reshape(EMBEDDING.shape)
+        .numpy()
+    )
     # Two routes to one light: near, but not the same.
     assert 0 < difference(simulation.capture(), expected) < 0.05
+
+
+def test_the_proof_is_of_the_frame_that_was_measured() -> None:
+    simulation = Simulation(SHADOW, replace(QUIET, snr_db=40.0))
+    simulation.display.show(NEW)
+    exposure = simulation.sensor.capture(simulation.clock.now + 1, 5.0)
+    assert exposure.proof.shape == exposure.clipped.shape == PROOF.shape
+    whole = [torch.from_numpy(each.astype(float)) for each in (exposure.proof, exposure.embedding)]
+    # The same noise, as boxes of both share edges here.
+    proof, embedding = (area_average(each, 4, 1).numpy() for each in whole)
+    np.testing.assert_allclose(proof, embedding, rtol=1e-6)
+    assert not exposure.clipped.any()
 
 
 def test_an_opaque_panel_lets_no_light_through() -> None:
@@ -211,17 +247,17 @@ def test_the_sensor_waits_as_long_as_it_was_told() -> None:
 
 
 def test_noise_has_the_ratio_asked_for_at_the_embedding() -> None:
-    simulation = Simulation(SHADOW, replace(QUIET, snr_db=20.0))
+    simulation = Simulation(SHADOW, replace(QUIET, snr_db=40.0))
     simulation.display.show(NEW)
     clean = simulation.seen(NEW)
     noise = np.stack([simulation.capture() for _ in range(100)]) - clean
     ratio = 10 * np.log10(np.square(clean).sum() / np.square(noise).sum((1, 2)).mean())
-    assert ratio == pytest.approx(20.0, abs=0.5)
+    assert ratio == pytest.approx(40.0, abs=0.5)
 
 
 def test_the_seed_fixes_the_noise() -> None:
     def measurement(seed: int | None) -> Measurement:
-        simulation = Simulation(SHADOW, replace(QUIET, snr_db=20.0), seed=seed)
+        simulation = Simulation(SHADOW, replace(QUIET, snr_db=40.0), seed=seed)
         simulation.scene.image = np.full((28, 28), 0.5, np.float32)
         simulation.display.show(NEW)
         return simulation.capture()

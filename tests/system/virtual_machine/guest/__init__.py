@@ -1,1 +1,1 @@
-"""What runs in the virtual machine, with the Python of /opt/veilcam."""
+"""What runs in the virtual machine, with the packages of the release."""

@@ -23,7 +23,8 @@ SOCKET = Path("/run/veilcam/api.sock")
 URLS = (f"unix://{SOCKET}", "http://127.0.0.1:8787")
 STATE = Path("/var/lib/veilcam")
 HERE = Path(__file__).resolve().parent
-PYTHON = "/opt/veilcam/current/bin/python"
+PYTHON = "/usr/bin/python3"
+"""It finds the packages of the release where its environment says, which the unit is told, too."""
 DROP_IN = Path("/run/systemd/system/veilcamd.service.d/other.conf")
 PATIENCE = 900.0
 """Of waits for the daemon; an emulated processor is slow [s]."""
@@ -82,7 +83,7 @@ class Checks:
             self.sandbox_holds,
             self.bytes_of_py_spidev,
             self.serves_others_over_tls,
-            self.uninstall_leaves_the_state,
+            self.removing_leaves_the_state,
         ):
             name = check.__name__.replace("_", " ")
             print(f"check: {name} ...", flush=True)  # noqa: T201
@@ -108,7 +109,7 @@ class Checks:
     def answers_on_both_sockets(self) -> str:
         """Sockets of systemd."""
         self._token = run(
-            *("runuser", "-u", "veilcam", "--", "/opt/veilcam/current/bin/veilcamd", "token"),
+            *("runuser", "-u", "veilcam", "--", "/usr/bin/veilcamd", "token"),
             *("create", "--label", "checks", "--scope", "read:status", "--scope", "classify"),
             *("--state-dir", str(STATE)),
         ).splitlines()[-1]
@@ -257,17 +258,20 @@ class Checks:
             self._refused(camera)
         return f"label {label} with a token, none without"
 
-    def uninstall_leaves_the_state(self) -> str:
+    def removing_leaves_the_state(self) -> str:
         """Nothing is left but state and settings; with --purge these go, too."""
-        uninstall = str(HERE.parent / "uninstall.sh")
-        run(uninstall)
+        run("dpkg", "--remove", "veilcam")
         edited = {network.UNITS / f"veilcamd.{kind}.d" for kind in ("service", "socket")}
-        kept = {STATE, Path("/etc/veilcam"), *edited}
+        # Whether it was enabled is a setting, for when it is installed again.
+        enabled = {
+            network.UNITS / "multi-user.target.wants" / "veilcamd.service",
+            network.UNITS / "sockets.target.wants" / "veilcamd.socket",
+        }
+        kept = {STATE, Path("/etc/veilcam"), *edited, *enabled}
         assert self._left() == kept, self._left()
         assert (STATE / "device-key.json").exists()
         assert not SOCKET.exists()
-        assert "veilcamd" not in run("systemctl", "list-unit-files", "--no-legend")
-        run(uninstall, "--purge")
+        run("dpkg", "--purge", "veilcam")
         assert not self._left(), self._left()
         return "and with --purge nothing"
 
@@ -275,8 +279,10 @@ class Checks:
     def _left() -> set[Path]:
         """Files and folders by our name; the checks' own are called veilcam-SOMETHING."""
         names = run(
-            *("find", "/etc", "/opt", "/run/veilcam", "/usr", "/var", "-name", "*veilcam*"),
-            *("-not", "-name", "veilcam-*", "-prune"),
+            *("find", "/etc", "/opt", "/run/veilcam", "/usr", "/var"),
+            # What dpkg and systemd themselves remember.
+            *("-path", "/var/lib/dpkg", "-prune", "-o", "-path", "/var/lib/systemd", "-prune"),
+            *("-o", "-name", "*veilcam*", "-not", "-name", "veilcam-*", "-prune", "-print"),
             check=False,  # one of the folders may be gone
         )
         return {Path(name) for name in names.splitlines()}
@@ -314,7 +320,9 @@ class Checks:
         """Let the unit run another program in the same sandbox."""
         run("systemctl", "stop", "veilcamd.service")
         DROP_IN.parent.mkdir(parents=True, exist_ok=True)
-        lines = [f"WorkingDirectory={HERE.parent}", "ExecStart=", f"ExecStart={program}", *settings]
+        paths = f"Environment=PYTHONPATH={os.environ['PYTHONPATH']}"
+        lines = [paths, f"WorkingDirectory={HERE.parent}", "ExecStart=", f"ExecStart={program}"]
+        lines += settings
         DROP_IN.write_text("\n".join(["[Service]", *lines]) + "\n")
         run("systemctl", "daemon-reload")
         try:

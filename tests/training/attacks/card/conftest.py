@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_training.attacks.card.study import Plan
 from veilcam_training.attacks.networks import TRIALS
-from veilcam_training.bundle import Bundle, Fresh, LayerRecord, Pair, build_untrained
+from veilcam_training.bundle import Bundle, Fresh, LayerRecord, Pair
 from veilcam_training.bundle.layers import Linear
 from veilcam_training.data import Images
+from veilcam_training.models.network import build_untrained, weights_of
 
 CLASSES = 4
 CAMERA = Camera(panel=Panel(), window=Window(rows=24, columns=11))
@@ -21,10 +24,10 @@ EMBEDDING = Embedding(6, 8)
 TINY = Plan(
     own=40,
     seen=80,
-    long=6,
-    own_long=10,
+    long=3,
+    own_long=5,
     known=40,
-    epochs=12,
+    epochs=8,
     trials=TRIALS[1:2],
     recovered=0,
     quick=True,
@@ -44,11 +47,13 @@ def make_images(count: int = 600) -> Images:
     return Images(pixels.round().byte(), labels)
 
 
-def _classifier(inputs: int, seed: int) -> tuple[tuple[LayerRecord, ...], dict[str, Tensor]]:
+def _classifier(
+    inputs: int, seed: int
+) -> tuple[tuple[LayerRecord, ...], dict[str, npt.NDArray[Any]]]:
     layers: tuple[LayerRecord, ...] = (Linear(inputs=inputs, outputs=CLASSES),)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        return layers, dict(build_untrained(layers).state_dict())
+        return layers, weights_of(build_untrained(layers))
 
 
 def make_pairs(count: int = 3) -> Bundle:
@@ -82,7 +87,7 @@ def make_fresh() -> Bundle:
         mode="fresh",
         fresh=Fresh(
             distribution=MaskDistribution.uniform(CAMERA),
-            statistics=fit_statistics([make_images().scenes()], 30),
+            statistics=fit_statistics([make_images().scenes()], 30).in_numpy(),
             noise=MeasurementNoise(40.0),
             layers=layers,
             weights=weights,

@@ -21,7 +21,8 @@ from veilcam_training.attacks.card import rows
 from veilcam_training.attacks.card.report import Work, figures_of, judge, make_card
 from veilcam_training.attacks.card.rows import ROWS
 from veilcam_training.attacks.card.shots import Found
-from veilcam_training.attacks.card.study import FULL, QUICK, Study
+from veilcam_training.attacks.card.study import FULL, QUICK, Plan, Study
+from veilcam_training.attacks.card.subject import make_subject
 from veilcam_training.attacks.card.threats import CLAIMED, THREATS
 from veilcam_training.attacks.intervals import Gain
 from veilcam_training.attacks.victim import FORMS
@@ -94,14 +95,16 @@ def test_no_attack_beats_chance_behind_fresh_white_ones(closed: Made) -> None:
 @pytest.mark.slow
 def test_a_page_needs_nothing_else_and_shows_every_row(leaking: Made, closed: Made) -> None:
     for card, study in (leaking, closed):
-        page = write_page(card, draw_pictures(study))
+        pictures = draw_pictures(study)
+        page = write_page(card, pictures)
         assert not re.search(r"(src|href)=[\"'](?!data:)", page)
         assert "http" not in page.replace("http-equiv", "")
         for row in card.rows:
             assert f"<span>{row.threat}</span>{row.title}" in page
         assert card.outcome in page
         assert 'name="viewport"' in page
-        assert write_page(card, draw_pictures(study)) == page
+        assert write_page(card, pictures) == page
+    assert draw_pictures(study) == pictures
 
 
 @pytest.mark.slow
@@ -238,6 +241,19 @@ def test_a_camera_that_cannot_be_is_refused(
             work=Work(None),
             tell=lambda *_: None,
         )
+
+
+def test_a_full_card_has_more_attackers_of_pictures() -> None:
+    def names(form: str, plan: Plan) -> set[str]:
+        subject = make_subject(make_fresh(), make_images().scenes(slice(0, 300)), form=form, seed=1)
+        study = Study(subject, make_images(), plan, seed=1, folder=None, tell=lambda *_: None)
+        return set(study.of_release())
+
+    assert "correlations" not in names("white", QUICK)
+    assert {f"correlations, start {each.seed}" for each in FULL.trials} < names("white", FULL)
+    # Ciphertext is no picture.
+    pictures = ("convolutions", "correlations")
+    assert not any(name.startswith(pictures) for name in names("sealed", FULL))
 
 
 def test_other_data_is_refused() -> None:

@@ -14,6 +14,8 @@ from veilcam_training.attacks.known_pairs import Mask
 from veilcam_training.attacks.networks import (
     TRIALS,
     Attacker,
+    Build,
+    Correlations,
     Scores,
     Seen,
     Trial,
@@ -285,10 +287,12 @@ class Study:
         return {"class means": by_means, **self._networks(self.subject.bundle.scene.shape)}
 
     def _networks(self, shape: tuple[int, int] | None) -> dict[str, Attacker]:
-        builds = {"linear": linear, "perceptron": perceptron}
+        many = len(self.plan.trials) > 1
+        builds: dict[str, Build] = {"linear": linear, "perceptron": perceptron}
         if shape is not None:
             builds["convolutions"] = partial(convolutions, shape)
-        many = len(self.plan.trials) > 1
+            if many:  # a full card has the time
+                builds["correlations"] = partial(Correlations, shape)
         return {
             f"{name}, start {trial.seed}" if many else name: partial(
                 by_network, build=build, trial=trial, epochs=self.plan.epochs

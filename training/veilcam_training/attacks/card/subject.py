@@ -10,7 +10,8 @@ from torch import Tensor
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.decoding import SceneDecoding, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_optics.transfer.operator import Reach, TransferOperator
+from veilcam_optics.transfer.operator import TransferOperator
+from veilcam_optics.transfer.tables import Reach
 from veilcam_training.attacks.victim import (
     FORMS,
     FreshMasks,
@@ -22,8 +23,9 @@ from veilcam_training.attacks.victim import (
     VictimMask,
     unsealed,
 )
-from veilcam_training.bundle import Bundle, build_classifier, classifier_inputs
+from veilcam_training.bundle import Bundle, classifier_inputs
 from veilcam_training.errors import TrainingError, require
+from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import stream
 
 LIGHT = Reach(6, 1)
@@ -128,7 +130,7 @@ def make_subject(
     own = source if isinstance(source, FreshMasks) else FreshMasks(camera, uniform)
     geometry = (camera, bundle.scene, bundle.embedding)
     if mode == "fresh" and bundle.fresh is not None:
-        decoding = bundle.fresh.frame(*geometry).decoding()
+        decoding = bundle.fresh.frame(*geometry).in_torch().decoding()
     else:
         rank = min(RANK, len(scenes) - 1, bundle.scene.rows * bundle.scene.columns)
         decoding = SceneDecoding(TransferOperator(*geometry), fit_statistics([scenes], rank))
@@ -169,7 +171,9 @@ def _source(bundle: Bundle, mode: str, seed: int) -> tuple[MaskSource, Reading |
         scores: Tensor = readers[mask.place](measurements)
         return scores
 
-    return StoredMasks([to_weights(pair.levels, bundle.camera.panel) for pair in pairs]), read
+    return StoredMasks(
+        [torch.from_numpy(to_weights(pair.levels, bundle.camera.panel)) for pair in pairs]
+    ), read
 
 
 def _read_fresh(bundle: Bundle) -> Reading:

@@ -1,0 +1,39 @@
+"""How much of the SDK's public surface has known types, as pyright counts it.
+
+    python -m benchmarks.client.types --figures benchmarks/results/people.json
+
+``pyright --verifytypes`` needs Node.js, which its package fetches once; it takes a minute.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import typer
+from benchmarks.figures import FiguresOption, record
+
+
+def completeness(report: str) -> float:
+    """Percent of symbols whose type is known, in a report of pyright; prints all others."""
+    found = json.loads(report)["typeCompleteness"]
+    for symbol in found["symbols"]:
+        if symbol["isExported"] and not symbol["isTypeKnown"]:
+            print(symbol["name"])
+    return 100 * float(found["completenessScore"])
+
+
+def main(*, figures: FiguresOption = None) -> None:
+    """Measure the completeness of the SDK's types."""
+    command = (sys.executable, "-m", "pyright", "--ignoreexternal", "--outputjson")
+    done = subprocess.run(
+        (*command, "--verifytypes", "veilcam_client"), capture_output=True, text=True, check=False
+    )
+    percent = round(completeness(done.stdout), 2)
+    print(f"{percent} %")
+    record(figures, {"verifytypes_percent": percent})
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,1 @@
+"""Tables of figures in README and docs, by what they are of."""

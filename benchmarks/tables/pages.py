@@ -1,0 +1,45 @@
+"""The pages with tables, and their text with the tables replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR, LEGACY
+from benchmarks.tables.camera import CALIBRATED, DISTANCE, SERVED
+from benchmarks.tables.checks import CHECKS
+from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
+from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
+from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
+from benchmarks.tables.table import Figures, table
+from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, KEYS, MORE_KEYS, SIEGE, cards
+from benchmarks.tables.watch import BELIEF
+
+BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->"
+
+PAGES: dict[str, list[Figures | Callable[[], str]]] = {
+    "CONTRIBUTING.md": [CHECKS],
+    "README.md": [HEADLINES],
+    "docs/figures.md": [TRAINED, LIGHT, UNUSED, KEYS, DAEMON],
+    "docs/accuracy.md": [LIMIT, TOLERANCE],
+    "docs/effects.md": [HONESTY],
+    "docs/privacy-card.md": [cards, CARD_TIME],
+    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES, LEGACY],
+    "docs/bundle.md": [CONDITIONING],
+    "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
+    "docs/siege.md": [SIEGE],
+    "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
+    "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
+    "docs/watch.md": [BELIEF],
+}
+"""The tables of each page, from top to bottom."""
+
+
+def with_tables(name: str, page: str) -> str:
+    """The text of page ``name`` with its tables replaced."""
+    first, *parts = page.split(BEGIN)
+    tables = PAGES[name]
+    if len(parts) != len(tables):
+        raise ValueError(f"{name} has {len(parts)} tables, not {len(tables)}")
+    for shown, part in zip(tables, parts, strict=True):
+        first += BEGIN + (shown() if callable(shown) else table(shown)) + END + part.split(END)[1]
+    return first

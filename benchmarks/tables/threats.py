@@ -1,0 +1,142 @@
+"""What attackers of a camera reach: keys, logs, the siege, and privacy cards."""
+
+from __future__ import annotations
+
+import json
+
+from benchmarks.tables.table import ROOT, Figures
+
+KEYS: Figures = {
+    name: ("keys", words, pattern)
+    for name, (words, pattern) in {
+        "past_opened": (
+            "earlier captures opened with state directory and memory of the daemon, of 1,000",
+            "{}",
+        ),
+        "forgeries_taken": ("forged answers that a receiver took for true, of 10,000", "{}"),
+        "epochs_repeated": (
+            "names, keys and numbers that came twice, over 200 kills, restored states and clones",
+            "{:.0f}",
+        ),
+        "clear_part_auc": (
+            "two scenes told apart by a classifier trained on what `sealed` answers show: AUC",
+            "{:.3f}",
+        ),
+        "white_digit_advantage_upper": (
+            "digits read from `white`, one capture a mask: points above chance, at most",
+            "{:.2f}",
+        ),
+        "white_presence_auc": ("whether anything is there, from `white`: AUC", "{:.3f}"),
+        "white_linkage_auc": ("whether two `white` show the same scene: AUC", "{:.3f}"),
+        "seal_open_ms": ("sealing and opening an embedding, 24 x 32", "{:.2f} ms"),
+        "fresh_accuracy_sealed": (
+            "MNIST by the holder of a receiver's key, fresh masks, 24 x 32",
+            "{:.2f} %",
+        ),
+    }.items()
+}
+
+MORE_KEYS: Figures = {
+    **{
+        f"clear_part_auc_{form}": (
+            "keys",
+            f"two scenes told apart by the clear part of answers with `{form}`: AUC",
+            "{:.3f}",
+        )
+        for form in ("sealed", "white")
+    },
+    **{
+        f"{where}white_{question}": ("keys", f"{words}{said}", pattern)
+        for where, said in {"": "", "rest_": ", over REST"}.items()
+        for question, words, pattern in (
+            ("kind_advantage_upper", "the kind of scene, from `white`: points, at most", "{:.2f}"),
+            (
+                "skin_advantage_upper",
+                "skin of drawn faces, from `white`: points, at most",
+                "{:.2f}",
+            ),
+            (
+                "presence_auc_upper",
+                "whether anything is there, from `white`: AUC, at most",
+                "{:.3f}",
+            ),
+            ("linkage_auc_upper", "whether two `white` show the same: AUC, at most", "{:.3f}"),
+            ("digit_advantage", "digits read from `white`: points above chance", "{:.2f}"),
+        )
+    },
+    "legacy_white_digit_advantage": (
+        "keys",
+        "digits read from `white` as it was, with its length: points above chance",
+        "{:.1f}",
+    ),
+    "seal_open_first_ms": (
+        "keys",
+        "sealing, and opening the first embedding of an epoch, 24 x 32",
+        "{:.2f} ms",
+    ),
+    "prepare_sealed_ratio": ("keys", "preparing an epoch, over preparing its mask", "{:.2f} x"),
+}
+
+CAPTURE_LOG: Figures = {
+    "log_forgeries_missed": (
+        "proof",
+        "records of a log of 10,000 that were changed, dropped or swapped unnoticed",
+        "{:.0f}",
+    ),
+    "log_record_ms": ("proof", "digest, signature and write of one record", "{:.2f} ms"),
+}
+
+SIEGE: Figures = {
+    name: ("siege", words, pattern)
+    for name, (words, pattern) in {
+        "siege_status_p99_ms": (
+            "`status` from another address under attack, 99 of 100, worst row",
+            "{:.0f} ms",
+        ),
+        "siege_log_bytes_per_s": ("log of an attack, worst row", "{:.0f} B/s"),
+        "siege_rss_growth_mb": ("memory that an attack takes, worst row", "{:.0f} MB"),
+        "state_faults_tried": ("damaged state: starts tried", "{:.0f}"),
+        "starts_refused": ("of them refused", "{:.0f}"),
+        "silent_rollbacks": ("that rolled something back in silence", "{:.0f}"),
+        "beyond_budget": ("embeddings beyond the budget of their mask", "{:.0f}"),
+        "kills": ("kills", "{:.0f}"),
+        "kills_lost": ("what was acknowledged and lost", "{:.0f}"),
+        "epochs_repeated": ("epochs that came again", "{:.0f}"),
+    }.items()
+}
+
+CARD_ROWS = {
+    "T0": ("digits read with the key, at least", "{:.1f} %"),
+    "T1": ("ciphertext only: points above chance", "{:.1f}"),
+    "T2": ("wrong key: points", "{:.1f}"),
+    "T3": ("pairs of other epochs: points", "{:.1f}"),
+    "T4": ("known pairs of this mask: points", "{:.1f}"),
+    "T5": ("leaked list: points", "{:.1f}"),
+    "T6": ("full leak: nearer than the mean picture", "{:.1f} dB"),
+    "T7": ("many shots: points", "{:.1f}"),
+    "T8": ("attributes from scores: AUC less one half", "{:.3f}"),
+    "T9": ("linkage: AUC less one half", "{:.3f}"),
+}
+
+CARD_MODES = {
+    "fresh": "fresh, `white`",
+    "pairs1": "1 pair, `raw`",
+    "pairs10": "10 pairs, `raw`",
+    "pairs100": "100 pairs, `raw`",
+    "random": "random masks, `raw`",
+}
+
+CARD_TIME: Figures = {"card_quick_minutes": ("privacy", "a quick card, two cores", "{:.1f} min")}
+
+
+def cards() -> str:
+    """Cards side by side: a row for each threat, a column for each mode."""
+    figures = json.loads((ROOT / "benchmarks" / "results" / "privacy.json").read_text())
+    lines = [
+        "| row | what | " + " | ".join(CARD_MODES.values()) + " |",
+        "|---|---|" + "---|" * len(CARD_MODES),
+    ]
+    for row, (what, pattern) in CARD_ROWS.items():
+        cells = [pattern.format(figures[f"card_{mode}_{row}"]["value"]) for mode in CARD_MODES]
+        lines.append(f"| [{row}](#{row.lower()}) | {what} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"

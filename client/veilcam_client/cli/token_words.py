@@ -1,0 +1,21 @@
+"""A token in words, without what other answers are put into words with: ``veilcamd`` has it too."""
+
+from datetime import UTC, datetime
+
+from veilcam_client.wire.tokens import Token
+
+
+def token_in_words(token: Token) -> str:
+    """What a token is, in two lines."""
+    used = f"used {token.last_used_on}" if token.last_used_on else "never used"
+    scopes = " ".join(token.scopes)
+    return f"{token.id}  {_validity(token):<24}  {used:<15}  {token.label}\n{'':14}{scopes}"
+
+
+def _validity(token: Token) -> str:
+    if token.revoked_at is not None:
+        return f"revoked {token.revoked_at:%Y-%m-%d}"
+    if token.expires_at is None:
+        return "until it is revoked"
+    word = "expired" if token.expires_at <= datetime.now(UTC) else "until"
+    return f"{word} {token.expires_at:%Y-%m-%d %H:%M}"

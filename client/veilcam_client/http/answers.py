@@ -1,0 +1,153 @@
+"""Answers of a daemon: read whole within limits, and turned into models or errors."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import httpx
+from pydantic import BaseModel, ValidationError
+
+from veilcam_client.errors import ProtocolError, RequestTimeoutError, VeilcamError
+from veilcam_client.http.sse import Message
+from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
+from veilcam_client.wire.events import EVENT, Event
+
+MAX_ANSWER = 8 * 2**20
+"""More than any answer of a daemon has: the largest is a page of the log of captures [bytes]."""
+
+AnswerT = TypeVar("AnswerT", bound=BaseModel)
+ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """One answer as it came.
+
+    Attributes:
+        status_code: of HTTP.
+        headers: names in any case.
+        content: the body.
+    """
+
+    status_code: int
+    headers: Mapping[str, str] = field(repr=False)
+    content: bytes = field(repr=False)
+
+    @property
+    def request_id(self) -> str | None:
+        """Names the request in the daemon's log."""
+        return self.headers.get("x-request-id")
+
+
+@dataclass(frozen=True, slots=True)
+class RawResponse(Received, Generic[ResultT]):
+    """An answer as it came, beside what the SDK makes of it."""
+
+    _result: ResultT = field(repr=False)
+
+    def parse(self) -> ResultT:
+        """What the method returns when it is not asked for the raw answer."""
+        return self._result
+
+
+def raw_response(received: Received | None, result: ResultT) -> RawResponse[ResultT]:
+    """Return what a method made of the answer beside it."""
+    if received is None:
+        raise TypeError("this method asks the daemon for nothing")
+    return RawResponse(received.status_code, received.headers, received.content, result)
+
+
+class Body:
+    """A body that grows piece by piece, neither beyond its limit nor after the deadline.
+
+    Raises:
+        ProtocolError: it is longer than any answer, or compressed, which nobody asked for.
+        RequestTimeoutError: the deadline is over.
+    """
+
+    def __init__(self, response: httpx.Response, deadline: float) -> None:
+        self._response, self._deadline = response, deadline
+        self._pieces: list[bytes] = []
+        self._size = 0
+        said = response.headers.get("content-length", "")
+        if said.isascii() and said.isdigit() and len(said) < 20 and int(said) > MAX_ANSWER:
+            raise self._too_long()
+        if response.headers.get("content-encoding", "identity") != "identity":
+            raise unreadable(response, "a compressed answer, which was not asked for")
+
+    def add(self, piece: bytes) -> None:
+        """Take the next piece."""
+        self._pieces.append(piece)
+        self._size += len(piece)
+        if self._size > MAX_ANSWER:
+            raise self._too_long()
+        if time.monotonic() >= self._deadline:
+            raise RequestTimeoutError(f"no whole answer from {self._response.url.host} in time")
+
+    def received(self) -> Received:
+        """The whole."""
+        response = self._response
+        return Received(response.status_code, response.headers, b"".join(self._pieces))
+
+    def _too_long(self) -> ProtocolError:
+        return unreadable(self._response, f"an answer of more than {MAX_ANSWER >> 20} MiB")
+
+
+def read(answer: type[AnswerT], received: Received) -> AnswerT:
+    """Return the model of an answer, or raise the error that it is."""
+    if not 200 <= received.status_code < 300:
+        raise error_of(received)
+    try:
+        if media_type(received) == NPY_MEDIA_TYPE:
+            capture = Capture.from_npy(received.content, received.headers)
+            if not isinstance(capture, answer):
+                raise ValueError("only a capture comes as an array")
+            return capture
+        return answer.model_validate_json(received.content or b"{}")
+    except ValueError as error:
+        raise unreadable(received, f"an answer that is no {answer.__name__}") from error
+
+
+def event_of(message: Message) -> Event:
+    """Return the event in a message; raises ``ProtocolError``."""
+    try:
+        return EVENT.validate_json(message.data)
+    except ValidationError as error:
+        raise ProtocolError(
+            f"the server sent a {message.event} event that this SDK cannot read: update veilcam"
+        ) from error
+
+
+def error_of(received: Received) -> VeilcamError:
+    """Return the error that an answer is."""
+    if media_type(received) == PROBLEM_MEDIA_TYPE:
+        try:
+            problem = Problem.model_validate_json(received.content)
+        except ValidationError:
+            return unreadable(received, "a problem that cannot be read")
+        return problem.error(_retry_after(received))
+    return unreadable(received, f"HTTP {received.status_code} without problem details")
+
+
+def media_type(received: Received) -> str:
+    """What an answer says that it is."""
+    return received.headers.get("content-type", "").partition(";")[0]
+
+
+def unreadable(response: Received | httpx.Response, what: str) -> ProtocolError:
+    """Return the error for what is not this API's."""
+    return ProtocolError(
+        f"the server sent {what}: is this a veilcamd, of the same version?",
+        status=response.status_code,
+        request_id=response.headers.get("x-request-id"),
+    )
+
+
+def _retry_after(received: Received) -> float | None:
+    # The daemon sends seconds; the date form (RFC 9110, 10.2.3) counts as not sent.
+    value = received.headers.get("retry-after", "")
+    return float(value) if value.isascii() and value.isdigit() else None

@@ -1,0 +1,193 @@
+"""Where the daemon is, how long to wait for it, who asks, and when to ask again."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import random
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+import httpx
+
+from veilcam_client.errors import (
+    ConnectError,
+    LeasedError,
+    RequestTimeoutError,
+    VeilcamError,
+)
+from veilcam_client.http.credentials import Credentials
+from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout, Limit, until
+
+DEFAULT_URL = "http://127.0.0.1:8787"
+STREAM_SILENCE = 45.0
+"""An event stream without even a heartbeat for this long is dead [s]."""
+LEASE_POLL = 1.0
+"""Between two looks whether another's lease has ended, at most [s]: it may end before its time."""
+
+log: logging.Logger = logging.getLogger("veilcam")
+
+
+@dataclass(frozen=True, slots=True)
+class RetryPolicy:
+    """Wait ``uniform(0, min(cap, base 2^attempt))`` [s], plus the server's Retry-After.
+
+    Full jitter spreads clients that failed together (Brooker, "Exponential backoff and jitter",
+    2015). A Retry-After longer than ``patience`` [s] is not waited for: the error is raised.
+    """
+
+    retries: int = 2
+    base: float = 0.25
+    cap: float = 4.0
+    patience: float = 30.0
+    uniform: Callable[[float, float], float] = field(
+        default=random.SystemRandom().uniform, repr=False
+    )
+
+    def delay(self, attempt: int, error: VeilcamError) -> float:
+        """Seconds to wait after failure number ``attempt`` (from 0), or raise it to give up."""
+        asked = error.retry_after or 0.0
+        if not error.retryable or attempt >= self.retries or asked > self.patience:
+            raise error
+        return asked + self.jitter(attempt, self.cap)
+
+    def jitter(self, attempt: int, cap: float) -> float:
+        """Seconds by chance, the more the more attempts have failed."""
+        return self.uniform(0.0, min(cap, math.ldexp(self.base, min(attempt, 30))))
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What holds for all requests of one camera."""
+
+    url: str
+    call_timeout: float | None
+    connect_timeout: float
+    read_timeout: float
+    retry: RetryPolicy
+    credentials: Credentials
+    base: str = field(init=False)
+    socket: str | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        base, socket = _place(self.url)
+        for name in ("connect_timeout", "read_timeout"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} = {getattr(self, name)} s is not valid: use > 0")
+        _check_timeout(self.call_timeout)
+        self.credentials.require_safe(self.url)
+        object.__setattr__(self, "base", base)
+        object.__setattr__(self, "socket", socket)
+
+    def until(self, timeout: CallTimeout) -> float:
+        """When a call that begins now ends, on the monotonic clock [s]."""
+        if timeout is CAMERA_TIMEOUT:
+            return until(self.call_timeout)
+        _check_timeout(timeout)
+        return until(timeout)
+
+    def limits(self, deadline: float = math.inf, *, stream: bool = False) -> httpx.Timeout:
+        """Limits of one request."""
+        longest = Limit.of(STREAM_SILENCE if stream else self.read_timeout, deadline)
+        return httpx.Timeout(longest, connect=Limit.of(self.connect_timeout, deadline))
+
+    @contextmanager
+    def translate(self) -> Iterator[None]:
+        """Turn what httpx raises into this SDK's errors."""
+        try:
+            yield
+        except (httpx.TimeoutException, TimeoutError) as error:
+            kind = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
+            raise RequestTimeoutError(f"no {kind} from {self.url} in time") from error
+        except httpx.RequestError as error:
+            reason = str(error) or type(error).__name__
+            raise ConnectError(
+                f"cannot reach {self.url}: {reason} (is veilcamd running there?)"
+            ) from error
+
+
+class Attempts:
+    """One call, from its first request to its answer or the error that ends it.
+
+    Attributes:
+        deadline: of the call, on the monotonic clock [s].
+
+    Args:
+        options: of the camera.
+        timeout: of the call, without what it waits for another's lease [s].
+        wait: for another's lease to end [s]; None: not at all.
+    """
+
+    def __init__(self, options: Options, timeout: CallTimeout, wait: float | None) -> None:
+        if wait is not None and not wait >= 0:
+            raise ValueError(f"wait = {wait} s is not valid: use 0 or more")
+        self._options, self._timeout, self._failed = options, timeout, 0
+        self._patient_until = -math.inf if wait is None else until(wait)
+        self.deadline: float = options.until(timeout)
+
+    def pause(self, error: VeilcamError) -> float:
+        """Seconds to wait before it is asked again, or raise the error that it ends with."""
+        if isinstance(error, LeasedError):
+            return self._lease(error)
+        delay = self._options.retry.delay(self._failed, error)
+        if time.monotonic() + delay >= self.deadline:
+            raise error
+        self._failed += 1
+        log.info("failed with %r, once more in %.2f s", error.code, delay)
+        return delay
+
+    def _lease(self, error: LeasedError) -> float:
+        left = self._patient_until - time.monotonic()
+        if left <= 0:
+            raise error
+        # As soon as it may end, and at the latest when patience does.
+        pause = min(left, error.retry_after or math.inf, LEASE_POLL)
+        pause = self._options.retry.uniform(pause / 2, pause) if pause == LEASE_POLL else pause
+        self.deadline = self._options.until(self._timeout) + pause
+        log.debug("another holds the camera, once more in %.2f s", pause)
+        return pause
+
+
+def address(url: str | None) -> str:
+    """``url``, or that in ``VEILCAM_URL``, or that of a daemon on this machine."""
+    return (os.environ.get("VEILCAM_URL") or DEFAULT_URL) if url is None else url
+
+
+def follow_environment() -> None:
+    """Write the log of the SDK to the terminal, if ``VEILCAM_LOG`` is ``debug`` or ``info``.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    asked = os.environ.get("VEILCAM_LOG")
+    if not asked:
+        return
+    if asked not in ("debug", "info"):
+        raise ValueError(f"VEILCAM_LOG = {asked!r} is not valid: use debug or info")
+    log.setLevel(asked.upper())
+    if not log.hasHandlers():
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
+        log.addHandler(handler)
+
+
+def _check_timeout(timeout: float | None) -> None:
+    if timeout is not None and not timeout > 0:
+        raise ValueError(f"timeout = {timeout} s is not valid: use > 0, or None")
+
+
+def _place(url: str) -> tuple[str, str | None]:
+    """Base of all paths, and the unix socket if it is one."""
+    parts = urlsplit(url)
+    if parts.scheme == "unix" and parts.path and not parts.netloc:
+        return "http://localhost", parts.path
+    plain = parts.scheme in ("http", "https") and not parts.query and not parts.fragment
+    if not plain or not parts.hostname:
+        raise ValueError(
+            f"url = {url!r} is not valid: use http://HOST:PORT or unix:///PATH/TO/SOCKET"
+        )
+    return url.rstrip("/").removesuffix("/v1").rstrip("/"), None

@@ -1,0 +1,63 @@
+"""Event stream that broke: when it is opened again, and after which event it goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from veilcam_client.errors import VeilcamError
+from veilcam_client.http.options import Options, log
+from veilcam_client.wire.events import Event, Gap
+
+LONGEST_PAUSE = 30.0
+"""Before a stream is opened again; one that was open as long begins with short pauses anew [s]."""
+_PASSING = frozenset((502, 503, 504))
+"""Statuses of a proxy whose daemon is about to come back."""
+
+
+class Resumption:
+    """One event stream, over all its connections.
+
+    While the daemon has not answered yet it is tried as often as any request; after that, until
+    somebody closes the stream, or not at all unless ``reconnect``.
+    """
+
+    def __init__(self, options: Options, last_event_id: str | None, reconnect: bool) -> None:
+        self._options, self._last, self._reconnect = options, last_event_id, reconnect
+        self._failed = 0
+        self._opened: float | None = None
+
+    def headers(self) -> dict[str, str]:
+        """Headers of the next request."""
+        headers = {"Accept": "text/event-stream"}
+        if self._last is not None:
+            headers["Last-Event-ID"] = self._last
+        return self._options.credentials.headers(headers)
+
+    def opened(self) -> Iterator[Gap]:
+        """Note that the daemon streams; yield what the daemon cannot know that was missed."""
+        again, self._opened = self._opened is not None, time.monotonic()
+        if again and self._last is None:
+            yield Gap(id="", at=datetime.now(UTC))
+
+    def heard(self, event: Event) -> None:
+        """Note an event: the stream goes on after it."""
+        if event.id:
+            self._failed, self._last = 0, event.id
+
+    def pause(self, error: VeilcamError) -> float:
+        """Seconds to wait before the next connection, or raise what no waiting puts right."""
+        retry = self._options.retry
+        if self._opened is not None and time.monotonic() - self._opened > LONGEST_PAUSE:
+            self._failed = 0
+        attempt, self._failed = self._failed, self._failed + 1
+        if self._opened is None:
+            delay = retry.delay(attempt, error)
+        elif self._reconnect and (error.retryable or error.status in _PASSING):
+            asked = min(error.retry_after or 0.0, retry.patience)
+            delay = asked + retry.jitter(attempt, LONGEST_PAUSE)
+        else:
+            raise error
+        log.info("event stream ended with %r, once more in %.2f s", error.code, delay)
+        return delay

@@ -1,0 +1,181 @@
+"""When the camera looks by itself, and what it believes to see.
+
+``GET /v1/watch`` answers with :class:`Watch`, and ``PUT /v1/watch`` takes a :data:`WatchPolicy`.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, time
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, model_validator
+
+from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
+
+SLOWEST, FASTEST = 1 / 3600, 10.0
+"""Looks in a second, at least and at most."""
+_RATE = re.compile(r"([0-9]{1,4}(?:\.[0-9]{1,3})?)/(s|min|h)")
+_SECONDS = {"s": 1, "min": 60, "h": 3600}
+_HOUR = "([01]?[0-9]|2[0-3])(?::([0-5][0-9]))?"
+_HOURS = re.compile(f"{_HOUR}-{_HOUR}")
+TIME_OF_DAY = r"^([01][0-9]|2[0-3]):[0-5][0-9]$"
+
+
+class QuietHours(Question):
+    """From one time of day to another, by the clock on the wall where the camera is.
+
+    Over midnight where the end comes first. The end itself is not among them.
+    """
+
+    begin: str = Field(pattern=TIME_OF_DAY)
+    end: str = Field(pattern=TIME_OF_DAY)
+
+    @model_validator(mode="after")
+    def _check_length(self) -> QuietHours:
+        if self.begin == self.end:
+            raise ValueError("hours begin and end at two times of day")
+        return self
+
+    def include(self, now: time) -> bool:
+        """Whether a time of day is among them."""
+        begin, end = time.fromisoformat(self.begin), time.fromisoformat(self.end)
+        if begin < end:
+            return begin <= now < end
+        return now >= begin or now < end
+
+
+class WatchOff(Question):
+    """It does not look: the panel is opaque, and nobody takes a capture."""
+
+    mode: Literal["off"] = "off"
+
+
+class OnRequest(Question):
+    """It looks when somebody asks it to."""
+
+    mode: Literal["on_request"] = "on_request"
+    quiet: QuietHours | None = None
+    """When the panel is opaque, and nobody takes a capture."""
+
+
+class Watching(Question):
+    """It looks by itself, and when somebody asks."""
+
+    mode: Literal["watching"] = "watching"
+    rate_hz: float = Field(ge=SLOWEST, le=FASTEST)
+    """How often [1/s], where nothing else keeps the camera busy."""
+    quiet: QuietHours | None = None
+    """As of :class:`OnRequest`."""
+
+
+WatchPolicy = Annotated[WatchOff | OnRequest | Watching, Field(discriminator="mode")]
+
+WATCH_POLICY: TypeAdapter[WatchPolicy] = TypeAdapter(
+    WatchPolicy, config=ConfigDict(defer_build=True)
+)
+
+
+def parse_rate(text: str) -> float:
+    """Read ``2/s``, ``30/min`` or ``6/h``, as looks in a second; raises ValueError."""
+    found = _RATE.fullmatch(text)
+    rate = float(found[1]) / _SECONDS[found[2]] if found else 0.0
+    # A little less than once in an hour is a rounding error of 1/h.
+    if not SLOWEST * (1 - 1e-9) <= rate <= FASTEST:
+        raise ValueError(f"{text!r} is no rate: use 2/s, 30/min or 6/h, from 1/h to {FASTEST:g}/s")
+    return max(rate, SLOWEST)
+
+
+def parse_hours(text: str) -> QuietHours:
+    """Read ``22-7`` or ``22:30-07:00``; raises ValueError."""
+    found = _HOURS.fullmatch(text)
+    if not found:
+        raise ValueError(f"{text!r} are no hours: use 22-7, or 22:30-07:00")
+    begin, end = (f"{int(found[n]):02}:{found[n + 1] or '00'}" for n in (1, 3))
+    if begin == end:
+        raise ValueError(f"{text!r} is no time at all: switch the camera off instead")
+    return QuietHours(begin=begin, end=end)
+
+
+Activity = Literal["looking", "on_request", "off", "quiet", "leased", "waiting"]
+"""What it does: ``looking`` by itself; ``on_request`` alone; ``off`` and ``quiet``: the panel is
+opaque, by the policy and by its hours; ``leased``: it waits for the end of a lease; ``waiting``:
+for the camera, which is busy or not ready."""
+
+
+class Belief(Answer):
+    """What is in front of the camera, by all that it has seen so far."""
+
+    label: str | None
+    """None: nothing that it knows."""
+    confidence: float | None = None
+    """Probability of that, in [0, 1]; None without a scope for scores, and in tenths with
+    ``read:scores:rounded``."""
+    since: datetime
+    """When it began to look so."""
+    duration_s: float
+    """Since then."""
+    looks: int
+    """How many captures of its own tell that."""
+
+
+class Sighting(Answer):
+    """Something that was seen."""
+
+    label: str
+    confidence: float | None = None
+    """The highest while it was there; as of :class:`Belief`."""
+    seen_at: datetime
+    gone_at: datetime | None
+    """None: it is there still."""
+    duration_s: float
+    """Until it went, or until now."""
+
+
+MOST_SIGHTINGS = 64
+"""That are remembered, in memory alone: the oldest is forgotten, and all are with a restart."""
+
+
+class Watch(Answer):
+    """Whether the camera looks, and what it believes to see."""
+
+    policy: WatchPolicy
+    activity: Activity
+    detail: str | None = None
+    """Why it does not look."""
+    looks: int
+    """Captures of its own since the start."""
+    belief: Belief | None = None
+    """None while it does not look, and without the scope ``classify``."""
+    history: tuple[Sighting, ...] = ()
+    """The last ones, newest first; empty without the scope ``classify``."""
+
+
+def _watching() -> Watching:
+    return Watching(rate_hz=2.0, quiet=QuietHours(begin="22:00", end="07:00"))
+
+
+EXAMPLES = Examples(
+    lambda: (
+        WatchOff(),
+        OnRequest(),
+        _watching(),
+        Watch(
+            policy=_watching(),
+            activity="looking",
+            looks=7200,
+            belief=Belief(
+                label="3", confidence=0.998, since=EXAMPLE_TIME, duration_s=12.5, looks=25
+            ),
+            history=(
+                Sighting(
+                    label="3",
+                    confidence=0.998,
+                    seen_at=EXAMPLE_TIME,
+                    gone_at=None,
+                    duration_s=12.5,
+                ),
+            ),
+        ),
+    )
+)

@@ -1,0 +1,20 @@
+#!/usr/bin/python3 -Iu
+"""Runs a command of Veilcam, the one it is called by, from the release that is in use.
+
+-I: nothing that a user or an environment says decides what is imported. Wheels of this package go
+before the system's; NumPy, spidev and picamera2 are the system's.
+"""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+COMMANDS = {
+    "veilcam": "veilcam_client.cli.main",
+    "veilcamd": "veilcam_server.cli.main",
+    "veilcam-mqtt": "veilcam_mqtt.cli",
+}
+
+release = Path("/var/lib/veilcam-release/current").resolve()
+sys.path[:0] = [str(release / "lib"), str(release / "py{}{}".format(*sys.version_info))]
+import_module(COMMANDS[Path(sys.argv[0]).name]).main()

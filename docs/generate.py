@@ -1,0 +1,215 @@
+"""The reference: pages of commands, settings, errors and the bundle's format, made from the code.
+
+``python docs/generate.py`` writes them again; a test compares them with the code.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from veilcam_server.errors import ProblemError
+from veilcam_server.settings import PREFIX, Settings
+from veilcam_training.bundle.manifest import Manifest
+
+FOLDER = Path(__file__).resolve().parent / "reference"
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "veilcam": ("veilcam_client.cli.main", "asks a camera, from any machine"),
+    "veilcamd": ("veilcam_server.cli.main", "is the daemon on the Raspberry Pi"),
+    "veilcam-optics": ("veilcam_optics.cli.main", "computes what the camera does to light"),
+    "veilcam-train": ("veilcam_training.cli.main", "makes masks and classifiers, and attacks them"),
+    "veilcam-mqtt": ("veilcam_mqtt.cli", "tells a house what a camera sees"),
+}
+"""Each command: the module with its app, and what it is for."""
+GENERATED = "<!-- Made by docs/generate.py from the code: change it there. -->\n"
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options."""
+    parts = [GENERATED, "# Commands\n"]
+    for name, (_, purpose) in COMMANDS.items():
+        parts.append(f"## {name}\n\n`{name}` {purpose}.\n")
+        parts += _command(_app(name), name, 3)
+    return "\n".join(parts)
+
+
+def _app(name: str) -> Any:
+    """A command as Typer makes it: it has click's classes under names of its own."""
+    return typer.main.get_command(import_module(COMMANDS[name][0]).app)
+
+
+def _command(command: Any, path: str, level: int) -> Iterator[str]:
+    """A command and those below it."""
+    below: Mapping[str, Any] = getattr(command, "commands", {})
+    if not below:
+        title = "#" * min(level, 6)
+        yield f"{title} {path}\n\n{_prose(command.help or '')}\n"
+        rows = [row for parameter in command.params if (row := _parameter(parameter)) is not None]
+        if rows:
+            yield "| | default | what |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+    for name, inner in below.items():
+        yield from _command(inner, f"{path} {name}", level)
+
+
+def _parameter(parameter: Any) -> str | None:
+    """A row for an option or an argument; None for one that is hidden."""
+    if getattr(parameter, "hidden", False) or "--help" in parameter.opts:
+        return None
+    if parameter.param_type_name == "argument":
+        shown = f"`{parameter.name.upper()}`"
+    else:
+        names = [*parameter.opts, *parameter.secondary_opts]
+        shown = ", ".join(f"`{name}`" for name in names)
+    default = "required" if parameter.required else _value(parameter.default)
+    return f"| {shown} | {default} | {_cell(parameter.help or '')} |"
+
+
+def settings_page() -> str:
+    """Every setting of the daemon: its option, its name in the environment, its default."""
+    lines = [
+        GENERATED,
+        "# Settings of the daemon\n",
+        "Each stands on the command line of `veilcamd serve`, or in the environment, as in "
+        "`/etc/veilcam/veilcam.env`. The command line goes first.\n",
+        "| option | in the environment | default | what |\n|---|---|---|---|",
+    ]
+    serve = _app("veilcamd").commands["serve"]
+    options = {parameter.name: parameter.opts[0] for parameter in serve.params}
+    for name, field in Settings.model_fields.items():
+        # The device and the rotation have options of other names, see there.
+        option = f"`{options[name]}`" if name in options else "[others](commands.md#veilcamd-serve)"
+        if field.default_factory is not None:
+            default = "of systemd or of the user"  # another on each machine
+        else:
+            default = "required" if field.is_required() else _value(field.default)
+        said = _cell(field.description or "")
+        lines.append(f"| {option} | `{PREFIX}{name.upper()}` | {default} | {said} |")
+    return "\n".join(lines) + "\n"
+
+
+def errors_page() -> str:
+    """Every problem code of the daemon."""
+    import_module("veilcam_server.daemon")  # whatever it can say is known then
+
+    kinds: dict[str, type[ProblemError]] = {}
+    for kind in _below(ProblemError):
+        if hasattr(kind, "code"):
+            kinds.setdefault(kind.code, kind)
+    lines = [
+        GENERATED,
+        "# Errors by code\n",
+        "Problems are `application/problem+json` (RFC 9457). `code` is stable; where `retryable` "
+        "is true the same request may succeed later. [What an answer says](../api.md) of a problem "
+        "beside it.\n",
+        "| code | status | what it means | what helps | again |\n|---|---|---|---|---|",
+    ]
+    for code in sorted(kinds):
+        kind = kinds[code]
+        remedy = str(kind.remedy).replace("_", " ")
+        again = "yes" if kind.retryable else "no"
+        lines.append(f"| `{code}` | {kind.status} | {_cell(kind.title)} | {remedy} | {again} |")
+    return "\n".join(lines) + "\n"
+
+
+def _below(kind: type[Any]) -> Iterator[type[Any]]:
+    for inner in kind.__subclasses__():
+        yield inner
+        yield from _below(inner)
+
+
+def bundle_page() -> str:
+    """Every field of ``bundle.json``."""
+    schema = Manifest.model_json_schema()
+    lines = [
+        GENERATED,
+        "# Fields of a bundle\n",
+        "A bundle is a ZIP file; what its parts are, and in which order they are checked, is on "
+        "[its page](../bundle.md). These are the fields of its `bundle.json`. An unknown field is "
+        "refused.\n",
+        *_model("bundle.json", schema),
+    ]
+    for name, model in sorted(schema["$defs"].items()):
+        if name != "JsonValue":
+            lines += _model(name, model)
+    return "\n".join(lines)
+
+
+def _model(name: str, model: Mapping[str, Any]) -> Iterator[str]:
+    yield f"## {name}\n"
+    if said := _prose(model.get("description", "")):
+        yield said + "\n"
+    if "properties" not in model:
+        yield f"{_type(model)}\n".capitalize()
+        return
+    yield "| field | type | default | what |\n|---|---|---|---|"
+    required = model.get("required", ())
+    for field, schema in model.get("properties", {}).items():
+        default = "required" if field in required else _value(schema.get("default"))
+        said = _cell(schema.get("description", ""))
+        yield f"| `{field}` | {_type(schema)} | {default} | {said} |"
+    yield ""
+
+
+def _type(schema: Mapping[str, Any]) -> str:  # noqa: PLR0911 - a case each
+    """A JSON schema in a word or two; models link to their table."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return "any JSON" if name == "JsonValue" else f"[{name}](#{name.lower()})"
+    for key in ("anyOf", "oneOf"):
+        if key in schema:
+            return " or ".join(dict.fromkeys(_type(one) for one in schema[key]))
+    if "const" in schema:
+        return f"`{json.dumps(schema['const'])}`"
+    if "enum" in schema:
+        return " or ".join(f"`{json.dumps(value)}`" for value in schema["enum"])
+    kind = str(schema.get("type", "any"))
+    if kind == "array":
+        inside = schema.get("prefixItems") or [schema.get("items", {})]
+        return "list of " + " or ".join(dict.fromkeys(_type(one) for one in inside))
+    if kind == "object" and isinstance(schema.get("additionalProperties"), dict):
+        return f"object of {_type(schema['additionalProperties'])}"
+    return {"null": "nothing"}.get(kind, kind)
+
+
+def _value(value: Any) -> str:
+    if value is None or value in ((), [], ""):
+        return ""
+    if isinstance(value, Path):
+        return f"`{value.name if value.is_absolute() and 'demo_data' in value.parts else value}`"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"`{value}`"
+
+
+def _prose(text: str) -> str:
+    """A docstring as Markdown: its paragraphs."""
+    paragraphs = text.replace("``", "`").strip().split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+def _cell(text: str) -> str:
+    return " ".join(_prose(text).split()).replace("|", "\\|")
+
+
+PAGES: Mapping[str, Callable[[], str]] = {
+    "commands.md": commands_page,
+    "settings.md": settings_page,
+    "errors.md": errors_page,
+    "bundle.md": bundle_page,
+}
+
+
+def main() -> None:
+    """Write every page."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, write in PAGES.items():
+        (FOLDER / name).write_text(write())
+
+
+if __name__ == "__main__":
+    main()

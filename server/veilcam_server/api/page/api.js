@@ -1,0 +1,107 @@
+// Requests to the daemon of this page: the routes that programs use, and no others.
+
+const HALF = "veilcam-session";
+// A stream is silent for no longer than this [ms]; heartbeats come every 30 s at the latest.
+const SILENCE = 45000;
+
+export class Problem extends Error {
+  constructor({ code, detail, status, retryable }) {
+    super(detail);
+    Object.assign(this, { code, status, retryable });
+  }
+}
+
+export class Offline extends Error {
+  constructor() {
+    super("The daemon does not answer.");
+  }
+}
+
+// Kept per origin, port included: a page on another port of this host cannot read it.
+const half = () => localStorage.getItem(HALF);
+
+// The mode stays that of fetch: in "same-origin" a browser that tells no referrer says Origin: null.
+async function send(method, path, { body, type, headers = {}, signal } = {}) {
+  const session = half() && !headers.Authorization ? { "Veilcam-Session": half() } : {};
+  const media = body === undefined ? {} : { "Content-Type": type ?? "application/json" };
+  let answer;
+  try {
+    answer = await fetch(path, {
+      method,
+      body: body === undefined || type ? body : JSON.stringify(body),
+      headers: { ...session, ...media, ...headers },
+      redirect: "error",
+      signal,
+    });
+  } catch {
+    throw new Offline();
+  }
+  if (answer.ok) return answer;
+  let problem;
+  try {
+    problem = await answer.json();
+  } catch {
+    // A proxy in front of the daemon answers for it.
+    throw new Offline();
+  }
+  throw new Problem(problem);
+}
+
+export async function ask(method, path, options) {
+  const answer = await send(method, path, options);
+  return answer.status === 204 ? null : answer.json();
+}
+
+export const get = (path, options) => ask("GET", path, options);
+export const post = (path, body, options) => ask("POST", path, { body, ...options });
+export const put = (path, body, options) => ask("PUT", path, { body, ...options });
+export const remove = (path, options) => ask("DELETE", path, options);
+
+export async function logIn(token) {
+  const session = await post("/v1/session", undefined, {
+    headers: { Authorization: `Bearer ${token}` },
+  });
+  localStorage.setItem(HALF, session.half);
+  return session;
+}
+
+export async function logOut() {
+  await remove("/v1/session");
+  localStorage.removeItem(HALF);
+}
+
+export const forget = () => localStorage.removeItem(HALF);
+
+// Events from `last` on, until the stream ends; calls `opened` once it is there.
+export async function* events(last, opened) {
+  const stop = new AbortController();
+  let timer;
+  const alive = () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => stop.abort(), SILENCE);
+  };
+  alive();
+  try {
+    const headers = last ? { "Last-Event-ID": last } : {};
+    const answer = await send("GET", "/v1/events", { headers, signal: stop.signal });
+    opened();
+    const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+    let text = "";
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) return;
+      alive();
+      const parts = (text + value).split(/\r?\n\r?\n/);
+      text = parts.pop();
+      for (const part of parts) {
+        const data = part.split(/\r?\n/).filter((line) => line.startsWith("data:"));
+        if (data.length) yield JSON.parse(data.map((line) => line.slice(5)).join("\n"));
+      }
+    }
+  } catch (error) {
+    throw error instanceof Problem ? error : new Offline();
+  } finally {
+    clearTimeout(timer);
+    stop.abort();
+  }
+}

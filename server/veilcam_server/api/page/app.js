@@ -1,0 +1,223 @@
+// The page: logs in, follows what happens, and shows one view at a time.
+
+import { Offline, Problem, events, forget, get, logIn, logOut } from "./api.js";
+import { calibrationView } from "./calibration.js";
+import { button, card, field, form, h, say } from "./dom.js";
+import { OFTEN, eventsView } from "./events.js";
+import { healthView } from "./health.js";
+import { liveView } from "./live.js";
+import { privacyView } from "./privacy.js";
+import { tokensView } from "./tokens.js";
+import { STATES } from "./words.js";
+
+const KEPT = 200;
+const KEPT_OFTEN = 40;
+const VIEWS = {
+  live: ["Live", liveView],
+  health: ["Health", healthView],
+  calibration: ["Calibration", calibrationView],
+  privacy: ["Privacy", privacyView],
+  tokens: ["Tokens", tokensView],
+  events: ["Events", eventsView],
+};
+// After these events the status is another one, or what it sees is.
+const TELLING = new Set(["state", "mask", "rotation", "bundle", "calibration", "capture", "gap"]);
+const WATCHED = new Set(["seen", "gone", "watch", "gap"]);
+
+const main = document.getElementById("main");
+const nav = document.getElementById("views");
+const notice = document.getElementById("notice");
+const pill = document.getElementById("state");
+
+// What the views share: who asks, the status, and what happened since the page was opened.
+const camera = {
+  session: null,
+  status: null,
+  statusAt: 0,
+  watch: null,
+  events: [],
+  may: (scope) => camera.session.scopes.includes(scope),
+  refresh,
+};
+let shown = null;
+let stale = false;
+
+async function refresh() {
+  const [status, watch] = await Promise.all([get("/v1/status"), watched()]);
+  Object.assign(camera, { status, watch, statusAt: performance.now() });
+  stale = false;
+  update();
+}
+
+async function watched() {
+  try {
+    return await get("/v1/watch");
+  } catch (error) {
+    if (error.code === "replaying") return null;
+    throw error;
+  }
+}
+
+function update(event = null) {
+  const { state } = camera.status;
+  say(pill, STATES[state] ?? state);
+  pill.dataset.well = state === "ready" || state === "replay";
+  shown?.update(event);
+}
+
+function warn(text) {
+  say(notice, text);
+  notice.hidden = text === "";
+  document.body.classList.toggle("offline", text !== "");
+}
+
+function take(event) {
+  // What comes often does not push out the rest.
+  const often = OFTEN.has(event.kind);
+  const alike = camera.events.filter((each) => OFTEN.has(each.kind) === often);
+  if (alike.length >= (often ? KEPT_OFTEN : KEPT)) {
+    camera.events.splice(camera.events.lastIndexOf(alike.at(-1)), 1);
+  }
+  camera.events.unshift(event);
+  if (TELLING.has(event.kind)) stale = true;
+  if (WATCHED.has(event.kind)) refresh().catch(() => { stale = true; });
+  else update(event);
+}
+
+// Follows the daemon until the session ends, through its restarts.
+async function follow() {
+  let last = null;
+  for (let failures = 0; ; failures += 1) {
+    try {
+      await refresh();
+      for await (const event of events(last, () => { failures = 0; warn(""); })) {
+        last = event.id;
+        take(event);
+      }
+    } catch (error) {
+      if (error instanceof Problem && error.status === 401) {
+        ended();
+        return;
+      }
+      if (error instanceof Problem && error.status < 500) warn(error.message);
+      else warn("The daemon does not answer. This page goes on as soon as it does.");
+    }
+    await new Promise((resolve) => setTimeout(resolve, Math.min(5000, 250 * 2 ** failures)));
+  }
+}
+
+// Times go by; and what an event made stale is fetched anew, once a second at most.
+setInterval(() => {
+  if (!camera.status || !shown) return;
+  if (stale && !document.hidden) {
+    stale = false;
+    refresh().catch(() => { stale = true; });
+  } else shown.tick?.();
+}, 1000);
+
+function show() {
+  const wanted = location.hash.slice(1);
+  const name = wanted in VIEWS ? wanted : "live";
+  const [title, make] = VIEWS[name];
+  shown?.close?.();
+  shown = make(camera);
+  document.title = `${title}: Veilcam`;
+  for (const link of nav.querySelectorAll("a")) {
+    if (link.hash === `#${name}`) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  main.replaceChildren(h("h1", {}, title), ...shown.elements);
+  shown.update(null);
+}
+
+addEventListener("hashchange", () => {
+  if (!camera.session) return;
+  show();
+  main.focus();
+  scrollTo(0, 0);
+});
+
+async function begin(session) {
+  camera.session = session;
+  await refresh();
+  nav.replaceChildren(
+    ...Object.entries(VIEWS).map(([name, [title]]) => h("a", { href: `#${name}` }, title)),
+  );
+  if (session.tokens) {
+    nav.append(button("Log out", () => logOut().then(() => location.reload()), { plain: true }));
+  }
+  nav.hidden = false;
+  show();
+  follow();
+}
+
+function ended() {
+  forget();
+  showLogIn("This session has ended. Give the token again to go on.");
+}
+
+function showLogIn(reason = "") {
+  camera.session = null;
+  shown?.close?.();
+  shown = null;
+  nav.hidden = true;
+  say(pill, "");
+  document.title = "Log in: Veilcam";
+  warn("");
+  const token = h("input", {
+    name: "token",
+    type: "password",
+    autocomplete: "current-password",
+    required: true,
+    spellcheck: "false",
+  });
+  main.replaceChildren(
+    h("h1", {}, "Log in"),
+    card(
+      "Who asks?",
+      reason ? h("p", { role: "alert" }, reason) : null,
+      form(
+        {},
+        async (values) => {
+          const given = values.get("token").trim();
+          if (!/^[\x21-\x7e]+$/.test(given)) throw new Error("This is no token.");
+          let session;
+          try {
+            session = await logIn(given);
+          } catch (error) {
+            if (error.status !== 401) throw error;
+            throw new Error("This token is not known here, or it has ended.");
+          }
+          await begin(session);
+          main.focus();
+        },
+        field(
+          "Token",
+          token,
+          "The command “veilcamd token create” makes one. It is not kept in this browser.",
+        ),
+        h("button", { type: "submit" }, "Log in"),
+      ),
+    ),
+  );
+  token.focus();
+}
+
+async function open() {
+  for (;;) {
+    try {
+      await begin(await get("/v1/session"));
+      warn("");
+      return;
+    } catch (error) {
+      if (error instanceof Problem && error.status === 401) {
+        showLogIn();
+        return;
+      }
+      warn(error instanceof Offline ? `${error.message} This page goes on as soon as it does.` : error.message);
+      await new Promise((resolve) => setTimeout(resolve, 2000));
+    }
+  }
+}
+
+open();

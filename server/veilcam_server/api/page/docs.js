@@ -1,0 +1,100 @@
+// The API as a page: the OpenAPI document of this daemon, one card for each subject.
+
+import { Problem, get } from "./api.js";
+import { card, h, say } from "./dom.js";
+
+const main = document.getElementById("main");
+const notice = document.getElementById("notice");
+const METHODS = ["get", "put", "post", "delete"];
+
+// Only what this document has: code between backquotes, and plain text.
+function prose(text) {
+  return text.split(/`+([^`]+)`+/).map((part, index) => (index % 2 ? h("code", {}, part) : part));
+}
+
+// Code that is wider than a phone is scrolled, with the keyboard too.
+const code = (text, label) => h("pre", { tabindex: "0", role: "region", "aria-label": label }, h("code", {}, text));
+
+function example(content) {
+  for (const { example: one, examples } of Object.values(content ?? {})) {
+    if (one !== undefined) return one;
+    const [first] = Object.values(examples ?? {});
+    if (first) return JSON.stringify(first.value, null, 2);
+  }
+  return null;
+}
+
+function operation(method, path, found) {
+  const scopes = (found.security ?? []).flatMap((each) => Object.values(each).flat());
+  const [good] = Object.entries(found.responses).filter(([status]) => status.startsWith("2"));
+  const answer = example(good?.[1].content);
+  const asked = example(found.requestBody?.content);
+  const name = `${method.toUpperCase()} ${path}`;
+  return h(
+    "article",
+    { class: "operation", id: found.operationId, "aria-labelledby": `${found.operationId}-name` },
+    h("h3", { id: `${found.operationId}-name` }, h("code", { class: "method" }, method.toUpperCase()), " ", h("code", {}, path)),
+    found.description.split("\n\n").map((text) => h("p", {}, prose(text.replaceAll("\n", " ")))),
+    h("p", { class: "note" }, scopes.length ? ["Wants ", h("code", {}, scopes.join(", "))] : "Wants no token."),
+    parameters(found.parameters ?? []),
+    asked && h("p", { class: "note" }, "It is asked with"),
+    asked && code(asked, `Body of ${name}`),
+    (found["x-codeSamples"] ?? []).map(({ lang, source }) => code(source, `${lang} for ${name}`)),
+    answer && h("p", { class: "note" }, `It answers ${good[0]}`),
+    answer && code(answer, `Answer of ${name}`),
+    problems(found.responses),
+  );
+}
+
+function parameters(found) {
+  if (!found.length) return null;
+  return h(
+    "dl",
+    { class: "facts" },
+    found.map((each) =>
+      h("div", {}, h("dt", {}, h("code", {}, each.name)), h("dd", {}, `${each.in}${each.required ? ", required" : ""}`)),
+    ),
+  );
+}
+
+function problems(responses) {
+  const bad = Object.entries(responses).filter(([status]) => status >= "400");
+  return h(
+    "details",
+    {},
+    h("summary", {}, "What can go wrong"),
+    h("dl", { class: "facts" }, bad.map(([status, { description }]) => h("div", {}, h("dt", {}, status), h("dd", {}, description)))),
+  );
+}
+
+function draw(found) {
+  const subjects = new Map(found.tags.map(({ name, description }) => [name, { description, operations: [] }]));
+  for (const [path, operations] of Object.entries(found.paths)) {
+    for (const method of METHODS.filter((each) => each in operations)) {
+      const { tags } = operations[method];
+      subjects.get(tags[0]).operations.push(operation(method, path, operations[method]));
+    }
+  }
+  main.replaceChildren(
+    h("h1", {}, `The API, version ${found.info.version}`),
+    ...[...subjects].map(([name, { description, operations }]) => {
+      const made = card(name, h("p", { class: "note" }, prose(description)), operations);
+      made.classList.add("wide", "subject");
+      return made;
+    }),
+  );
+}
+
+async function open() {
+  try {
+    draw(await get("/v1/openapi.json"));
+  } catch (error) {
+    main.replaceChildren(h("h1", {}, "The API"));
+    notice.hidden = false;
+    if (error instanceof Problem && error.status === 401) {
+      notice.replaceChildren("Log in to read it: ", h("a", { href: "/" }, "the camera"));
+    } else say(notice, error.message);
+  }
+}
+
+open();

@@ -1,0 +1,112 @@
+// Elements of the page. Text is only ever text: nothing that is told becomes markup.
+
+export function h(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (value === true) element.setAttribute(name, "");
+    else if (value !== false && value !== null && value !== undefined) {
+      element.setAttribute(name, value);
+    }
+  }
+  element.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+// Sets the text only where it differs, so that nothing is read aloud twice.
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function card(title, ...children) {
+  const id = `card-${title.toLowerCase().replaceAll(/[^a-z]+/g, "-")}`;
+  return h("section", { class: "card", "aria-labelledby": id }, h("h2", { id }, title), ...children);
+}
+
+// Columns side by side, where there is room for them; each has its own cards below one another.
+export function columns(...groups) {
+  return h(
+    "div",
+    { class: "columns" },
+    groups.filter((cards) => cards.length).map((cards) => h("div", { class: "column" }, cards)),
+  );
+}
+
+export const empty = (text) => h("p", { class: "empty" }, text);
+
+// A button that does one thing at a time, and says why it could not.
+export function button(text, work, { plain = false, ...attributes } = {}) {
+  const element = h("button", { type: "button", class: plain ? "plain" : null, ...attributes }, text);
+  element.addEventListener("click", () => busy(element, work));
+  return element;
+}
+
+const wrong = (element) => {
+  const place = element.closest(".card, dialog, form") ?? element.parentElement;
+  let found = place.querySelector(":scope > .wrong");
+  if (!found) {
+    found = h("p", { class: "wrong", role: "alert" });
+    place.append(found);
+  }
+  return found;
+};
+
+export async function busy(element, work) {
+  if (element.getAttribute("aria-disabled") === "true") return;
+  element.setAttribute("aria-disabled", "true");
+  try {
+    await work();
+    wrong(element).remove();
+  } catch (error) {
+    say(wrong(element), error.message);
+  } finally {
+    element.removeAttribute("aria-disabled");
+  }
+}
+
+// A form whose values `work` takes; `children` have named fields.
+export function form(attributes, work, ...children) {
+  const element = h("form", attributes, ...children);
+  element.addEventListener("submit", (event) => {
+    event.preventDefault();
+    const sent = event.submitter ?? element.querySelector("[type=submit]");
+    busy(sent, () => work(new FormData(element)));
+  });
+  return element;
+}
+
+let fields = 0;
+
+export function field(label, input, note = null) {
+  input.id ||= `field-${(fields += 1)}`;
+  const told = note && h("span", { class: "note", id: `${input.id}-note` }, note);
+  if (told) input.setAttribute("aria-describedby", told.id);
+  return h("div", { class: "field" }, h("label", { for: input.id }, label), input, told);
+}
+
+// Asks before what cannot be taken back.
+export function confirmed(question, yes) {
+  return new Promise((resolve) => {
+    const dialog = h(
+      "dialog",
+      { "aria-labelledby": "question" },
+      h("p", { id: "question" }, question),
+      h(
+        "p",
+        { class: "row" },
+        h("button", { type: "button", onclick: () => dialog.close("yes") }, yes),
+        h(
+          "button",
+          { type: "button", class: "plain", autofocus: true, onclick: () => dialog.close("") },
+          "Cancel",
+        ),
+      ),
+    );
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      resolve(dialog.returnValue === "yes");
+    });
+    document.body.append(dialog);
+    dialog.showModal();
+  });
+}

@@ -1,0 +1,265 @@
+// Live: what the camera sees, the mask, the embedding, and on a simulator the scene.
+
+import { post, put } from "./api.js";
+import { button, card, columns, empty, field, form, h, say } from "./dom.js";
+import { pictureOf } from "./embedding.js";
+import { sceneCards } from "./scene.js";
+import { activityText, clock, duration, next, percent, policyText } from "./words.js";
+
+const KEPT = 12;
+// A recording has no watch of its own.
+const REPLAYED = { activity: "on_request", detail: null, policy: {}, history: [] };
+
+export function liveView(camera) {
+  const groups = [
+    [labelCard(camera)],
+    [maskCard(camera), ...(camera.may("read:embedding") ? [embeddingCard(camera)] : [])],
+    sceneCards(camera),
+  ];
+  const parts = groups.flat();
+  const each = (name) => (event) => parts.forEach((part) => part[name]?.(event));
+  return {
+    elements: [columns(...groups.map((group) => group.map((part) => part.element)))],
+    update: each("update"),
+    tick: each("tick"),
+  };
+}
+
+function labelCard(camera) {
+  const label = h("output", { class: "label", "aria-live": "polite" });
+  const since = h("p", { class: "note" });
+  const how = h("p", { class: "note", role: "status" });
+  const history = h("ol", { class: "history", "aria-label": "Seen before" });
+  let asked = null;
+  const look = button("Look once", async () => {
+    asked = await post("/v1/classifications");
+    draw();
+  });
+
+  // By itself it believes; where it is asked, it says what that one look gave.
+  function present() {
+    const belief = camera.watch?.belief;
+    if (belief) return { ...belief, at: belief.since };
+    const [last] = camera.events.filter((event) => event.kind === "classification");
+    if (!last) return null;
+    const own = asked?.id.startsWith(last.capture) ? asked : null;
+    return { label: last.label, confidence: own?.confidence ?? null, at: last.at };
+  }
+
+  function draw() {
+    const { activity, detail, policy, history: before } = camera.watch ?? REPLAYED;
+    const now = present();
+    const word = now === null ? "–" : (now.label ?? "Nothing that it knows");
+    say(label, camera.may("classify") ? word : "This token may not see labels");
+    label.classList.toggle("none", !now?.label);
+    say(how, activityText(activity, detail, policy));
+    look.hidden = activity === "off" || activity === "quiet";
+    history.replaceChildren(...before.slice(0, KEPT).map(sighting));
+    tick();
+  }
+
+  function tick() {
+    const now = present();
+    if (!now) return say(since, camera.may("classify") ? "Nothing was seen yet." : "");
+    const time = duration((Date.now() - new Date(now.at)) / 1000);
+    const sure = now.confidence === null ? "" : `${percent(now.confidence)} sure, `;
+    return say(since, camera.watch?.belief ? `${sure}for ${time}` : `${sure}${time} ago`);
+  }
+
+  return {
+    element: card(
+      "It sees",
+      label,
+      since,
+      how,
+      camera.may("classify") ? h("p", { class: "row" }, look) : null,
+      history,
+      camera.may("mask:rotate") && camera.watch ? watchForm(camera) : null,
+    ),
+    update: draw,
+    tick,
+  };
+}
+
+function sighting({ label, confidence, seen_at: at, duration_s: lasted, gone_at: gone }) {
+  const sure = confidence === null ? "" : `, ${percent(confidence)} sure`;
+  const long = gone === null ? "still there" : `for ${duration(lasted)}`;
+  return h("li", {}, h("b", {}, label), ` ${clock(at)}, ${long}${sure}`);
+}
+
+function watchForm(camera) {
+  const { policy } = camera.watch;
+  const mode = h(
+    "select",
+    { name: "mode" },
+    [
+      ["watching", "by itself"],
+      ["on_request", "when it is asked"],
+      ["off", "not at all: the panel is opaque"],
+    ].map(([value, text]) => h("option", { value, selected: value === policy.mode }, text)),
+  );
+  const rate = h("input", {
+    name: "rate",
+    type: "number",
+    min: "0.001",
+    max: "10",
+    step: "any",
+    required: true,
+    value: String(policy.rate_hz ?? 2),
+  });
+  const [begin, end] = ["begin", "end"].map((name) =>
+    h("input", { name, type: "time", value: policy.quiet?.[name] ?? "" }),
+  );
+  const rateField = field("Looks per second", rate);
+  const quiet = h(
+    "fieldset",
+    {},
+    h("legend", {}, "Quiet hours, with an opaque panel"),
+    h("div", { class: "row" }, field("From", begin), field("To", end)),
+  );
+  const adapt = () => {
+    rateField.hidden = mode.value !== "watching";
+    rate.disabled = rateField.hidden;
+    quiet.hidden = mode.value === "off";
+  };
+  mode.addEventListener("change", adapt);
+  adapt();
+  return h(
+    "details",
+    {},
+    h("summary", {}, "When it looks"),
+    form(
+      {},
+      async (values) => {
+        const chosen = values.get("mode");
+        const hours = { begin: values.get("begin"), end: values.get("end") };
+        if (Boolean(hours.begin) !== Boolean(hours.end)) throw new Error("Give both times, or none.");
+        await put("/v1/watch", {
+          mode: chosen,
+          ...(chosen === "watching" ? { rate_hz: Number(values.get("rate")) } : {}),
+          ...(chosen === "off" ? {} : { quiet: hours.begin ? hours : null }),
+        });
+        await camera.refresh();
+      },
+      field("It looks", mode),
+      rateField,
+      quiet,
+      h("button", { type: "submit" }, "Apply"),
+    ),
+  );
+}
+
+function maskCard(camera) {
+  const epoch = h("p", { class: "big" });
+  const age = h("p", { class: "note" });
+  const bar = h("progress", { max: "1", "aria-label": "Until the next mask" });
+  const due = h("p", {});
+  const change = button("Change it now", async () => {
+    await post("/v1/rotation/advance");
+    await camera.refresh();
+  });
+
+  function tick() {
+    const passed = (performance.now() - camera.statusAt) / 1000;
+    const { rotation } = camera.status;
+    const now = { ...rotation, epoch_age_s: (rotation.epoch_age_s ?? 0) + passed };
+    const { text, share } = next(now);
+    say(due, `It ${text}.`.replace("It no mask", "No mask"));
+    bar.value = share;
+    say(age, rotation.epoch === null ? "" : `shown for ${duration(now.epoch_age_s)}`);
+  }
+
+  return {
+    element: card(
+      "Mask",
+      epoch,
+      age,
+      bar,
+      due,
+      camera.may("mask:rotate") ? h("p", { class: "row" }, change) : null,
+      camera.may("mask:rotate") ? policyForm(camera) : null,
+    ),
+    update() {
+      const { epoch: name } = camera.status.rotation;
+      say(epoch, name === null ? "The panel is opaque" : `Epoch ${name.slice(0, 8)}`);
+      tick();
+    },
+    tick,
+  };
+}
+
+function policyForm(camera) {
+  const { policy } = camera.status.rotation;
+  const mode = h(
+    "select",
+    { name: "mode" },
+    [
+      ["captures", "after so many captures"],
+      ["seconds", "every so many seconds"],
+      ["off", "by hand alone"],
+    ].map(([value, text]) => h("option", { value, selected: value === policy.mode }, text)),
+  );
+  const count = h("input", {
+    name: "count",
+    type: "number",
+    min: "1",
+    max: "86400",
+    required: true,
+    value: String(policy.captures ?? policy.seconds ?? 10),
+  });
+  const told = h("p", { class: "note", role: "status" });
+  const amount = field("How many", count);
+  const adapt = () => {
+    amount.hidden = mode.value === "off";
+    count.disabled = mode.value === "off";
+    count.step = mode.value === "seconds" ? "any" : "1";
+  };
+  mode.addEventListener("change", adapt);
+  adapt();
+  return h(
+    "details",
+    {},
+    h("summary", {}, "When masks change"),
+    form(
+      {},
+      async (values) => {
+        const chosen = values.get("mode");
+        const amounts = chosen === "off" ? {} : { [chosen]: Number(values.get("count")) };
+        const rotation = await put("/v1/rotation", { mode: chosen, ...amounts });
+        say(told, `From now on: ${policyText(rotation.policy)}.`);
+        await camera.refresh();
+      },
+      field("Masks change", mode),
+      amount,
+      h("button", { type: "submit" }, "Apply"),
+      told,
+    ),
+  );
+}
+
+function embeddingCard(camera) {
+  const place = h("div", { class: "picture" });
+  const told = h("p", { class: "note" });
+  const none = empty("None taken yet. This is all that leaves the camera of a scene.");
+  const take = button("Take one", async () => {
+    const capture = await post("/v1/captures");
+    none.hidden = true;
+    const { embedding } = capture;
+    if (embedding.form === "sealed") {
+      place.replaceChildren();
+      say(told, "It left sealed: only the receivers that are paired can open it.");
+      return;
+    }
+    place.replaceChildren(pictureOf(embedding));
+    const size = embedding.shape.join(" × ");
+    say(told, `${size} numbers, ${embedding.form}, behind epoch ${capture.epoch.slice(0, 8)}.`);
+  });
+  return {
+    element: card("Embedding", none, place, told, h("p", { class: "row" }, take)),
+    update() {
+      const kept = camera.status.release === "none";
+      take.hidden = kept;
+      if (kept) say(none, "Embeddings stay in the camera: labels alone leave.");
+    },
+  };
+}

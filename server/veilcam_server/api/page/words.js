@@ -1,0 +1,149 @@
+// Words for people: of times, states, remedies, and threats.
+
+export function duration(seconds) {
+  if (seconds < 90) return `${Math.max(0, Math.round(seconds))} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  if (seconds < 172800) return `${Math.round(seconds / 3600)} h`;
+  return `${Math.round(seconds / 86400)} days`;
+}
+
+export const clock = (at) => new Date(at).toLocaleTimeString();
+export const day = (at) => new Date(at).toLocaleString();
+export const percent = (share) => `${Math.round(100 * share)} %`;
+
+export const STATES = {
+  starting: "Starting",
+  "self-test": "Testing the panel",
+  ready: "Ready",
+  calibrating: "Calibrating",
+  degraded: "Degraded",
+  safe: "Opaque, for safety",
+  replay: "Replaying a recording",
+  off: "Off, and opaque",
+  stopping: "Stopping",
+};
+
+export function activityText(activity, detail, policy) {
+  switch (activity) {
+    case "looking":
+      return `It looks by itself, ${rateText(policy.rate_hz)}.`;
+    case "on_request":
+      return "It looks when it is asked.";
+    case "off":
+      return "It is off: the panel is opaque.";
+    case "quiet":
+      return `Quiet hours until ${policy.quiet.end}: the panel is opaque.`;
+    case "leased":
+      return "It does not look: somebody else holds the camera.";
+    default:
+      return `It waits${detail ? `: ${detail}` : "."}`;
+  }
+}
+
+function rateText(rate) {
+  if (rate >= 1) return rate === 1 ? "once a second" : `${rate} times a second`;
+  return `every ${duration(1 / rate)}`;
+}
+
+export const REMEDIES = {
+  wait: "nothing: it is tried again",
+  adjust_light: "give the scene light that is steady, and not so bright that the sensor saturates",
+  check_panel_wiring: "check power, wiring and tab of the panel",
+  check_camera_cable: "check the cable of the camera",
+  check_disk: "free space on the disk of the state directory, or replace it",
+  calibrate: "run veilcamd calibrate, or POST /v1/calibration",
+  run_doctor: "run veilcamd doctor: it names the package, group or device that is missing",
+  install_bundle: "install a bundle that fits this camera and holds what is asked for",
+  restart: "start the daemon again: a camera hangs in its driver; systemd does it by itself",
+  report_defect: "report the defect that the log tells of: its kind and where it was raised",
+};
+
+export const THREATS = {
+  T0: "sanity",
+  T1: "ciphertext only",
+  T2: "wrong key",
+  T3: "pairs of other epochs",
+  T4: "known pairs of this mask",
+  T5: "leaked list",
+  T6: "full leak",
+  T7: "many shots",
+  T8: "attributes and scores",
+  T9: "linkage",
+};
+
+export const SCOPES = {
+  "read:status": "state, events, health",
+  classify: "labels",
+  "read:scores:rounded": "confidence, in tenths",
+  "read:scores": "confidence, in full",
+  "read:embedding": "embeddings, as they leave",
+  "read:embedding:raw": "embeddings that leave raw",
+  "read:log": "the log of captures",
+  "mask:rotate": "changing masks, leases",
+  calibrate: "calibrations",
+  simulate: "the simulated scene and its faults",
+  "admin:bundles": "bundles",
+  "admin:receivers": "to whom embeddings are sealed",
+  "admin:tokens": "making and revoking tokens",
+  metrics: "metrics",
+};
+
+export const RELEASES = {
+  none: "Embeddings stay in the camera: labels alone leave.",
+  sealed: "Embeddings leave sealed: only the receivers below can open them.",
+  white: "Embeddings leave decorrelated and turned in secret, one behind each mask.",
+  raw: "Embeddings leave as they were read. Who knows the mask can compute a picture from them.",
+};
+
+export function next(rotation) {
+  const { policy, epoch_age_s: age, captures } = rotation;
+  if (rotation.epoch === null) return { text: "no mask is shown", share: 0 };
+  if (policy.mode === "off") return { text: "stays until it is changed here", share: 0 };
+  if (policy.mode === "captures") {
+    const left = policy.captures - captures;
+    const share = Math.min(1, captures / policy.captures);
+    if (left <= 0) return { text: "changes with the next capture", share: 1 };
+    return { text: `changes after ${left} more ${left === 1 ? "capture" : "captures"}`, share };
+  }
+  const left = policy.seconds - age;
+  if (left <= 0) return { text: "changes as soon as the next one is ready", share: 1 };
+  const within = policy.jitter ? "within" : "in";
+  return { text: `changes ${within} ${duration(left)}`, share: age / policy.seconds };
+}
+
+export function eventText(event) {
+  switch (event.kind) {
+    case "state":
+      return [STATES[event.state], event.detail].filter(Boolean).join(": ");
+    case "mask":
+      return `A new mask is shown, epoch ${event.epoch.slice(0, 8)}`;
+    case "capture":
+      return "An embedding was taken";
+    case "classification":
+      return `It saw ${event.label}`;
+    case "seen":
+      return `It sees ${event.label}`;
+    case "gone":
+      return `${event.label} is gone, after ${duration(event.duration_s)}`;
+    case "watch":
+      return activityText(event.activity, event.detail, event.policy);
+    case "rotation":
+      return `Masks change ${policyText(event.policy)}`;
+    case "bundle":
+      return `Another bundle is in use: ${event.task}`;
+    case "calibration":
+      return `Calibration: ${event.run.stage}`;
+    case "fault":
+      return `${event.detail} (${event.code})`;
+    case "gap":
+      return event.missed === null ? "The daemon was restarted" : `${event.missed} events were missed`;
+    default:
+      return event.kind;
+  }
+}
+
+export function policyText(policy) {
+  if (policy.mode === "off") return "by hand alone";
+  if (policy.mode === "seconds") return `every ${duration(policy.seconds)}`;
+  return policy.captures === 1 ? "after every capture" : `after ${policy.captures} captures`;
+}

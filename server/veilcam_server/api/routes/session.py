@@ -1,0 +1,84 @@
+"""REST API of the session of a page in a browser."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import Response
+
+from veilcam_client.wire.tokens import NewSession, Session
+from veilcam_server.api.dependencies import AdmissionDep, problems
+from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.errors import TokensOffError, UnauthorizedError
+from veilcam_server.security.admission import Admission
+from veilcam_server.security.caller import Caller
+from veilcam_server.security.sessions import SessionStore, cookie_name
+
+PATH = "/v1/session"
+
+router = APIRouter(
+    prefix=PATH, dependencies=[requires("read:status")], redirect_slashes=False, tags=["Session"]
+)
+
+
+def _sessions(admission: Admission) -> SessionStore:
+    if admission.sessions is None:
+        raise TokensOffError
+    return admission.sessions
+
+
+@router.get("", responses=problems())
+async def session(request: Request, admission: AdmissionDep, caller: CallerDep) -> Session:
+    """Who asks, what it may do, and how long."""
+    ends = None if admission.sessions is None else admission.sessions.expires(request.headers)
+    return Session(**_told(admission, caller, caller.expires if ends is None else ends))
+
+
+@router.post("", status_code=201, responses=problems("tokens_off"))
+async def begin_session(
+    request: Request, response: Response, admission: AdmissionDep, caller: CallerDep
+) -> NewSession:
+    """Begin a session with the token of this request, for a page that keeps no token.
+
+    One half of it is a cookie that no script can read, the other one is sent as
+    ``Veilcam-Session``; neither opens anything alone. It ends with its token, or after a week.
+    """
+    store = _sessions(admission)
+    # A session makes none: whoever stole one could go on for ever.
+    if "authorization" not in request.headers:
+        raise UnauthorizedError
+    begun = await run_in_threadpool(store.begin, caller)
+    _set_cookie(request, response, begun.cookie, int(begun.lifetime))
+    return NewSession(**_told(admission, caller, begun.expires), half=begun.half)
+
+
+@router.delete("", status_code=204, response_class=Response, responses=problems("tokens_off"))
+async def end_session(request: Request, response: Response, admission: AdmissionDep) -> None:
+    """End the session of this request."""
+    await run_in_threadpool(_sessions(admission).end, request.headers)
+    _set_cookie(request, response, "", 0)
+
+
+def _told(admission: Admission, caller: Caller, ends: float | None) -> dict[str, Any]:
+    return {
+        "tokens": admission.tokens is not None,
+        "label": caller.label,
+        "scopes": tuple(sorted(caller.scopes)),
+        "expires_at": None if ends is None else datetime.fromtimestamp(ends, UTC),
+    }
+
+
+def _set_cookie(request: Request, response: Response, value: str, seconds: int) -> None:
+    response.set_cookie(
+        cookie_name(request.headers["host"].lower()),
+        value,
+        max_age=seconds,
+        path="/v1",
+        # The browser says how it came here, also through a proxy that speaks TLS for us.
+        secure=request.headers.get("origin", request.url.scheme).startswith("https"),
+        httponly=True,
+        samesite="strict",
+    )

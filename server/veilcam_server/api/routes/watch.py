@@ -1,0 +1,56 @@
+"""REST API of the watch."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from veilcam_client.wire.watch import Watch, WatchPolicy
+from veilcam_server.api.dependencies import BODY, ServiceDep, problems, unleased
+from veilcam_server.api.scopes import CallerDep, requires, scores_for
+from veilcam_server.security.caller import Caller
+from veilcam_server.service.responses import told_confidence
+
+PATH = "/v1/watch"
+
+router = APIRouter(prefix=PATH, redirect_slashes=False, tags=["Watch"])
+
+
+@router.get("", dependencies=[requires("read:status")], responses=problems("replaying"))
+async def watch(service: ServiceDep, caller: CallerDep) -> Watch:
+    """Whether the camera looks by itself, and what it believes to see.
+
+    Labels are told for `classify`, and confidences as scores are.
+    """
+    return _told(service.watcher.state(), caller)
+
+
+@router.put(
+    "",
+    dependencies=[requires("mask:rotate"), unleased()],
+    responses=problems(
+        *BODY,
+        "leased",
+        "calibrating",
+        "display_failed",
+        "watch_not_stored",
+        "replaying",
+    ),
+)
+async def set_watch(service: ServiceDep, caller: CallerDep, policy: WatchPolicy) -> Watch:
+    """Let the camera look by itself, or on request alone, or not at all; also after a restart."""
+    return _told(await service.set_watch(policy), caller)
+
+
+def _told(found: Watch, caller: Caller) -> Watch:
+    """A watch as a caller may see it."""
+    if not caller.may("classify"):
+        return found.model_copy(update={"belief": None, "history": ()})
+    scores, belief = scores_for(caller), found.belief
+    if belief is not None:
+        confidence = told_confidence(belief.confidence, scores)
+        belief = belief.model_copy(update={"confidence": confidence})
+    history = tuple(
+        each.model_copy(update={"confidence": told_confidence(each.confidence, scores)})
+        for each in found.history
+    )
+    return found.model_copy(update={"belief": belief, "history": history})

@@ -1,0 +1,153 @@
+"""A line of curl and one of Python for every operation, as the OpenAPI document shows them.
+
+``$NAME`` stands for what only the caller knows, in Python for a variable of that name in small
+letters; ``camera`` is ``veilcam_client.Camera(token=token)``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydantic import JsonValue
+
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_server.security.sessions import HEADER
+
+URL = "http://127.0.0.1:8787"
+_BEARER = '-H "Authorization: Bearer $TOKEN"'
+_NAMES = {"digest": "DIGEST", "token_id": "TOKEN_ID", "receiver_id": "RECEIVER_ID"}
+"""Parameters of paths, as a caller's variables."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """How an operation is asked.
+
+    Attributes:
+        python: a line with the SDK; None: the SDK has no such call, and httpx asks.
+        body: as JSON.
+        file: to be sent, and what it is.
+        options: further ones of curl.
+    """
+
+    python: str | None = None
+    body: Mapping[str, JsonValue] | None = None
+    file: tuple[str, str] | None = None
+    options: str = ""
+
+
+SAMPLES: Mapping[str, Sample] = {
+    "capture": Sample("camera.capture()"),
+    "classify": Sample("camera.classify()"),
+    "rotation": Sample("camera.rotation()"),
+    "set_rotation": Sample(
+        "camera.set_rotation(EverySeconds(seconds=30.0))", {"mode": "seconds", "seconds": 30.0}
+    ),
+    "rotate": Sample("camera.rotate()"),
+    "watch": Sample("camera.watch()"),
+    "set_watch": Sample(
+        "camera.set_watch(Watching(rate_hz=2.0))", {"mode": "watching", "rate_hz": 2.0}
+    ),
+    "events": Sample("next(camera.events())", options="--no-buffer"),
+    "lease_state": Sample("camera.lease_state()"),
+    "take_lease": Sample(
+        'camera.take_lease(seconds=60.0, owner="an experiment")',
+        {"owner": "an experiment", "seconds": 60.0},
+    ),
+    "release_lease": Sample("camera.release_lease()"),
+    "log": Sample("camera.log()"),
+    "log_head": Sample("camera.log_head()"),
+    "tokens": Sample("camera.tokens()"),
+    "create_token": Sample(
+        'camera.create_token("lamp", ["classify"], seconds=86_400)',
+        {"label": "lamp", "scopes": ["classify"], "seconds": 86_400},
+    ),
+    "revoke_token": Sample("camera.revoke_token(token_id)"),
+    "receivers": Sample("camera.receivers()"),
+    "add_receiver": Sample(
+        'camera.add_receiver("archive", receiver_key)',
+        {"label": "archive", "key": "$RECEIVER_KEY"},
+    ),
+    "remove_receiver": Sample("camera.remove_receiver(receiver_id)"),
+    "status": Sample("camera.status()"),
+    "diagnostics": Sample("camera.diagnostics()"),
+    "calibration": Sample("camera.calibration()"),
+    "start_calibration": Sample("camera.start_calibration(repeats=2)", {"repeats": 2}),
+    "confirm_scene": Sample('camera.confirm_scene("lamp")', {"scene": "lamp"}),
+    "cancel_calibration": Sample("camera.cancel_calibration()"),
+    "bundles": Sample("camera.bundles()"),
+    "install_bundle": Sample(
+        'camera.install_bundle(Path("hall.veilcam").read_bytes())',
+        file=("hall.veilcam", BUNDLE_MEDIA_TYPE),
+    ),
+    "activate_bundle": Sample("camera.activate_bundle(digest)"),
+    "remove_bundle": Sample("camera.remove_bundle(digest)"),
+    "session": Sample(),
+    "begin_session": Sample(options="--cookie-jar cookies"),
+    "end_session": Sample(options=f'--cookie cookies -H "{HEADER}: $HALF"'),
+    "hold_scene": Sample(
+        'camera.hold_scene(Path("scene.png").read_bytes())', file=("scene.png", "image/png")
+    ),
+    "take_scene_away": Sample("camera.hold_scene(None)"),
+    "set_faults": Sample(
+        "camera.set_faults(Faults(panel=PanelFaults(dead=True)))", {"panel": {"dead": True}}
+    ),
+}
+"""By the id of the operation, where there is more to say than method, path and token."""
+
+
+def code_samples(
+    operation: str, method: str, path: str, *, token: bool
+) -> list[dict[str, JsonValue]]:
+    """Return both lines, as the extension ``x-codeSamples`` of OpenAPI has them.
+
+    Args:
+        operation: its id.
+        method: in capitals.
+        path: template of the route.
+        token: whether one is wanted.
+    """
+    sample = SAMPLES.get(operation, Sample())
+    python = sample.python or _httpx(method, path, token=token)
+    return [
+        {"lang": "curl", "source": _curl(sample, method, path, token=token)},
+        {"lang": "Python", "source": python},
+    ]
+
+
+def _curl(sample: Sample, method: str, path: str, *, token: bool) -> str:
+    words = ["curl", sample.options]
+    if method != "GET":
+        words.append(f"-X {method}")
+    # The end of a session is asked with its two halves, as the page does.
+    if token and HEADER not in sample.options:
+        words.append(_BEARER)
+    if sample.file is not None:
+        name, media_type = sample.file
+        words += [f'-H "Content-Type: {media_type}"', f"--data-binary @{name}"]
+    elif sample.body is not None:
+        words.append(_quoted(json.dumps(sample.body)))
+    words.append(URL + re.sub(r"\{(\w+)\}", lambda found: f"${_name(found[1])}", path))
+    return " ".join(filter(None, words))
+
+
+def _name(parameter: str) -> str:
+    return _NAMES.get(parameter, parameter.upper())
+
+
+def _quoted(body: str) -> str:
+    # A shell puts in what is between double quotes alone.
+    if "$" in body:
+        escaped = body.replace('"', '\\"')
+        return f'--json "{escaped}"'
+    return f"--json '{body}'"
+
+
+def _httpx(method: str, path: str, *, token: bool) -> str:
+    url = re.sub(r"\{(\w+)\}", lambda found: f"{{{_name(found[1]).lower()}}}", URL + path)
+    prefix = "f" if "{" in url else ""
+    headers = ', headers={"Authorization": f"Bearer {token}"}' if token else ""
+    return f'httpx.{method.lower()}({prefix}"{url}"{headers})'

@@ -1,0 +1,1 @@
+"""A camera that looks by itself: belief, sightings, hours, and the task that looks."""

@@ -1,0 +1,76 @@
+"""The watch policy that was set over the API: it outlives the daemon, and so does ``off``."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from veilcam_client.wire.watch import WatchOff, WatchPolicy
+from veilcam_server.errors import WatchStoreError
+from veilcam_server.system.state_file import Report, StateFile, log_fault
+
+
+class _SetPolicy(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+    policy: WatchPolicy
+    given: WatchPolicy
+    """Of the daemon's settings at the time."""
+
+
+class WatchStore:
+    """``DIRECTORY/watch.json``: what was set holds until a start with another setting.
+
+    Args:
+        directory: the daemon's state directory.
+        given: watch policy of its settings.
+        report: takes what was damaged.
+    """
+
+    def __init__(self, directory: Path, given: WatchPolicy, report: Report = log_fault) -> None:
+        self._given = given
+        self._file = StateFile(
+            directory / "watch.json",
+            _SetPolicy,
+            lost="the camera does not look; say anew when it does",
+            report=report,
+        )
+
+    def at_start(self) -> WatchPolicy:
+        """When the camera looks from now on; not at all, where it is lost what was set.
+
+        Nobody who switched a camera off shall find that a broken disk switched it on.
+        """
+        record = self._file.read()
+        if record is None:
+            return WatchOff() if self._file.lost else self._given
+        return record.policy if record.given == self._given else self._given
+
+    def set(self, policy: WatchPolicy) -> None:
+        """Make a policy hold after a restart, too; raises :class:`WatchStoreError`."""
+        record = _SetPolicy(policy=policy, given=self._given)
+        # A full disk keeps nobody from switching a camera off.
+        off = isinstance(policy, WatchOff)
+        what = "the camera is off until a restart" if off else "the one before goes on"
+        try:
+            self._file.change(lambda _: record)
+        except OSError as error:
+            raise WatchStoreError(
+                f"the watch policy cannot be recorded ({error.strerror}): {what}; check the state "
+                "directory's disk"
+            ) from None
+
+
+def resting(policy: WatchPolicy, now: datetime) -> str | None:
+    """Why the panel is opaque at a time by the clock on the wall; None: it need not be.
+
+    Each moment is judged by what that clock shows: an hour that comes twice in a night of autumn is
+    quiet both times if it is, and one that spring leaves out is none.
+    """
+    if isinstance(policy, WatchOff):
+        return "the camera is switched off"
+    quiet = policy.quiet
+    if quiet is None or not quiet.include(now.time()):
+        return None
+    return f"the camera does not look between {quiet.begin} and {quiet.end}"

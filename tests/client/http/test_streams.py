@@ -1,0 +1,189 @@
+"""Event streams over a mock transport, and over sockets that somebody closes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from veilcam_client import (
+    AsyncCamera,
+    Camera,
+    ConnectError,
+    EventStream,
+    InvalidRequestError,
+    ProtocolError,
+    UnauthorizedError,
+)
+
+if TYPE_CHECKING:
+    from tests.client.conftest import Problem
+    from tests.client.http.conftest import Both
+
+pytestmark = pytest.mark.anyio
+KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
+
+
+def events(*texts: str) -> httpx.Response:
+    return httpx.Response(200, text="".join(texts), headers={"Content-Type": "text/event-stream"})
+
+
+def event(number: int, kind: str = "mask") -> str:
+    data = {"kind": kind, "id": f"b-{number}", "at": "2026-01-02T03:04:05Z", "epoch": f"e{number}"}
+    return f": heartbeat\n\nevent: {kind}\nid: b-{number}\ndata: {json.dumps(data)}\n\n"
+
+
+async def collect(
+    camera: Any, count: int, last_event_id: str | None = "b-0", reconnect: bool = True
+) -> list[str]:
+    """Epochs, or ``gap``, of the next events."""
+    heard = []
+    stream = camera.events(last_event_id=last_event_id, reconnect=reconnect)
+    if isinstance(stream, EventStream):
+        with stream:
+            heard += [getattr(each, "epoch", each.kind) for each in islice(stream, count)]
+        assert list(stream) == []
+    else:
+        async with stream:
+            while len(heard) < count:
+                each = await anext(stream)
+                heard.append(getattr(each, "epoch", each.kind))
+        assert [each async for each in stream] == []
+    return heard
+
+
+@KINDS
+async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
+    both.daemon.first = [
+        events(event(1), event(2)),
+        httpx.ConnectError("restarting"),
+        events(event(3), event(4, "of_the_future"), event(5)),
+    ]
+    assert await both(kind, lambda camera: collect(camera, 4)) == ["e1", "e2", "e3", "e5"]
+    resumed = [request.headers["last-event-id"] for request in both.daemon.requests]
+    assert resumed == ["b-0", "b-2", "b-2"]
+
+
+@KINDS
+async def test_a_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
+    both.daemon.first = [httpx.ConnectError("gone")] * 9
+    with pytest.raises(ConnectError):
+        await both(kind, lambda camera: collect(camera, 1))
+    assert len(both.daemon.requests) == 3
+
+
+@KINDS
+async def test_a_stream_that_was_is_opened_again_at_growing_pauses(both: Both, kind: type) -> None:
+    away: list[httpx.Response | Exception] = [
+        *[httpx.ConnectError("gone")] * 12,
+        httpx.Response(502, text="Bad Gateway"),
+        httpx.ReadTimeout("slow"),
+    ]
+    both.daemon.first = [events(event(1)), *away, events(event(2), event(3)), events(event(4))]
+    heard = await both(kind, lambda camera: collect(camera, 4), max_retries=0)
+    assert heard == ["e1", "e2", "e3", "e4"]
+    *pauses, last = both.waits
+    assert len(pauses) == 1 + len(away)
+    assert all(pause <= min(30, 0.25 * 2**n) for n, pause in enumerate(pauses))
+    assert max(pauses) > 4
+    # Once an event came, pauses are short again.
+    assert last <= 0.25
+
+
+@KINDS
+async def test_a_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
+    both.daemon.first = [httpx.ConnectError("gone"), events(event(1))]
+    with pytest.raises(ConnectError, match="ended the stream"):
+        await both(kind, lambda camera: collect(camera, 2, reconnect=False))
+    assert len(both.daemon.requests) == 2
+
+
+@KINDS
+async def test_what_a_daemon_cannot_know_that_was_missed_is_a_gap(both: Both, kind: type) -> None:
+    both.daemon.first = [events(": veilcam events\n\n"), events(), events(event(1)), events()]
+    both.daemon.first.append(events(event(2)))
+    heard = await both(kind, lambda camera: collect(camera, 4, None))
+    assert heard == ["gap", "gap", "e1", "e2"]
+    resumed = [request.headers.get("last-event-id") for request in both.daemon.requests]
+    assert resumed == [None, None, None, "b-1", "b-1"]
+
+
+@KINDS
+async def test_a_token_that_ended_ends_the_stream(
+    both: Both, kind: type, make_problem: Problem
+) -> None:
+    both.daemon.first = [events(event(1)), make_problem(401, "unauthorized")]
+    with pytest.raises(UnauthorizedError):
+        await both(kind, lambda camera: collect(camera, 2))
+
+
+@KINDS
+async def test_a_refused_stream_is_the_error_of_its_problem(
+    both: Both, kind: type, make_problem: Problem
+) -> None:
+    both.daemon.first = [make_problem(422, "invalid_request")]
+    with pytest.raises(InvalidRequestError):
+        await both(kind, lambda camera: collect(camera, 1))
+
+
+@KINDS
+async def test_an_unreadable_event_is_a_protocol_error(both: Both, kind: type) -> None:
+    both.daemon.first = [events("event: mask\ndata: {}\n\n")]
+    with pytest.raises(ProtocolError, match="update veilcam"):
+        await both(kind, lambda camera: collect(camera, 1))
+
+
+@pytest.fixture
+def quiet() -> Iterator[tuple[str, threading.Event]]:
+    """URL of a stream on which nothing happens, and whether somebody listens."""
+    listened = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def stream() -> None:
+            peer, _ = listener.accept()
+            with peer:
+                peer.recv(4096)
+                peer.sendall(
+                    b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n: hello\n\n"
+                )
+                listened.set()
+                peer.recv(4096)  # until the client hangs up
+
+        thread = threading.Thread(target=stream)
+        thread.start()
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}", listened
+        thread.join()
+
+
+def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+    url, listened = quiet
+    with Camera(url) as camera, camera.events() as stream:
+        heard: list[object] = []
+        listener = threading.Thread(target=lambda: heard.extend(stream))
+        listener.start()
+        assert listened.wait(30)
+        stream.close()
+        listener.join(30)
+        assert not listener.is_alive()
+        assert heard == []
+
+
+async def test_another_task_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+    url, listened = quiet
+    async with AsyncCamera(url) as camera:
+        stream = camera.events()
+
+        async def listen() -> list[object]:
+            return [event async for event in stream]
+
+        task = asyncio.create_task(listen())
+        await asyncio.to_thread(listened.wait, 30)
+        await stream.close()
+        assert await task == []

@@ -1,0 +1,198 @@
+"""A daemon that can be restarted, and Chromium, which shows its page and notes what is asked."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeAlias
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    Page,
+    StorageState,
+    ViewportSize,
+    expect,
+    sync_playwright,
+)
+
+from veilcam_client import Camera
+from veilcam_client.wire.tokens import SCOPES, Scope
+from veilcam_server.demo.daemon import running
+from veilcam_server.demo_data import FRESH, load_digits
+from veilcam_server.devices.simulated.scenes import write_scene
+from veilcam_server.security.tokens import TokenStore
+
+PATIENCE = 60_000.0
+"""Longest wait for what a page shall show, on a machine that does much else [ms]."""
+CAPTURES = 8
+"""Behind each mask: the light of a fresh one takes a simulated camera a fifth of a second, which at
+two a second would be half of all that these tests compute."""
+AXE = files("axe_playwright_python").joinpath("axe.min.js").read_text()
+WIDE: ViewportSize = {"width": 1200, "height": 900}
+PHONE: ViewportSize = {"width": 360, "height": 740}
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@dataclass
+class Daemon:
+    """A simulated camera that looks by itself, and wants tokens."""
+
+    folder: Path
+    port: int = field(default_factory=free_port)
+    _started: ExitStack = field(default_factory=ExitStack)
+
+    def __post_init__(self) -> None:
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.scene = self.folder / "scene.npy"
+        write_scene(self.scene, load_digits().images[0])
+        self.tokens = TokenStore(self.folder / "state")
+        self.token = self.make_token("all")
+
+    def make_token(
+        self, label: str, scopes: tuple[Scope, ...] = SCOPES, lifetime: float | None = None
+    ) -> str:
+        return self.tokens.create(label, scopes, lifetime).secret
+
+    def revoke(self, token: str) -> None:
+        self.tokens.revoke(token.split("_")[1])
+
+    def camera(self) -> Camera:
+        return Camera(self.url, token=self.token)
+
+    def start(self) -> None:
+        options = (
+            *("--auth", "tokens", "--scene-api", "--watch", "2/s", "--port", str(self.port)),
+            *("--settle", "0", "--exposure", "0", "--every-captures", str(CAPTURES)),
+        )
+        self._started.enter_context(running(FRESH, self.scene, self.folder, *options))
+
+    def stop(self) -> None:
+        self._started.close()
+
+
+@pytest.fixture(scope="session")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    made = Daemon(tmp_path_factory.mktemp("daemon"))
+    made.start()
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
+    program = shutil.which("chromium")
+    assert program is not None, "there is no Chromium: on Debian, apt install chromium"
+    expect.set_options(timeout=PATIENCE)
+    with sync_playwright() as playwright:
+        # The pages are ours, and root has no sandbox.
+        found = playwright.chromium.launch(executable_path=program, chromium_sandbox=False)
+        yield found
+        found.close()
+
+
+@pytest.fixture(scope="session")
+def logged_in(chromium: Browser, daemon: Daemon) -> StorageState:
+    """Cookie and storage of a browser that gave the token once."""
+    context = chromium.new_context()
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(daemon.url)
+    log_in(page, daemon.token)
+    expect(page.get_by_role("heading", name="Live")).to_be_visible()
+    state = context.storage_state()
+    context.close()
+    return state
+
+
+def log_in(page: Page, token: str) -> None:
+    """Give a token as a person does."""
+    page.get_by_label("Token").fill(token)
+    page.get_by_role("button", name="Log in").click()
+
+
+Open: TypeAlias = Callable[..., Page]
+
+
+@pytest.fixture
+def open_page(
+    chromium: Browser,
+    daemon: Daemon,
+    logged_in: StorageState,
+    record_property: Callable[[str, object], None],
+) -> Iterator[Open]:
+    """Opens pages of the daemon; none of them may ask anybody else, or come upon an error."""
+    contexts: list[BrowserContext] = []
+    outside: list[str] = []
+    errors: list[str] = []
+
+    def watch(page: Page) -> None:
+        page.set_default_timeout(PATIENCE)
+        page.on(
+            "request",
+            lambda asked: (
+                None
+                if urlsplit(asked.url).netloc == urlsplit(daemon.url).netloc
+                or asked.url.startswith("data:")
+                else outside.append(asked.url)
+            ),
+        )
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        # That an answer was a problem is told by the page; what its policy keeps from it is not.
+        page.on(
+            "console",
+            lambda told: (
+                errors.append(told.text)
+                if told.type == "error" and "Failed to load resource" not in told.text
+                else None
+            ),
+        )
+
+    def opened(path: str = "/", *, known: bool = True, **settings: Any) -> Page:
+        context = chromium.new_context(
+            storage_state=logged_in if known else None,
+            **{"viewport": WIDE, "color_scheme": "light", **settings},
+        )
+        context.add_init_script(AXE)
+        contexts.append(context)
+        page = context.new_page()
+        watch(page)
+        page.goto(daemon.url + path)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    record_property("outside_requests", len(outside))
+    assert outside == []
+    assert errors == []
+
+
+@pytest.fixture(autouse=True)
+def _as_it_was(daemon: Daemon) -> Iterator[None]:
+    """Whatever a test did to the camera, the next one finds it well."""
+    yield
+    from veilcam_client import EveryCaptures, Faults, InvalidRequestError, Watching
+
+    with daemon.camera() as camera:
+        # One that a test left behind when it failed.
+        with suppress(InvalidRequestError):
+            camera.cancel_calibration()
+        camera.set_faults(Faults())
+        camera.hold_scene(None)
+        camera.set_watch(Watching(rate_hz=2.0))
+        camera.set_rotation(EveryCaptures(captures=CAPTURES))

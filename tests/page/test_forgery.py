@@ -1,0 +1,152 @@
+"""A page on another port of this host, in the browser that is logged in: nothing comes of it.
+
+Its requests are of the same site, so that the browser sends the cookie with them.
+"""
+
+from __future__ import annotations
+
+import http.server
+import json
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Browser, StorageState
+from tests.page.conftest import Daemon
+
+pytestmark = pytest.mark.page
+
+ATTEMPTS = """
+async ({url, half}) => {
+  const ways = {
+    plain: {method: "POST", credentials: "include", mode: "no-cors"},
+    text: {method: "POST", credentials: "include", mode: "no-cors", body: "{}"},
+    json: {method: "POST", credentials: "include", headers: {"Content-Type": "application/json"}},
+    header: {method: "POST", credentials: "include", headers: {"Veilcam-Session": half}},
+    read: {credentials: "include"},
+  };
+  const learned = {};
+  for (const [name, way] of Object.entries(ways)) {
+    const path = name === "read" ? "/v1/status" : "/v1/rotation/advance";
+    try {
+      const answer = await fetch(url + path, way);
+      learned[name] = answer.type === "opaque" ? null : await answer.text();
+    } catch { learned[name] = null; }
+  }
+  const frame = document.createElement("iframe");
+  frame.name = "target";
+  document.body.append(frame);
+  const form = Object.assign(document.createElement("form"), {
+    method: "POST", action: url + "/v1/rotation/advance", target: "target",
+  });
+  document.body.append(form);
+  // What is refused need not load: a while is what there is to wait for.
+  const loaded = (begin) => new Promise((resolve) => {
+    frame.onload = resolve;
+    setTimeout(resolve, 2000);
+    begin();
+  });
+  await loaded(() => form.submit());
+  for (const path of ["/", "/docs"]) {
+    await loaded(() => { frame.src = url + path; });
+    try { learned[`frame ${path}`] = frame.contentDocument?.body.innerText ?? null; }
+    catch { learned[`frame ${path}`] = null; }
+  }
+  return learned;
+}
+"""
+
+
+class _Page(http.server.BaseHTTPRequestHandler):
+    cookies: list[str]
+
+    def do_GET(self) -> None:
+        self.cookies.append(self.headers.get("Cookie", ""))
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!DOCTYPE html><title>Another page</title><body></body>")
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def other() -> Iterator[tuple[str, list[str]]]:
+    """A server on another port of this host, and the cookies that browsers sent to it."""
+    cookies: list[str] = []
+    handler = type("Page", (_Page,), {"cookies": cookies})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", cookies
+        server.shutdown()
+        thread.join()
+
+
+def rotations(daemon: Daemon) -> tuple[Any, ...]:
+    """What only a change of the mask by request would change."""
+    from veilcam_client import OnRequest, RotationOff
+
+    with daemon.camera() as camera:
+        camera.set_watch(OnRequest())
+        camera.set_rotation(RotationOff())
+        return camera.rotation().epoch, camera.rotation().captures
+
+
+def test_no_other_page_drives_the_daemon_through_a_browser_that_is_logged_in(
+    chromium: Browser, daemon: Daemon, logged_in: StorageState, other: tuple[str, list[str]]
+) -> None:
+    url, _ = other
+    before = rotations(daemon)
+    half = json.loads(json.dumps(logged_in))["origins"][0]["localStorage"][0]["value"]
+    context = chromium.new_context(storage_state=logged_in)
+    page = context.new_page()
+    sent: list[str] = []
+    page.on("request", lambda asked: sent.append(asked.all_headers().get("cookie", "")))
+    page.goto(url)
+    # Even with the page's half, were it to know it.
+    for known in ("0" * 64, half):
+        learned = page.evaluate(ATTEMPTS, {"url": daemon.url, "half": known})
+        assert {name: told for name, told in learned.items() if told} == {}
+    assert page.evaluate("localStorage.length") == 0
+    context.close()
+    assert rotations(daemon) == before
+    # The browser did send its half: nothing but the other one stood in the way.
+    assert any("veilcam-session" in each for each in sent)
+
+
+def test_a_cookie_that_another_port_was_sent_opens_nothing(
+    chromium: Browser, daemon: Daemon, logged_in: StorageState, other: tuple[str, list[str]]
+) -> None:
+    url, cookies = other
+    context = chromium.new_context(storage_state=logged_in)
+    page = context.new_page()
+    page.goto(f"{url}/v1/anything")
+    context.close()
+    stolen = cookies[0]
+    assert "veilcam-session" in stolen
+    for half in ({}, {"Veilcam-Session": "0" * 64}):
+        with httpx.Client(base_url=daemon.url, headers={"Cookie": stolen, **half}) as client:
+            assert client.get("/v1/status").status_code == 401
+            assert client.post("/v1/rotation/advance").status_code == 401
+
+
+def test_no_page_of_another_site_is_shown_it_in_a_frame(
+    chromium: Browser, daemon: Daemon, logged_in: StorageState, other: tuple[str, list[str]]
+) -> None:
+    url, _ = other
+    context = chromium.new_context(storage_state=logged_in)
+    page = context.new_page()
+    page.goto(url)
+    page.evaluate(
+        """(url) => new Promise((resolve) => {
+          const frame = document.createElement("iframe");
+          frame.onload = resolve; frame.src = url; document.body.append(frame);
+        })""",
+        daemon.url,
+    )
+    assert all("Veilcam" not in (frame.content() or "") for frame in page.frames[1:])
+    context.close()

@@ -1,0 +1,109 @@
+"""Installs the Debian package in a root of Debian, and prints what held.
+
+    sudo python -m tests.system.debian_package --figures benchmarks/results/deploy.json
+    sudo python -m tests.system.debian_package --architecture arm64 --suite bookworm
+
+Needs root, and the programs of ``TOOLS``. Roots and packages are kept in ``build/debian``.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from benchmarks.figures import FiguresOption, record
+from deploy.debian.build import Architecture, BuildError, build
+from rich.console import Console
+from tests.client.recordings import Daemon
+
+from veilcam_client.recording import record as record_captures
+
+from .checks import Checks, Result
+from .reading import measured
+from .root import Root, archive
+
+ROOT = Path(__file__).resolve().parents[3]
+BUILD = ROOT / "build" / "debian"
+TOOLS = {"dpkg-deb": "dpkg", "mmdebstrap": "mmdebstrap", "unshare": "util-linux"}
+EMULATED = 20.0
+"""How many times longer an emulated processor takes, at most."""
+CAPTURES = 40
+
+console = Console(highlight=False)
+
+
+def obstacle() -> str | None:
+    """Return why this machine cannot run the checks, None if it can."""
+    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
+    if missing:
+        return f"programs are missing: apt install {' '.join(missing)}"
+    if os.geteuid() != 0:
+        return "a root of Debian takes root rights: run it with sudo"
+    return None
+
+
+def recording(build: Path) -> Path:
+    """Return what a camera that is made up answered; made if it is not there."""
+    file = build / "recording.jsonl"
+    if not file.exists():
+        record_captures(Daemon().camera(), file, count=CAPTURES, labels=True)
+    return file
+
+
+def main(
+    *,
+    architecture: Annotated[Architecture, typer.Option(help="Of the root.")] = Architecture.AMD64,
+    suite: Annotated[str, typer.Option(help="Of Debian.")] = "bookworm",
+    package: Annotated[
+        Path | None, typer.Option(help="That was built before; otherwise it is built.")
+    ] = None,
+    folder: Annotated[Path, typer.Option("--build", help="For roots and packages.")] = BUILD,
+    figures: FiguresOption = None,
+) -> None:
+    """Make the root, install the package in it, and make the checks."""
+    reason = obstacle()
+    if reason is not None:
+        console.print(f"NOT RUN: {reason}")
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        package = package or build(architecture, folder)
+    except BuildError as error:
+        console.print(f"NOT RUN: {error}")
+        return
+    native = subprocess.run(
+        ["dpkg", "--print-architecture"], check=True, capture_output=True, text=True
+    ).stdout.strip()
+    emulated = architecture.value != native
+    root = Root.unpack(archive(folder, suite, architecture.value), folder / "root")
+    digits = folder / "measured.npz"
+    if not digits.exists():
+        measured(digits)
+    patience = EMULATED if emulated else 1.0
+    checks = Checks(root, package, recording(folder), digits, folder, patience)
+
+    def report(result: Result) -> None:
+        mark = "[green]passed[/]" if result.passed else "[red]FAILED[/]"
+        console.print(f"{mark} {result.name}: ", end="")
+        console.print(result.detail, markup=False, soft_wrap=True)
+
+    passed = checks.run(report)
+    if emulated:
+        values: dict[str, float] = {f"{architecture.value}_{suite}": int(passed)}
+    else:
+        values = checks.figures
+    if passed or emulated:
+        record(figures, values)
+    shutil.rmtree(root.path)
+    sys.exit(0 if passed else 1)
+
+
+if __name__ == "__main__":
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(main)
+    app()

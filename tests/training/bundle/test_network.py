@@ -1,0 +1,143 @@
+"""Classifiers in NumPy compute what torch's modules do, whatever layers a bundle may name."""
+
+from __future__ import annotations
+
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+
+from veilcam_training.bundle import BundleError, LayerRecord, Network
+from veilcam_training.bundle import layers as L  # noqa: N812 - a test of every name in it
+from veilcam_training.models.classifiers import SceneTask, Task, make_layers
+from veilcam_training.models.network import build_untrained, weights_of
+
+UNIT = 2.0**-24
+"""Rounding of float32."""
+
+CASES: list[tuple[LayerRecord, tuple[int, ...]]] = [
+    (L.Linear(inputs=6, outputs=4), (6,)),
+    (L.Linear(inputs=6, outputs=4, bias=False), (6,)),
+    (L.BatchNorm(features=6, epsilon=0.1), (6,)),
+    (L.BatchNorm(features=2, dimensions=2), (2, 4, 5)),
+    (L.LayerNorm(shape=(6,), epsilon=0.1), (6,)),
+    (L.LayerNorm(shape=(2, 3, 4)), (2, 3, 4)),
+    (L.LayerNorm(shape=(2, 3, 3), affine=False), (2, 3, 3)),
+    (L.Affine(scale=2.3, offset=-1.7), (6,)),
+    (L.ReLU(), (6,)),
+    (L.GELU(), (2, 30, 30)),
+    (L.Dropout(probability=0.3), (6,)),
+    (L.Flatten(), (2, 3, 4)),
+    (L.Reshape(shape=(2, 3, 1)), (6,)),
+    *(
+        (L.Resize(rows=rows, columns=columns), (2, 3, 4))
+        for rows, columns in ((8, 5), (3, 4), (1, 1), (2, 11))
+    ),
+    (L.Conv2d(inputs=2, outputs=4, kernel=3, stride=2, padding=1, groups=2), (2, 7, 6)),
+    (L.Conv2d(inputs=2, outputs=3, kernel=2, padding=0), (2, 3, 2)),
+    (L.Conv2d(inputs=2, outputs=3, kernel=5, padding=3, bias=False), (2, 3, 2)),
+    (L.MaxPool(kernel=2), (2, 7, 6)),
+    (L.MaxPool(kernel=3), (2, 3, 8)),
+    *(
+        (L.AveragePool(rows=rows, columns=columns), (2, 7, 6))
+        for rows, columns in ((1, 1), (3, 4), (7, 6), (9, 2))
+    ),
+    (L.Residual(layers=(L.Linear(inputs=6, outputs=6), L.GELU())), (6,)),
+    (
+        L.Residual(layers=(L.Conv2d(inputs=2, outputs=2), L.BatchNorm(features=2, dimensions=2))),
+        (2, 4, 4),
+    ),
+]
+
+
+def stirred(layers: tuple[LayerRecord, ...], seed: int = 0) -> torch.nn.Sequential:
+    """A module in use, whose statistics are not those that it began with."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        module = build_untrained(layers)
+        for name, tensor in module.state_dict().items():
+            if name.endswith(("running_mean", "running_var")):
+                tensor.uniform_(0.5, 2.0)
+    return module.eval()
+
+
+def both(
+    layers: tuple[LayerRecord, ...], shape: tuple[int, ...], batch: int = 3
+) -> tuple[np.ndarray, np.ndarray]:
+    module = stirred(layers)
+    x = 2 * torch.randn(batch, *shape, generator=torch.Generator().manual_seed(1))
+    with torch.inference_mode():
+        wanted = module(x).numpy()
+    found = Network.load(layers, weights_of(module))(x.numpy())
+    assert found.dtype == np.float32
+    assert found.shape == wanted.shape
+    return found, wanted
+
+
+@pytest.mark.parametrize(("layer", "shape"), CASES)
+def test_every_layer_is_torchs(layer: LayerRecord, shape: tuple[int, ...]) -> None:
+    found, wanted = both((layer,), shape)
+    # Sums of at most 50 products of numbers that are at most 10 or so.
+    assert np.abs(found - wanted).max() <= 50 * 10 * UNIT
+
+
+def test_every_kind_of_layer_is_tried() -> None:
+    kinds = {record.model_fields["kind"].default for record in get_args(L.PlainLayer)}
+    assert kinds | {"residual"} == {layer.kind for layer, _ in CASES}
+
+
+@pytest.mark.parametrize(("layer", "_"), CASES)
+def test_what_a_layer_needs_is_what_torchs_module_holds(
+    layer: LayerRecord, _: tuple[int, ...]
+) -> None:
+    held = build_untrained([layer]).state_dict()
+    wanted = {name: (tuple(t.shape), str(t.dtype).partition(".")[2]) for name, t in held.items()}
+    needed = layer.parameters.items()
+    assert {f"0.{name}": (shape, str(dtype)) for name, (shape, dtype) in needed} == wanted
+
+
+OF_EMBEDDINGS = Task(1, 24, 32, 10, rectified=True, normalisation="shared", exposure="automatic")
+OF_SCENES = SceneTask(2, 28, 28, 10, centred=True)
+
+
+@pytest.mark.parametrize("name", ["LR", "FC800", "MLP64", "CNN8"])
+def test_classifiers_of_embeddings_are_torchs(name: str) -> None:
+    found, wanted = both(
+        make_layers(name, OF_EMBEDDINGS, dropout=0.0 if name == "LR" else 0.3),
+        (OF_EMBEDDINGS.inputs,),
+    )
+    assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
+
+
+@pytest.mark.slow
+def test_the_largest_classifier_is_torchs() -> None:
+    found, wanted = both(make_layers("VGG11", OF_EMBEDDINGS), (OF_EMBEDDINGS.inputs,), batch=1)
+    assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
+
+
+def test_a_classifier_of_scenes_is_torchs() -> None:
+    found, wanted = both(make_layers("CNN8", OF_SCENES), (2 * 28 * 28,))
+    assert np.abs(found - wanted).max() <= 1e-5 * np.abs(wanted).max()
+
+
+def test_the_normal_distribution_is_as_exact_as_float32() -> None:
+    x = np.linspace(-12, 12, 24_001)
+    found = Network.load((L.GELU(),), {})(x)
+    wanted = np.array([value * math.erfc(-value * math.sqrt(0.5)) / 2 for value in x])
+    assert np.abs(found - wanted).max() <= 1e-10
+
+
+def test_numbers_that_overflow_are_given_as_they_are() -> None:
+    weights = {"0.weight": np.full((1, 2), 3e38, np.float32), "0.bias": np.zeros(1, np.float32)}
+    network = Network.load((L.Linear(inputs=2, outputs=1),), weights)
+    assert np.isinf(network(np.full((1, 2), 3e38, np.float32))).all()
+
+
+def test_weights_that_do_not_fit_are_refused_and_not_shown() -> None:
+    layer = L.Linear(inputs=2, outputs=1)
+    with pytest.raises(BundleError, match=r"weights lack '0\.bias'"):
+        Network.load((layer,), {"0.weight": np.zeros((1, 2), np.float32)})
+    network = Network.load((L.ReLU(),), {})
+    assert "array" not in repr(network)

@@ -1,0 +1,87 @@
+"""Own pictures from the command line: drawn, found in their folder, summed up, fitted and shown."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from veilcam_training.bundle import read_bundle
+from veilcam_training.cli import main as cli
+
+Call = Callable[..., int]
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch) -> Call:
+    def run(*arguments: object) -> int:
+        monkeypatch.setattr(sys, "argv", ["veilcam-train", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "200")
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        return int(caught.value.code or 0)
+
+    return run
+
+
+@pytest.mark.slow
+def test_a_folder_is_drawn_summed_up_and_fitted(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
+    assert call("draw", shapes, "--count", 50, "--seed", 3) == 0
+    # A line breaks where the terminal ends, and a path is as long as it is.
+    assert f"into {shapes}/train" in capsys.readouterr().out.replace("\n", "")
+    options = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--device", "cpu")
+    assert call("fit", "--data", shapes, *options, "--out", out) == 0
+    printed = capsys.readouterr().out
+    assert "image-folder: 64 x 64, gray" in printed
+    assert "FC800" in printed
+    assert "star" in printed[: printed.index("FC800")]  # before the fit
+    bundle = read_bundle(out)
+    assert bundle.task == "image-folder"
+    assert bundle.labels == ("circle", "cross", "square", "star", "triangle")
+    assert bundle.scene.shape == (64, 64)
+    settings = bundle.provenance["settings"]
+    assert isinstance(settings, dict)
+    assert settings["classifier"] == "FC800"
+    # What is named goes before what was found.
+    assert call("fit", "--data", shapes, *options, "--classifier", "LR") == 0
+    assert "LR" in capsys.readouterr().out
+    assert call("fit", "--data", shapes, *options, "--dataset", "mnist") == 1
+    assert "is missing" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_fit_for_fresh_masks_takes_a_folder(call: Call, tmp_path: Path) -> None:
+    shapes, out = tmp_path / "shapes", tmp_path / "own.veilcam"
+    assert call("draw", shapes, "--count", 200) == 0
+    (shapes / "dataset.toml").write_text("rows = 16\ncolumns = 16")
+    config = tmp_path / "a.toml"
+    config.write_text('embedding = "6x8"\nclassifier = "CNN2"\nrank = 20\nvalidation_masks = 4')
+    options = ("--config", config, "--epochs", 1, "--batch", 16, "--masks", 4, "--seed", 0)
+    assert call("fit-fresh", "--data", shapes, *options, "--device", "cpu", "--out", out) == 0
+    bundle = read_bundle(out)
+    assert (bundle.mode, bundle.task) == ("fresh", "image-folder")
+
+
+def test_a_folder_that_is_not_empty_is_not_drawn_into(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "mine.png").write_bytes(b"")
+    assert call("draw", tmp_path) == 1
+    assert "is not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.png"]
+
+
+def test_damaged_pictures_end_the_run_before_the_fit(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    shapes = tmp_path / "shapes"
+    assert call("draw", shapes, "--count", 50) == 0
+    (shapes / "train" / "star" / "star-0005.png").write_bytes(b"no picture")
+    assert call("fit", "--data", shapes) == 1
+    said = capsys.readouterr().err
+    assert "1 of 50 pictures cannot be read: train/star/star-0005.png" in said

@@ -1,0 +1,215 @@
+"""Classifiers computed in NumPy, from layer records and weights: what reads behind a mask."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from veilcam_training.bundle.classifier import check_weights
+from veilcam_training.bundle.layers import (
+    GELU,
+    Affine,
+    AveragePool,
+    BatchNorm,
+    Conv2d,
+    Dropout,
+    Flatten,
+    LayerNorm,
+    LayerRecord,
+    Linear,
+    MaxPool,
+    ReLU,
+    Reshape,
+    Residual,
+    Resize,
+)
+
+Values = npt.NDArray[Any]
+Weights = Mapping[str, Values]
+
+# What interpolates exp(s^2) erfc(s) in (s - 2) / (s + 2) at 16 Chebyshev nodes, lowest power first:
+# off by 1e-11. The test of this module compares it with erfc.
+# fmt: off
+_TAIL = (
+    0.25539567632483406, -0.427185847408313, 0.2416581924071058, -0.07897858174058268,
+    0.0037329310890877334, 0.006997477200827248, -0.000847454860999208, -0.0009821044763679866,
+    4.4792723756913993e-05, 0.00017488694091880643, 2.4847085209153214e-05,
+    -2.879199372292821e-05, -1.0741378529901084e-05, 3.0176620505758343e-06,
+    1.756622087068263e-06, -5.618106779689081e-08,
+)
+# fmt: on
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Layers with their weights; as secret as the mask that they were learned with, if one."""
+
+    layers: tuple[LayerRecord, ...]
+    weights: Weights = field(repr=False)
+
+    @classmethod
+    def load(cls, layers: Sequence[LayerRecord], weights: Weights) -> Self:
+        """The network that ``layers`` and ``weights`` describe.
+
+        Args:
+            layers: records in order.
+            weights: by the names of the ``state_dict`` of torch's ``nn.Sequential``; not copied.
+
+        Raises:
+            BundleError: names, shapes, types or values that do not fit the layers.
+        """
+        check_weights(layers, weights)
+        return cls(tuple(layers), weights)
+
+    def __call__(self, inputs: Values) -> Values:
+        """Logits (batch, labels) of inputs (batch, inputs), float32."""
+        with np.errstate(over="ignore", invalid="ignore"):  # who asks looks at the logits
+            return _through(self.layers, inputs, self.weights)
+
+
+def _through(
+    layers: Sequence[LayerRecord], x: Values, weights: Weights, inside: str = ""
+) -> Values:
+    for index, layer in enumerate(layers):
+        prefix = f"{inside}{index}."
+        if isinstance(layer, Residual):
+            x = x + _through(layer.layers, x, weights, f"{prefix}layers.")
+        else:
+            own = {name: weights[prefix + name] for name in layer.parameters}
+            x = _COMPUTED[layer.kind](layer, x, own)
+    return x
+
+
+def _linear(_: Linear, x: Values, own: Weights) -> Values:
+    product: Values = x @ own["weight"].T
+    return product + own["bias"] if "bias" in own else product
+
+
+def _batch_norm(layer: BatchNorm, x: Values, own: Weights) -> Values:
+    scale = own["weight"] / np.sqrt(own["running_var"] + np.float32(layer.epsilon))
+    each = (-1,) + (1,) * (x.ndim - 2)
+    centred = x - own["running_mean"].reshape(each)
+    normal: Values = centred * scale.reshape(each) + own["bias"].reshape(each)
+    return normal
+
+
+def _layer_norm(layer: LayerNorm, x: Values, own: Weights) -> Values:
+    axes = tuple(range(1, x.ndim))
+    centred = x - x.mean(axis=axes, keepdims=True)
+    variance = np.square(centred).mean(axis=axes, keepdims=True)
+    normal: Values = centred / np.sqrt(variance + np.float32(layer.epsilon))
+    return normal * own["weight"] + own["bias"] if own else normal
+
+
+def _affine(layer: Affine, x: Values, _: Weights) -> Values:
+    # As torch does, in the type of what comes in.
+    scaled: Values = x * x.dtype.type(layer.scale) + x.dtype.type(layer.offset)
+    return scaled
+
+
+def _relu(_: ReLU, x: Values, __: Weights) -> Values:
+    return np.maximum(x, 0)
+
+
+def _gelu(_: GELU, x: Values, __: Weights) -> Values:
+    size = np.abs(x) * x.dtype.type(0.5**0.5)
+    place = (size - 2) / (size + 2)
+    # exp(s^2) erfc(s) is a polynomial in the place; NumPy has no error function.
+    tail = np.full_like(x, _TAIL[-1])
+    for coefficient in reversed(_TAIL[:-1]):
+        tail *= place
+        tail += coefficient
+    tail *= np.exp(-size * size) / 2
+    share: Values = np.where(x < 0, tail, 1 - tail)
+    return x * share
+
+
+def _as_it_is(_: Dropout, x: Values, __: Weights) -> Values:
+    return x
+
+
+def _flatten(_: Flatten, x: Values, __: Weights) -> Values:
+    return x.reshape(len(x), math.prod(x.shape[1:]))
+
+
+def _reshape(layer: Reshape, x: Values, _: Weights) -> Values:
+    return x.reshape(len(x), *layer.shape)
+
+
+def _resize(layer: Resize, x: Values, _: Weights) -> Values:
+    return _along_both(interpolation, x, layer.rows, layer.columns)
+
+
+def _average_pool(layer: AveragePool, x: Values, _: Weights) -> Values:
+    return _along_both(averages, x, layer.rows, layer.columns)
+
+
+def _along_both(matrix: Callable[[int, int], Values], x: Values, rows: int, columns: int) -> Values:
+    """Images whose rows and columns are each multiplied by a matrix of their own."""
+    down, across = matrix(rows, x.shape[2]), matrix(columns, x.shape[3])
+    result: Values = down.astype(x.dtype) @ x @ across.astype(x.dtype).T
+    return result
+
+
+def interpolation(new: int, old: int) -> Values:
+    """Linear interpolation between pixels' centres, (new, old); what is outside is the edge."""
+    place = np.clip((np.arange(new) + 0.5) * (old / new) - 0.5, 0, old - 1)
+    shares: Values = np.maximum(0, 1 - np.abs(place[:, None] - np.arange(old)))
+    return shares
+
+
+def averages(new: int, old: int) -> Values:
+    """Means of equal parts, which overlap where pixels are cut, (new, old)."""
+    part, pixel = np.arange(new)[:, None], np.arange(old)
+    within = (pixel >= part * old // new) & (pixel < -(-(part + 1) * old // new))
+    means: Values = within / within.sum(axis=1, keepdims=True)
+    return means
+
+
+def _conv2d(layer: Conv2d, x: Values, own: Weights) -> Values:
+    """By unfolding: every pixel as often as a kernel sees it, then one product for each group."""
+    side, groups = layer.kernel, layer.groups
+    edge = (layer.padding, layer.padding)
+    padded = np.pad(x, ((0, 0), (0, 0), edge, edge))
+    seen = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(2, 3))
+    seen = seen[:, :, :: layer.stride, :: layer.stride]
+    rows, columns = seen.shape[2:4]
+    taps = layer.inputs // groups * side**2
+    unfolded = seen.transpose(0, 1, 4, 5, 2, 3).reshape(len(x), groups, taps, rows * columns)
+    kernels = own["weight"].reshape(groups, layer.outputs // groups, taps)
+    images: Values = (kernels @ unfolded).reshape(len(x), layer.outputs, rows, columns)
+    if "bias" in own:
+        images += own["bias"][:, None, None]
+    return images
+
+
+def _max_pool(layer: MaxPool, x: Values, _: Weights) -> Values:
+    side = layer.kernel
+    rows, columns = x.shape[2] // side, x.shape[3] // side
+    whole = x[:, :, : rows * side, : columns * side]
+    squares = whole.reshape(*x.shape[:2], rows, side, columns, side)
+    largest: Values = squares.max(axis=(3, 5))
+    return largest
+
+
+_COMPUTED: Mapping[str, Callable[[Any, Values, Weights], Values]] = {
+    "linear": _linear,
+    "batch_norm": _batch_norm,
+    "layer_norm": _layer_norm,
+    "affine": _affine,
+    "relu": _relu,
+    "gelu": _gelu,
+    "dropout": _as_it_is,
+    "flatten": _flatten,
+    "reshape": _reshape,
+    "resize": _resize,
+    "conv2d": _conv2d,
+    "max_pool": _max_pool,
+    "average_pool": _average_pool,
+}
+"""What each kind of layer does to a batch, but for the residual one."""

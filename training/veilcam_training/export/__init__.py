@@ -1,0 +1,1 @@
+"""Classifiers of a bundle as files that other software reads."""
