@@ -296,6 +296,16 @@ def test_options_reach_the_cells(
 
     assert call("mnist", *options, "--psf", psf, "--encoders", "lens") == 1
     assert "--psf is of fixed_measured" in capsys.readouterr().err
+    lens = ("--psf", f"lens={psf}", "--encoders", "lens,learned")
+    assert call("mnist", *options, *lens) == 0
+    assert {cell.settings.psf for cell in seen["cells"] if cell.settings.encoder == "lens"} == {psf}
+    assert {cell.settings.psf for cell in seen["cells"] if cell.settings.encoder == "learned"} == {
+        None
+    }
+    assert call("mnist", *options, *lens, "--psf", f"lens={psf}") == 1
+    assert "--psf is given twice for lens" in capsys.readouterr().err
+    assert call("mnist", *options, "--psf", f"learned={psf}") == 1
+    assert "encoder 'learned' takes no PSF" in capsys.readouterr().err
 
     assert call("mnist", *options, "--epochs", 3, "--ray", "host:1") == 0
     assert seen["cells"][0].settings.recipe == default.model_copy(update={"epochs": 3})

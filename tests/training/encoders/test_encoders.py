@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor
 from veilcam_optics.camera.masks import to_weights
@@ -23,10 +25,12 @@ from veilcam_training.encoders import (
     LinearEncoder,
     Psf,
     PsfEncoder,
+    PsfFile,
     Setup,
     make_encoder,
     read_psf,
 )
+from veilcam_training.encoders.baselines import LENS_DISTANCE
 from veilcam_training.errors import TrainingError
 from veilcam_training.seeding import stream
 
@@ -48,7 +52,7 @@ def fresh(
     name: str, psf: Path | None, seed: int = 0, *, colour: bool = False, point: bool = False
 ) -> LinearEncoder:
     setup = Setup(CAMERA, SCENE, EMBEDDING, colour=colour, point_binning=point)
-    file = psf if name == "fixed_measured" else None
+    file = None if psf is None or name != "fixed_measured" else PsfFile(psf)
     return make_encoder(name, setup, stream(seed, "encoder"), psf=file)
 
 
@@ -255,19 +259,64 @@ def test_unknown_encoder_and_psf_that_is_not_wanted(psf_file: Path) -> None:
     with pytest.raises(TrainingError, match="use one of lens, coded_aperture"):
         fresh("pinhole", None)
     with pytest.raises(TrainingError, match="leave out --psf"):
-        make_encoder("lens", Setup(CAMERA, SCENE, EMBEDDING), stream(0, "encoder"), psf=psf_file)
+        make_encoder(
+            "learned", Setup(CAMERA, SCENE, EMBEDDING), stream(0, "encoder"), psf=PsfFile(psf_file)
+        )
     with pytest.raises(TrainingError, match="give --psf FILE"):
         fresh("fixed_measured", None)
+
+
+@pytest.mark.parametrize("name", ["lens", "coded_aperture", "diffuser", "fixed_measured"])
+def test_a_measured_psf_takes_the_place_of_a_simulated_one(name: str, psf_file: Path) -> None:
+    setup = Setup(CAMERA, SCENE, EMBEDDING)
+    file = PsfFile(psf_file, distance=2e-3)
+    made = make_encoder(name, setup, stream(0, "encoder"), psf=file)
+    wanted = PsfEncoder(setup, read_psf(file, math.nan))
+    torch.testing.assert_close(made.transfer(), wanted.transfer(), rtol=0, atol=0)
+
+
+def test_a_measured_lens_stands_where_the_ideal_one_does(psf_file: Path) -> None:
+    setup = Setup(CAMERA, SCENE, EMBEDDING)
+    made = make_encoder("lens", setup, stream(0, "encoder"), psf=PsfFile(psf_file))
+    wanted = PsfEncoder(setup, read_psf(PsfFile(psf_file), LENS_DISTANCE))
+    torch.testing.assert_close(made.transfer(), wanted.transfer(), rtol=0, atol=0)
 
 
 def test_measured_psf_of_one_channel_and_of_another_distance(tmp_path: Path) -> None:
     path = tmp_path / "psf.npz"
     psf = np.ones((5, 6))
     np.savez(path, psf=psf, pitch=1e-5)
-    assert read_psf(path, 4e-3).distance == 4e-3
-    assert read_psf(path, 4e-3).irradiance.shape == (3, 5, 6)
+    assert read_psf(PsfFile(path), 4e-3).distance == 4e-3
+    assert read_psf(PsfFile(path, distance=3e-3), 4e-3).distance == 3e-3
+    assert read_psf(PsfFile(path), 4e-3).irradiance.shape == (3, 5, 6)
+    with pytest.raises(TrainingError, match="leave out --psf-pitch"):
+        read_psf(PsfFile(path, pitch=1e-5), 4e-3)
     np.savez(path, psf=psf, pitch=1e-5, distance=2e-3)
-    assert read_psf(path, 4e-3).distance == 2e-3
+    assert read_psf(PsfFile(path), 4e-3).distance == 2e-3
+    with pytest.raises(TrainingError, match="leave out --psf-distance"):
+        read_psf(PsfFile(path, distance=3e-3), 4e-3)
+
+
+@pytest.mark.parametrize("kind", [".npy", ".png", ".tif"])
+@pytest.mark.parametrize(
+    ("shape", "dtype"), [((5, 6), np.uint8), ((5, 6), np.uint16), ((5, 6, 3), np.uint8)]
+)
+def test_pictures_and_arrays_are_psfs_with_a_pitch(
+    tmp_path: Path, kind: str, shape: tuple[int, ...], dtype: type[np.unsignedinteger[Any]]
+) -> None:
+    top = np.iinfo(dtype).max
+    shown = np.random.default_rng(1).integers(0, top, shape, endpoint=True).astype(dtype)
+    path = tmp_path / f"psf{kind}"
+    if kind == ".npy":
+        np.save(path, shown)
+    else:
+        Image.fromarray(shown).save(path)
+    found = read_psf(PsfFile(path, 1e-5), 4e-3)
+    wanted = np.broadcast_to(shown, (3, 5, 6)) if len(shape) == 2 else np.moveaxis(shown, 2, 0)
+    assert np.array_equal(found.irradiance.numpy(), wanted)
+    assert (found.pitch, found.distance) == (1e-5, 4e-3)
+    with pytest.raises(TrainingError, match="give --psf-pitch METRES"):
+        read_psf(PsfFile(path), 4e-3)
 
 
 @pytest.mark.parametrize(
@@ -295,5 +344,5 @@ def test_files_that_are_no_psf(
     elif content is not None:
         np.savez(path, **content)
     with pytest.raises(TrainingError, match=reason) as caught:
-        read_psf(path, 4e-3)
+        read_psf(PsfFile(path), 4e-3)
     assert "\n" not in str(caught.value)

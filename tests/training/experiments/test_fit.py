@@ -270,3 +270,8 @@ def test_of_a_psf_the_content_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     same = {fingerprint(path) for path in (Path("a.npz"), tmp_path / "a.npz", Path("b.npz"))}
     assert len(same | {fingerprint(Path("c.npz"))}) == 2
     assert len(same | {fingerprint(None)}) == 2
+    for told in ({"psf_pitch": 1e-5}, {"psf_distance": 1e-3}):
+        beside = settings(encoder="fixed_measured", psf=Path("a.npz"), **told)
+        assert len(same | {beside.fingerprint(FILES)}) == 2
+        with pytest.raises(TrainingError, match="there is no measured PSF"):
+            _ = settings(**told).psf_file

@@ -71,7 +71,24 @@ Classifier = Annotated[
 EncoderName = Annotated[
     str | None, typer.Option("--encoder", help=f"One of {', '.join(ENCODERS)}.")
 ]
-Psf = Annotated[Path | None, typer.Option("--psf", help="PSF file (.npz) of fixed_measured.")]
+Psf = Annotated[
+    Path | None,
+    typer.Option(
+        "--psf",
+        help="Measured PSF (.npz, .npy, .png, .tif) of fixed_measured, or for that of a lens, "
+        "coded_aperture or diffuser.",
+    ),
+]
+PsfPitch = Annotated[
+    float | None,
+    typer.Option("--psf-pitch", help="Side of a cell of an .npy file or a picture, in metres."),
+]
+PsfDistance = Annotated[
+    float | None,
+    typer.Option(
+        "--psf-distance", help="Its distance to the sensor, in metres; the encoder's by default."
+    ),
+]
 Shape = Annotated[
     str | None, typer.Option("--embedding", help="ROWSxCOLUMNS; 24x32 unless told otherwise.")
 ]
@@ -101,6 +118,8 @@ def fit_command(
     classifier: Classifier = None,
     encoder: EncoderName = None,
     psf: Psf = None,
+    psf_pitch: PsfPitch = None,
+    psf_distance: PsfDistance = None,
     embedding: Shape = None,
     binning: Binning = None,
     change: ChangeName = None,
@@ -123,6 +142,8 @@ def fit_command(
         classifier=classifier,
         encoder=encoder,
         psf=psf,
+        psf_pitch=psf_pitch,
+        psf_distance=psf_distance,
         embedding=embedding,
         binning=binning,
         change=change,

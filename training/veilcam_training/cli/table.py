@@ -2,7 +2,7 @@
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +12,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from veilcam_training.config.settings import Settings, load_settings
+from veilcam_training.encoders import ENCODERS
+from veilcam_training.encoders.registry import WITH_PSF
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.grid import TABLES, Cell, Part, Place, Table, find_table
@@ -55,7 +57,14 @@ def table_command(
     seed: Annotated[int, typer.Option(min=0, help="The first of them.")] = 0,
     recipe: Annotated[str, typer.Option(help="By name, as of fit.")] = "default",
     epochs: Annotated[int | None, typer.Option(help="Instead of the recipe's.")] = None,
-    psf: Annotated[Path | None, typer.Option(help="PSF file (.npz) of fixed_measured.")] = None,
+    psf: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[ENCODER=]FILE",
+            help="Measured PSF (.npz) of fixed_measured, or of the encoder that is named; "
+            "may be repeated.",
+        ),
+    ] = None,
     budget: Annotated[
         str | None, typer.Option(help="Begin no cell after this time, e.g. 90s, 10m, 2h.")
     ] = None,
@@ -77,8 +86,7 @@ def table_command(
     check_folder("--work", work)
     _check_places(out, figures)
     until = None if budget is None else time.time() + parse_duration(budget)
-    if psf is not None and not psf.is_file():
-        raise TrainingError(f"{psf} is missing: give the file of a PSF as --psf")
+    psfs = _psfs(psf or [])
     part = Part(
         encoders=_names(encoders),
         classifiers=_names(classifiers),
@@ -87,12 +95,15 @@ def table_command(
         datasets=_names(datasets),
         changes=_names(changes),
     )
-    places = table.places(part, psf=psf is not None)
-    if psf is not None and all(each.row.encoder != "fixed_measured" for each in places):
-        raise TrainingError("--psf is of fixed_measured, which --encoders leaves out: drop either")
+    places = table.places(part, psf="fixed_measured" in psfs)
+    for encoder in psfs:
+        require(
+            any(each.row.encoder == encoder for each in places),
+            f"--psf is of {encoder}, which --encoders leaves out: drop either",
+        )
     # Absolute paths, here and below: a worker may stand elsewhere.
     cells = [
-        Cell(_settings(each, seed + repeat, psf and psf.resolve(), recipe, epochs))
+        Cell(_settings(each, seed + repeat, psfs, recipe, epochs))
         for repeat in range(seeds)
         for each in places
     ]
@@ -213,8 +224,22 @@ def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",")]
 
 
+def _psfs(given: Sequence[str]) -> dict[str, Path]:
+    """Files of measured PSFs, by the encoder that each is of."""
+    found: dict[str, Path] = {}
+    for each in given:
+        name, equals, rest = each.partition("=")
+        named = bool(equals) and name in ENCODERS
+        encoder, path = (name, Path(rest)) if named else ("fixed_measured", Path(each))
+        require(encoder in WITH_PSF, f"encoder {encoder!r} takes no PSF: leave out --psf {each}")
+        require(encoder not in found, f"--psf is given twice for {encoder}: drop one")
+        require(path.is_file(), f"{path} is missing: give the file of a PSF as --psf")
+        found[encoder] = path.resolve()
+    return found
+
+
 def _settings(
-    place: Place, seed: int, psf: Path | None, recipe: str, epochs: int | None
+    place: Place, seed: int, psfs: Mapping[str, Path], recipe: str, epochs: int | None
 ) -> Settings:
     chosen: dict[str, object] = {"base": recipe}
     if epochs is not None:
@@ -225,6 +250,6 @@ def _settings(
         "seed": seed,
         "recipe": chosen,
     }
-    if place.row.encoder == "fixed_measured" and psf is not None:
-        values["psf"] = psf
+    if place.row.encoder in psfs:
+        values["psf"] = psfs[place.row.encoder]
     return load_settings(None, values)

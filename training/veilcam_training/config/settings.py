@@ -36,6 +36,7 @@ from veilcam_training.config.recipes import (
 )
 from veilcam_training.data import Source
 from veilcam_training.encoders.fresh import Misalignment
+from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
@@ -63,7 +64,11 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
     data: str = "mnist"
     encoder: str = "learned"
     psf: Path | None = None
-    """File of the point spread function of the encoder ``fixed_measured``."""
+    """File of a measured point spread function; the encoder ``fixed_measured`` needs it."""
+    psf_pitch: Positive | None = None
+    """Side of its cells, where the file does not say it [m]."""
+    psf_distance: Positive | None = None
+    """From the coding element to the sensor, where the file does not say it [m]."""
     embedding: str = "24x32"
     binning: Literal["area", "point"] = "area"
     """Averaged over each embedding pixel, or at its centre as in the paper's code."""
@@ -78,8 +83,27 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         files = sorted(source.digests().items())
         if self.psf is not None:
             files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
-        # What is in the file counts, not where it lies.
-        return _digest(self.model_copy(update={"psf": None}).model_dump_json(), files)
+        # What is in the file counts, not where it lies; and what a file of its own says of itself
+        # is not told beside it, so that fits from before these settings are still the same.
+        told = {name for name in ("psf_pitch", "psf_distance") if getattr(self, name) is not None}
+        left_out = {"psf_pitch", "psf_distance"} - told
+        same = self.model_copy(update={"psf": None})
+        return _digest(same.model_dump_json(exclude=left_out), files)
+
+    @property
+    def psf_file(self) -> PsfFile | None:
+        """The measured point spread function.
+
+        Raises:
+            TrainingError: a pitch or a distance of none.
+        """
+        if self.psf is None:
+            require(
+                self.psf_pitch is None and self.psf_distance is None,
+                "there is no measured PSF: leave out --psf-pitch and --psf-distance",
+            )
+            return None
+        return PsfFile(self.psf, self.psf_pitch, self.psf_distance)
 
 
 class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):

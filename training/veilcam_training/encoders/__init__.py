@@ -4,7 +4,7 @@ from veilcam_training.encoders.base import Encoder, FixedEncoder, LinearEncoder,
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import FixedMask, LearnedMask, Mask
-from veilcam_training.encoders.psf import Psf, PsfEncoder, read_psf
+from veilcam_training.encoders.psf import Psf, PsfEncoder, PsfFile, read_psf
 from veilcam_training.encoders.registry import ENCODERS, make_encoder
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "PanelErrors",
     "Psf",
     "PsfEncoder",
+    "PsfFile",
     "Setup",
     "make_encoder",
     "read_psf",

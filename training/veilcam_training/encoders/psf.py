@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
+import numpy.typing as npt
 import torch
+from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
@@ -86,32 +89,62 @@ def point_transfer(
     return split.transpose(2, 3).reshape(3, scene.rows * scene.columns, embedding.size)
 
 
-def read_psf(path: Path, distance: float) -> Psf:
-    """Read a measured PSF from an ``.npz`` file.
+@dataclass(frozen=True)
+class PsfFile:
+    """Where a measured PSF is, and what a file without these numbers leaves open.
 
-    The file holds ``psf``, (rows, columns) or (3, rows, columns), not negative; ``pitch``, the side
-    of its cells [m]; and may hold ``distance`` [m], from mask to sensor.
+    ``pitch`` is the side of its cells [m], which a picture and an array cannot tell; ``distance``
+    [m] is from the coding element to the sensor.
+    """
+
+    path: Path
+    pitch: float | None = None
+    distance: float | None = None
+
+
+PICTURES = (".png", ".tif", ".tiff", ".bmp")
+"""Pictures that keep what was measured; JPEG does not."""
+
+
+def read_psf(file: PsfFile, distance: float) -> Psf:
+    """Read a measured PSF.
+
+    An ``.npz`` file holds ``psf``, (rows, columns) or (3, rows, columns), not negative; ``pitch``,
+    the side of its cells [m]; and may hold ``distance`` [m]. An ``.npy`` file is the array alone,
+    or (rows, columns, 3), as pictures are. A picture is proportional to the irradiance, without
+    gamma and with the dark level taken off, as developed from raw; of 8 or 16 bits a channel.
 
     Args:
-        path: of the file.
-        distance: for a file without one [m].
+        file: and what it leaves open.
+        distance: where neither it nor the file says any [m].
 
     Raises:
-        TrainingError: the file is missing, damaged, or not such a file.
+        TrainingError: the file is missing, damaged or not such a file; a pitch that is told twice
+            or not at all.
     """
+    path = file.path
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            psf = np.asarray(content["psf"], dtype=np.float32)
-            pitch = float(content["pitch"])
-            distance = float(content["distance"]) if "distance" in content else distance
+        content = _content(path)
     except FileNotFoundError:
         raise TrainingError(f"{path} is missing: give the file of a PSF as --psf") from None
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
         raise TrainingError(
-            f"{path} is not the file of a PSF ({error}): save psf and pitch with numpy.savez"
+            f"{path} is not the file of a PSF ({error}): save psf and pitch with numpy.savez, or "
+            f"give an array (.npy) or a picture ({', '.join(PICTURES)})"
         ) from None
-    if psf.ndim == 2:
-        psf = np.broadcast_to(psf, (3, *psf.shape))
+    require(
+        content.pitch is None or file.pitch is None,
+        f"{path} tells its pitch by itself: leave out --psf-pitch",
+    )
+    require(
+        content.distance is None or file.distance is None,
+        f"{path} tells its distance by itself: leave out --psf-distance",
+    )
+    psf = (
+        content.psf
+        if content.psf.ndim != 2
+        else np.broadcast_to(content.psf, (3, *content.psf.shape))
+    )
     require(
         psf.ndim == 3 and len(psf) == 3 and psf.size != 0,
         f"{path} has a PSF of shape {psf.shape}: use (3, rows, columns)",
@@ -120,8 +153,39 @@ def read_psf(path: Path, distance: float) -> Psf:
         bool(np.isfinite(psf).all()) and psf.min() >= 0 and psf.max() > 0,
         f"{path} has a PSF that is no irradiance: use finite numbers >= 0",
     )
+    pitch = content.pitch or file.pitch
+    if pitch is None:
+        raise TrainingError(f"{path} does not tell the side of its cells: give --psf-pitch METRES")
+    distance = content.distance or file.distance or distance
     require(
         0 < pitch < 1 and 0 < distance < 1,
         f"{path} has pitch {pitch} m and distance {distance} m: use metres, > 0",
     )
-    return Psf(torch.from_numpy(np.ascontiguousarray(psf)), pitch, distance)
+    return Psf(torch.from_numpy(np.ascontiguousarray(psf, np.float32)), pitch, distance)
+
+
+class _Content(NamedTuple):
+    psf: npt.NDArray[np.float32]
+    pitch: float | None = None
+    distance: float | None = None
+
+
+def _content(path: Path) -> _Content:
+    kind = path.suffix.lower()
+    if kind in PICTURES:
+        with Image.open(path) as picture:
+            grey = picture.mode in ("1", "L", "I", "F", "I;16", "I;16B")
+            shown = np.asarray(picture if grey else picture.convert("RGB"), dtype=np.float32)
+        return _Content(shown if grey else np.moveaxis(shown, 2, 0))
+    with path.open("rb") as file:
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            array = np.asarray(loaded, dtype=np.float32)
+            last = array.ndim == 3 and array.shape[2] == 3 and array.shape[0] != 3
+            return _Content(np.moveaxis(array, 2, 0) if last else array)
+        with loaded as content:
+            return _Content(
+                np.asarray(content["psf"], dtype=np.float32),
+                float(content["pitch"]),
+                float(content["distance"]) if "distance" in content else None,
+            )

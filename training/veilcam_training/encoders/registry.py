@@ -1,33 +1,48 @@
 """Every encoder by name."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import torch
 
 from veilcam_training.encoders.base import LinearEncoder, Setup
-from veilcam_training.encoders.baselines import coded_aperture_psf, diffuser_psf, lens_psf
+from veilcam_training.encoders.baselines import (
+    APERTURE_DISTANCE,
+    DIFFUSER_DISTANCE,
+    LENS_DISTANCE,
+    coded_aperture_psf,
+    diffuser_psf,
+    lens_psf,
+)
 from veilcam_training.encoders.digital import Digital
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask
-from veilcam_training.encoders.psf import PsfEncoder, read_psf
+from veilcam_training.encoders.psf import PsfEncoder, PsfFile, read_psf
 from veilcam_training.errors import TrainingError, require
 
-Maker = Callable[[Setup, torch.Generator, Path | None, PanelErrors], LinearEncoder]
+Maker = Callable[[Setup, torch.Generator, PanelErrors], LinearEncoder]
 
-ENCODERS: Mapping[str, Maker] = {
-    "lens": lambda setup, _generator, _psf, _errors: PsfEncoder(setup, lens_psf(setup.camera)),
-    "coded_aperture": lambda setup, _generator, _psf, _errors: PsfEncoder(
+ENCODERS: Mapping[str, Maker | None] = {
+    "lens": lambda setup, _generator, _errors: PsfEncoder(setup, lens_psf(setup.camera)),
+    "coded_aperture": lambda setup, _generator, _errors: PsfEncoder(
         setup, coded_aperture_psf(setup.camera, setup.scene)
     ),
-    "diffuser": lambda setup, generator, _psf, _errors: PsfEncoder(
+    "diffuser": lambda setup, generator, _errors: PsfEncoder(
         setup, diffuser_psf(setup.camera, setup.scene, generator)
     ),
-    "fixed_measured": lambda setup, _generator, psf, _errors: _measured(setup, psf),
-    "fixed_simulated": lambda setup, generator, _psf, errors: FixedMask(setup, generator, errors),
-    "learned": lambda setup, generator, _psf, errors: LearnedMask(setup, generator, errors),
-    "digital": lambda setup, generator, _psf, _errors: Digital(setup, generator),
+    "fixed_measured": None,
+    "fixed_simulated": FixedMask,
+    "learned": LearnedMask,
+    "digital": lambda setup, generator, _errors: Digital(setup, generator),
 }
+"""How each is made without a measured PSF; None: not at all."""
+WITH_PSF = {
+    "lens": LENS_DISTANCE,
+    "coded_aperture": APERTURE_DISTANCE,
+    "diffuser": DIFFUSER_DISTANCE,
+    "fixed_measured": None,
+}
+"""Those that a measured PSF may stand for, and their distance where it says none [m]; None: that
+of the camera."""
 WITH_PANEL = ("fixed_simulated", "learned")
 """Those that show their mask on the panel."""
 
@@ -37,7 +52,7 @@ def make_encoder(
     setup: Setup,
     generator: torch.Generator,
     *,
-    psf: Path | None = None,
+    psf: PsfFile | None = None,
     errors: PanelErrors = NO_ERRORS,
     pinhole: bool = False,
 ) -> LinearEncoder:
@@ -47,7 +62,7 @@ def make_encoder(
         name: one of ``ENCODERS``.
         setup: what it is made for.
         generator: of whatever it draws at random.
-        psf: file of the PSF of ``fixed_measured``; the others have none.
+        psf: measured, to take the place of a simulated one; ``fixed_measured`` needs it.
         errors: of the panel, in training; those without a panel have none.
         pinhole: True starts ``learned`` from a pinhole; no other has a start.
 
@@ -55,12 +70,11 @@ def make_encoder(
         TrainingError: an unknown name, or a PSF, errors or a start that are missing or not wanted.
     """
     require(name in ENCODERS, f"encoder {name!r} is unknown: use one of {', '.join(ENCODERS)}")
-    if psf is not None and name != "fixed_measured":
-        raise TrainingError(f"encoder {name!r} takes no PSF: leave out --psf")
+    require(psf is None or name in WITH_PSF, f"encoder {name!r} takes no PSF: leave out --psf")
     require(
         not errors.any or name in WITH_PANEL, f"encoder {name!r} has no panel: leave out its errors"
     )
-    encoder = ENCODERS[name](setup, generator, psf, errors)
+    encoder = _made(name, setup, generator, psf, errors)
     if pinhole:
         if not isinstance(encoder, LearnedMask):
             raise TrainingError(f"encoder {name!r} learns no mask: leave out mask_start")
@@ -68,7 +82,16 @@ def make_encoder(
     return encoder
 
 
-def _measured(setup: Setup, psf: Path | None) -> LinearEncoder:
-    if psf is None:
-        raise TrainingError("encoder 'fixed_measured' needs a measured PSF: give --psf FILE")
-    return PsfEncoder(setup, read_psf(psf, setup.camera.distance))
+def _made(
+    name: str,
+    setup: Setup,
+    generator: torch.Generator,
+    psf: PsfFile | None,
+    errors: PanelErrors,
+) -> LinearEncoder:
+    if psf is not None:
+        return PsfEncoder(setup, read_psf(psf, WITH_PSF[name] or setup.camera.distance))
+    maker = ENCODERS[name]
+    if maker is None:
+        raise TrainingError(f"encoder {name!r} needs a measured PSF: give --psf FILE")
+    return maker(setup, generator, errors)

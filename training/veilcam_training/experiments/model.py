@@ -45,7 +45,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         settings.encoder,
         setup,
         stream(settings.seed, "encoder"),
-        psf=settings.psf,
+        psf=settings.psf_file,
         errors=settings.recipe.panel_errors,
         pinhole=settings.recipe.mask_start == "pinhole",
     )

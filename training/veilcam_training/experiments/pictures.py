@@ -78,7 +78,7 @@ def point_image(model: LenslessClassifier, settings: Settings) -> Pixels | None:
         finer=(),
     )
     camera = make_encoder(
-        settings.encoder, setup, stream(settings.seed, "encoder"), psf=settings.psf
+        settings.encoder, setup, stream(settings.seed, "encoder"), psf=settings.psf_file
     )
     if isinstance(encoder, LearnedMask) and isinstance(camera, LearnedMask):
         camera.weights.copy_(encoder.weights.cpu())
