@@ -161,7 +161,7 @@ def test_a_journey(options: list[str], tmp_path: Path, bundle: Bundle, scene_fil
         camera.classify()
 
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0
+        assert process.wait(300) == 0
         with pytest.raises(VeilcamError):
             Camera(url, max_retries=0).status()
     assert '"state": "stopping"' in log.read_text()
@@ -206,7 +206,7 @@ def test_a_unix_socket(options: list[str], tmp_path: Path) -> None:
         assert result.exit_code == 0
         assert len(result.stdout.splitlines()) == 2
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0
+        assert process.wait(300) == 0
     assert not path.exists()
 
 
@@ -241,7 +241,7 @@ def test_sockets_and_states_of_systemd(options: list[str], tmp_path: Path) -> No
             process.send_signal(signal.SIGTERM)
             while (told := systemd.recv(100)) != b"STOPPING=1":
                 assert told == b"STATUS=stopping: the daemon is stopping"
-            assert process.wait(30) == 0
+            assert process.wait(300) == 0
         finally:
             process.kill()
             process.wait()
@@ -320,7 +320,7 @@ def test_it_looks_by_itself_and_what_is_switched_off_stays_off(
         while camera.watch().looks < 1:
             time.sleep(0.1)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0
+        assert process.wait(300) == 0
 
 
 def settings(tmp_path: Path, bundle: Path, scene: Path, **more: object) -> Settings:

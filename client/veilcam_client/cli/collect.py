@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import shlex
 import subprocess
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -98,8 +97,8 @@ def _viewed(command: list[str], pause: float) -> Show:
         except OSError as error:
             fail(f"--viewer {command[0]} cannot be run: {error.strerror}", USAGE)
         try:
-            time.sleep(pause)
-            if viewer.poll() is not None:
+            with suppress(subprocess.TimeoutExpired):
+                viewer.wait(pause)
                 fail(f"--viewer {command[0]} has ended before its picture was measured", USAGE)
             yield
         finally:

@@ -85,7 +85,7 @@ def test_a_viewer_shows_each_picture_and_is_ended(tmp_path: Path, pictures: Path
     ("options", "why"),
     [
         (["--viewer", "/no/such/viewer"], "cannot be run"),
-        (["--viewer", "true", "--pause", "0.2"], "has ended before"),
+        (["--viewer", "true", "--pause", "600"], "has ended before"),
     ],
 )
 def test_a_viewer_that_shows_nothing_is_refused(

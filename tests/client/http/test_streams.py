@@ -168,7 +168,7 @@ def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -
         heard: list[object] = []
         listener = threading.Thread(target=lambda: heard.extend(stream))
         listener.start()
-        assert listened.wait(30)
+        assert listened.wait(300)
         stream.close()
         listener.join(30)
         assert not listener.is_alive()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from starlette.types import Message
+from tests.server.service.waiting import until
 
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE, Problem
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
@@ -122,10 +123,7 @@ async def test_rotation_by_hand_and_by_captures(running: Running, bench: Bench) 
 
 async def test_rotation_by_time_needs_no_captures(running: Running, bench: Bench) -> None:
     async with running(policy=EverySeconds(seconds=0.1)):
-        for _ in range(500):
-            if len(bench.epochs) >= 3:
-                break
-            await asyncio.sleep(0.01)
+        await until(lambda: len(bench.epochs) >= 3)
     assert len(bench.epochs) >= 3
 
 
@@ -134,7 +132,7 @@ async def test_a_change_at_the_moment_of_closing_does_not_keep_the_service_open(
 ) -> None:
     camera = bench.camera(policy=EverySeconds(seconds=60))
     service = bench.service(camera)
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(200):
         async with service.open():
             await asyncio.sleep(0.05)
             await service.set_policy(EveryCaptures(captures=2))
@@ -146,10 +144,7 @@ async def test_a_mask_is_changed_before_somebody_waits_for_it(
 ) -> None:
     async with running(policy=EveryCaptures(captures=1)) as client:
         await client.post("/v1/captures")
-        for _ in range(500):
-            if len(bench.epochs) >= 2:
-                break
-            await asyncio.sleep(0.01)
+        await until(lambda: len(bench.epochs) >= 2)
     assert len(bench.epochs) == 2
 
 
@@ -159,10 +154,7 @@ async def test_rotation_by_time_outlives_a_failing_panel(
     async with running() as client:
         bench.display.faults = [display_fault]
         await client.put("/v1/rotation", json={"mode": "seconds", "seconds": 0.1})
-        for _ in range(500):
-            if len(bench.epochs) >= 2:
-                break
-            await asyncio.sleep(0.01)
+        await until(lambda: len(bench.epochs) >= 2)
     assert len(bench.epochs) >= 2
 
 
@@ -334,7 +326,7 @@ async def test_one_pair_cannot_rotate(running: Running, lone_bench: Bench) -> No
 async def test_a_full_queue_turns_requests_away(running: Running, bench: Bench) -> None:
     go_on = threading.Event()
     async with running(queue_limit=2) as client:
-        bench.sensor.before = lambda: (go_on.wait(10), None)[1]
+        bench.sensor.before = lambda: (go_on.wait(100), None)[1]
         waiting = [asyncio.create_task(client.post("/v1/captures")) for _ in range(2)]
         while True:
             status = Status.model_validate_json((await client.get("/v1/status")).content)

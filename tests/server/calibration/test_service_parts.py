@@ -79,9 +79,9 @@ def test_a_person_is_waited_for_behind_an_opaque_panel(
     measuring = threading.Thread(target=service.measure, args=(device, run))
     measuring.start()
     for scene in ("dark", "white card"):
-        assert waits.acquire(timeout=10)
+        assert waits.acquire(timeout=100)
         run.confirm(scene)
-    measuring.join(10)
+    measuring.join(100)
     assert done == ["opaque", "dark", "opaque", "white card"]
 
 

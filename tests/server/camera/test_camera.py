@@ -169,13 +169,13 @@ def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
 
     def hold() -> None:
         inside.set()
-        go_on.wait(10)
+        go_on.wait(100)
 
     bench.sensor.before = hold
     results: list[str] = []
     capturing = threading.Thread(target=lambda: results.append(camera.capture(release=False).epoch))
     capturing.start()
-    assert inside.wait(10)
+    assert inside.wait(100)
     rotating = threading.Thread(target=camera.rotate)
     rotating.start()
     before = len(bench.display.shown)
@@ -183,8 +183,8 @@ def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
     assert rotating.is_alive()
     assert len(bench.display.shown) == before
     go_on.set()
-    capturing.join(10)
-    rotating.join(10)
+    capturing.join(100)
+    rotating.join(100)
     assert results == [bench.epochs[0]]
     assert camera.present == (bench.epochs[1], 0)
 

@@ -497,13 +497,13 @@ def test_one_that_is_being_prepared_when_it_is_discarded_is_gone_when_it_is_read
 
     def slow(source: FreshSource, *arguments: object) -> Mask:
         inside.set()
-        assert go_on.wait(20)
+        assert go_on.wait(200)
         return make(source, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(FreshSource, "make", slow)
     with closing(alone(sealed_bench)) as preparation:
         future = preparation.begin()
-        assert inside.wait(20)
+        assert inside.wait(200)
         preparation.discard()
         go_on.set()
         after = preparation.take()
@@ -591,7 +591,7 @@ def test_reuse_does_not_stretch_a_budget(
     gate, make = threading.Event(), FreshSource.make
 
     def slow(source: FreshSource, *arguments: object) -> Mask:
-        assert gate.wait(20)
+        assert gate.wait(200)
         return make(source, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(FreshSource, "make", slow)
@@ -604,7 +604,7 @@ def test_reuse_does_not_stretch_a_budget(
     waiting.join(0.05)
     assert waiting.is_alive()
     gate.set()
-    waiting.join(20)
+    waiting.join(200)
     assert taken
     assert taken[0] not in first
     camera.stop()

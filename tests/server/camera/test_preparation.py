@@ -52,7 +52,7 @@ class Gated:
         return self._source.marks
 
     def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
-        assert self.gate.wait(20)
+        assert self.gate.wait(200)
         self.keys.append(bytes(key.reveal()))
         self.drawn.append(key)
         self.avoided.append(avoid)
@@ -79,7 +79,7 @@ def alone(bench: Bench) -> Preparation:
 
 def settled(camera: MaskedCamera) -> MaskedCamera:
     """Wait for the preparation under way."""
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 200
     while camera.preparation.under_way:
         assert time.monotonic() < deadline
         time.sleep(0.001)
@@ -144,7 +144,7 @@ def test_late_and_told_to_wait(bench: Bench, gated: Gated) -> None:
     assert waiting.is_alive()
     assert not taken
     gated.gate.set()
-    waiting.join(20)
+    waiting.join(200)
     assert taken == [bench.epochs[2]]
     assert (camera.lateness.late, camera.lateness.reused) == (1, 0)
 
@@ -159,7 +159,7 @@ def test_late_and_told_to_reuse_but_no_more_often_than_that(bench: Bench, gated:
     waiting.join(0.05)
     assert waiting.is_alive()
     gated.gate.set()
-    waiting.join(20)
+    waiting.join(200)
     assert taken == [bench.epochs[2]]
     assert (camera.lateness.late, camera.lateness.reused) == (1, 2)
 
@@ -226,7 +226,7 @@ def test_the_panel_is_not_blanked_before_a_preparation_has_ended(
     stopping = threading.Thread(target=camera.stop)
     stopping.start()
     gated.gate.set()
-    stopping.join(20)
+    stopping.join(200)
     assert not stopping.is_alive()
     assert not bench.display.shown[-1].any()
 
@@ -283,7 +283,7 @@ def test_who_waits_for_a_preparation_is_let_go_when_it_is_called_off(
     # One is being made, the next stands in line behind it, and somebody waits for that.
     busy = threading.Thread(target=first)
     busy.start()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 200
     while preparation._thread._work_queue.qsize() or not preparation._thread._threads:
         assert time.monotonic() < deadline
         time.sleep(0.001)
@@ -292,8 +292,8 @@ def test_who_waits_for_a_preparation_is_let_go_when_it_is_called_off(
     waiting.start()
     closing = threading.Thread(target=preparation.close)
     closing.start()
-    waiting.join(20)
+    waiting.join(200)
     gated.gate.set()
     for thread in (busy, closing, waiting):
-        thread.join(20)
+        thread.join(200)
         assert not thread.is_alive()

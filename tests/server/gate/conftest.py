@@ -1,4 +1,4 @@
-"""A server behind the gate, with deadlines of a moment, and those who knock."""
+"""A server behind the gate, a clock that can be put on, and those who knock."""
 
 from __future__ import annotations
 
@@ -38,6 +38,8 @@ class Behind:
     """How much was read of each."""
     go: asyncio.Event = field(default_factory=asyncio.Event)
     """Lets slow requests end."""
+    passed: float = 0.0
+    """By how much the loop's clock was put on [s]."""
 
     async def app(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read the body and answer; ``/deaf`` does not read it, and ``/late`` does so later."""
@@ -59,11 +61,26 @@ class Behind:
         await send({"type": "http.response.start", "status": 200, "headers": _length(answer)})
         await send({"type": "http.response.body", "body": answer})
 
+    async def let_pass(self, seconds: float) -> None:
+        """Put the clock on: a deadline is no matter of how busy a machine is.
+
+        Whatever was sent before is read before; what is due then has happened at the end.
+        """
+        await _turns()
+        self.passed += seconds
+        await _turns()
+
     async def until(self, condition: Callable[[], object]) -> None:
         """Wait until ``condition`` holds."""
         async with asyncio.timeout(ENOUGH):
             while not condition():
                 await asyncio.sleep(0.001)
+
+
+async def _turns() -> None:
+    """Let the loop go round: what a socket holds is read within a few of its turns."""
+    for _ in range(100):
+        await asyncio.sleep(0)
 
 
 def _length(answer: bytes) -> list[tuple[bytes, bytes]]:
@@ -75,7 +92,7 @@ Knock: TypeAlias = Callable[..., socket.socket]
 
 
 @pytest.fixture
-def serving() -> Serving:
+def serving(monkeypatch: pytest.MonkeyPatch) -> Serving:
     """A factory of servers on a free port of loopback."""
 
     @asynccontextmanager
@@ -96,12 +113,15 @@ def serving() -> Serving:
             lifespan="off",
             log_config=None,
             ssl_context_factory=None if tls is None else lambda *_: tls,
+            timeout_keep_alive=10_000,
         )
         connections = Connections(limit)
         server = GateServer(config, Gate(connections, deadlines, waiting))
         with socket.socket() as listener:
             listener.bind(("127.0.0.1", 0))
             behind = Behind(connections, server, listener.getsockname())
+            loop = asyncio.get_running_loop()
+            monkeypatch.setattr(loop, "time", lambda now=loop.time: now() + behind.passed)
             serving = asyncio.create_task(server.serve([listener]))
             try:
                 await behind.until(lambda: server.started or serving.done())
@@ -140,5 +160,8 @@ async def heard(one: socket.socket) -> bytes:
 
 
 async def is_served(one: socket.socket) -> bool:
-    """Whether the answer is that all went well."""
-    return (await heard(one)).startswith(b"HTTP/1.1 200")
+    """Whether the answer, which comes in as many pieces as it likes, is that all went well."""
+    answer = b""
+    while not answer.endswith(b"\r\n\r\nok") and (piece := await heard(one)):
+        answer += piece
+    return answer.startswith(b"HTTP/1.1 200")

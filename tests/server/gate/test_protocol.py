@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 
 import pytest
 from tests.server.gate.conftest import (
     POST,
     REQUEST,
     SLOW,
+    Behind,
     Knock,
     Serving,
     heard,
@@ -21,8 +23,10 @@ from veilcam_server.gate.protocol import PORTION, Deadlines
 
 pytestmark = pytest.mark.anyio
 
-HASTY = Deadlines(headers=0.2, body=600.0)
-HUNGRY = Deadlines(headers=600.0, body=0.2)
+ENDING = 60.0
+"""Of each deadline: more than a test takes on any machine, so that the clock is put on [s]."""
+HASTY = Deadlines(headers=ENDING, body=100 * ENDING)
+HUNGRY = Deadlines(headers=100 * ENDING, body=ENDING)
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HT", REQUEST[:-2]])
@@ -31,35 +35,31 @@ async def test_headers_that_do_not_come_in_time(
 ) -> None:
     async with serving(deadlines=HASTY) as behind:
         one = knock(behind, said)
-        dribbling = asyncio.create_task(_dribble(one, b"a"))
-        assert await heard(one) == b""
-        dribbling.cancel()
-        assert behind.connections.dropped["headers"] == 1
+        await behind.until(lambda: len(behind.connections))
+        assert await _dribbles_in_vain(behind, one) == "headers"
         assert not behind.asked
 
 
 async def test_headers_of_a_second_request_have_their_own_time(
-    serving: Serving, knock: Knock
+    serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(protocol, "READING_TIME", 100 * ENDING)
     async with serving(deadlines=HASTY) as behind:
         one = knock(behind, REQUEST)
         assert await is_served(one)
-        # Idle for longer than headers may take; uvicorn closes it after 5 s.
-        await asyncio.sleep(2 * HASTY.headers)
+        # Idle for longer than headers may take.
+        await behind.let_pass(2 * ENDING)
         one.sendall(REQUEST + REQUEST[:5])
         assert await is_served(one)
-        assert await heard(one) == b""
-        assert behind.connections.dropped["headers"] == 1
+        assert await _dribbles_in_vain(behind, one) == "headers"
         assert len(behind.asked) == 2
 
 
 async def test_a_dribbled_body_reaches_nobody(serving: Serving, knock: Knock) -> None:
     async with serving(deadlines=HUNGRY) as behind:
         one = knock(behind, POST % 1000)
-        dribbling = asyncio.create_task(_dribble(one, b"a"))
-        assert await heard(one) == b""
-        dribbling.cancel()
-        assert behind.connections.dropped["body"] == 1
+        await behind.until(lambda: len(behind.connections))
+        assert await _dribbles_in_vain(behind, one) == "body"
         assert not behind.asked
 
 
@@ -67,9 +67,10 @@ async def test_a_long_body_that_moves_on_may_take_long(serving: Serving, knock: 
     async with serving(deadlines=HUNGRY) as behind:
         loop, size = asyncio.get_running_loop(), 20 * PORTION
         one = knock(behind, POST % size)
-        for _ in range(20):
+        for _ in range(19):
             await loop.sock_sendall(one, b"a" * PORTION)
-            await asyncio.sleep(HUNGRY.body / 5)
+            await behind.let_pass(0.5 * ENDING)
+        await loop.sock_sendall(one, b"a" * PORTION)
         assert await is_served(one)
         assert behind.bodies == [size]
         assert not behind.connections.dropped
@@ -79,10 +80,7 @@ async def test_a_long_body_that_stops_is_ended(serving: Serving, knock: Knock) -
     async with serving(deadlines=HUNGRY) as behind:
         one = knock(behind, POST % (20 * PORTION) + b"a" * 2 * PORTION)
         await behind.until(lambda: behind.asked)
-        dribbling = asyncio.create_task(_dribble(one, b"a"))
-        assert await heard(one) == b""
-        dribbling.cancel()
-        assert behind.connections.dropped["body"] == 1
+        assert await _dribbles_in_vain(behind, one) == "body"
         assert 2 * PORTION <= behind.bodies[0] < 3 * PORTION
 
 
@@ -93,7 +91,10 @@ async def test_nobody_is_ended_for_what_the_application_does_not_read(
         loop, size = asyncio.get_running_loop(), 40 * PORTION
         one = knock(behind, (POST % size).replace(b"/", b"/late", 1))
         sending = asyncio.create_task(loop.sock_sendall(one, b"a" * size))
-        await asyncio.sleep(4 * HUNGRY.body)
+        await behind.until(lambda: behind.asked)
+        for _ in range(4):
+            await behind.let_pass(ENDING)
+        assert not behind.connections.dropped
         behind.go.set()
         await sending
         assert await is_served(one)
@@ -104,10 +105,7 @@ async def test_the_rest_of_a_body_that_is_answered_already(serving: Serving, kno
         size = 20 * PORTION
         one = knock(behind, (POST % size).replace(b"/", b"/deaf", 1) + b"a" * PORTION)
         assert await is_served(one)
-        dribbling = asyncio.create_task(_dribble(one, b"a"))
-        assert await heard(one) == b""
-        dribbling.cancel()
-        assert behind.connections.dropped["body"] == 1
+        assert await _dribbles_in_vain(behind, one) == "body"
 
 
 async def test_a_connection_goes_on_after_the_rest_of_a_body(
@@ -125,10 +123,10 @@ async def test_a_connection_goes_on_after_the_rest_of_a_body(
 async def test_what_is_worked_on_may_take_longer_than_all_deadlines(
     serving: Serving, knock: Knock
 ) -> None:
-    async with serving(limit=2, deadlines=Deadlines(0.05, 0.05)) as behind:
+    async with serving(limit=2, deadlines=Deadlines(ENDING, ENDING)) as behind:
         one = knock(behind, SLOW)
         await behind.until(lambda: behind.asked)
-        await asyncio.sleep(0.3)
+        await behind.let_pass(10 * ENDING)
         # Nor is it ended for others.
         others = [knock(behind) for _ in range(5)]
         assert await heard(others[0]) == b""
@@ -173,7 +171,16 @@ async def test_a_body_that_breaks_off_leaves_no_trace(
     assert not caplog.records
 
 
-async def _dribble(one: object, what: bytes) -> None:
-    while True:
-        await asyncio.sleep(0.05)
-        one.send(what)  # type: ignore[attr-defined]
+async def _dribbles_in_vain(behind: Behind, one: socket.socket) -> str:
+    """Send byte after byte until the connection ends, and return what it was ended for."""
+    for due in (False, True, True):
+        one.send(b"a")
+        await behind.let_pass(0.6 * ENDING)
+        if not due:
+            assert not behind.connections.dropped
+        elif behind.connections.dropped:
+            break
+    assert await heard(one) == b""
+    [(reason, count)] = behind.connections.dropped.items()
+    assert count == 1
+    return reason

@@ -12,6 +12,7 @@ import httpx
 import pytest
 from starlette.datastructures import Headers
 from tests.server.security.conftest import bearer
+from tests.server.service.waiting import until
 
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
 from veilcam_client.wire.tokens import SCOPES, Scope
@@ -33,6 +34,9 @@ from veilcam_server.settings import Settings
 
 if TYPE_CHECKING:
     from tests.server.conftest import Bench, Running
+
+    from veilcam_client.wire.events import Event
+    from veilcam_server.security.caller import Caller
 
 pytestmark = pytest.mark.anyio
 
@@ -224,7 +228,13 @@ async def test_events_end_with_their_token_and_tell_labels_to_who_may_know_them(
     running: Running, store: TokenStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(events, "RECHECK", 0.0)
-    heard = {}
+    heard, passed, told = {}, list[str](), events._told
+
+    def noted(event: Event, caller: Caller) -> Event | None:
+        passed.append(event.kind)
+        return told(event, caller)
+
+    monkeypatch.setattr(events, "_told", noted)
     worker = bearer(store, "classify", "read:status")
     scopes: dict[str, tuple[Scope, ...]] = {
         "without": ("read:status",),
@@ -236,10 +246,10 @@ async def test_events_end_with_their_token_and_tell_labels_to_who_may_know_them(
             headers = {"Authorization": f"Bearer {token.secret}", "Last-Event-ID": "0-0"}
             listening = asyncio.create_task(client.get("/v1/events", headers=headers))
             assert (await client.post("/v1/classifications", headers=worker)).is_success
-            await asyncio.sleep(0.2)
+            await until(lambda: "classification" in passed)
+            passed.clear()
             store.revoke(token.id)
-            async with asyncio.timeout(60):
-                heard[name] = (await listening).text
+            heard[name] = (await listening).text
     assert "event: capture" in heard["without"]
     assert "event: classification" in heard["with"]
     assert "classification" not in heard["without"]
@@ -259,7 +269,7 @@ async def test_so_many_requests_at_once(running: Running, store: TokenStore, ben
     go_on = threading.Event()
     admission = Admission(tokens=store, concurrency=ConcurrencyLimit(1))
     headers, other = bearer(store, "classify"), bearer(store, "read:status")
-    bench.sensor.before = lambda: (go_on.wait(10), None)[1]
+    bench.sensor.before = lambda: (go_on.wait(100), None)[1]
     async with running(admission=admission) as client:
         first = asyncio.create_task(client.post("/v1/classifications", headers=headers))
         while (await client.get("/v1/status", headers=other)).json()["queue"]["waiting"] == 0:
@@ -307,7 +317,7 @@ async def test_one_caller_leaves_streams_to_others(running: Running, store: Toke
         streams_of_one=ConcurrencyLimit(2, TooManyStreamsOfOneError),
     )
     one, other, third = (bearer(store, "read:status") for _ in range(3))
-    async with running(admission=admission) as client, asyncio.timeout(30):
+    async with running(admission=admission) as client, asyncio.timeout(300):
         streams: list[asyncio.Task[httpx.Response]] = []
         for number, headers in enumerate((one, one, other), 1):
             streams.append(asyncio.create_task(client.get("/v1/events", headers=headers)))

@@ -36,7 +36,7 @@ async def test_a_request_that_was_called_off_lets_go(
 
     def slow(reader: FreshReader, measurement: Measurement) -> Prediction:
         inside.set()
-        assert go_on.wait(20)
+        assert go_on.wait(200)
         return classify(reader, measurement)
 
     monkeypatch.setattr(FreshReader, "classify", slow)

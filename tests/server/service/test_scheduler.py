@@ -117,7 +117,7 @@ async def test_the_watchdog_is_fed_while_the_device_answers(bench: Bench) -> Non
 
     def hang() -> None:
         hanging.set()
-        go_on.wait(20)
+        go_on.wait(200)
 
     bench.sensor.before = hang
     camera._health._longest = 0.02

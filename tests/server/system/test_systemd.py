@@ -17,7 +17,7 @@ from veilcam_server.system.systemd import notify, watchdog_period
 def test_systemd_is_told(abstract: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name = f"veilcam-test-{os.getpid()}" if abstract else str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
-        systemd.settimeout(5)
+        systemd.settimeout(300)
         systemd.bind("\0" + name if abstract else name)
         monkeypatch.setenv("NOTIFY_SOCKET", "@" + name if abstract else name)
         notify("READY=1\nSTATUS=ready")
