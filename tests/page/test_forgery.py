@@ -72,7 +72,8 @@ class _Page(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(b"<!DOCTYPE html><title>Another page</title><body></body>")
 
-    do_POST = do_GET
+    def do_POST(self) -> None:
+        self.do_GET()
 
     def log_message(self, *_: object) -> None:
         pass
@@ -119,9 +120,8 @@ def test_no_other_page_drives_the_daemon_through_a_browser_that_is_logged_in(
     # The browser does send its half, to every port: nothing but the other one stood in the way.
     with serving() as (target, cookies):
         page.evaluate(ATTEMPTS, {"url": target, "half": half})
-    assert sum("veilcam-session" in each for each in cookies) >= len(
-        ("plain", "text", "read", "form")
-    )
+    # Two plain posts and what is read, at least; for the others it asks first whether it may.
+    assert sum("veilcam-session" in each for each in cookies) >= 3
     context.close()
 
 
