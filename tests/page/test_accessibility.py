@@ -44,7 +44,7 @@ def test_axe_finds_nothing_on_any_view(
     open_page: Open, record_property: Record, title: str
 ) -> None:
     path, content = VIEWS[title]
-    page = open_page(path, known=title != LOG_IN)
+    page = open_page(path, known=title != LOG_IN, axe=True)
     expect(page.locator("h1")).to_contain_text(title)
     expect(page.locator(content).first).to_be_visible()
     # What is folded away is looked at, too.
@@ -63,7 +63,7 @@ def test_axe_finds_nothing_on_any_view(
 def test_axe_finds_nothing_in_what_comes_and_goes(
     open_page: Open, record_property: Record, daemon: Daemon
 ) -> None:
-    page = open_page("/#tokens")
+    page = open_page("/#tokens", axe=True)
     page.get_by_label("For whom or what").fill("axe")
     page.get_by_role("button", name="Make it").click()
     expect(page.locator(".secret")).to_be_visible()
