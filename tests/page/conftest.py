@@ -106,7 +106,8 @@ def chromium() -> Iterator[Browser]:
     assert program is not None, "there is no Chromium: on Debian, apt install chromium"
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as playwright:
-        # The pages are ours, root has no sandbox, and no graphics card is faster than an emulated one.
+        # The pages are ours, and root has no sandbox. It draws faster without an emulated graphics
+        # card.
         found = playwright.chromium.launch(
             executable_path=program, chromium_sandbox=False, args=["--disable-gpu"]
         )
