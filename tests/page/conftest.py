@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import random
 import shutil
 import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -30,7 +32,7 @@ from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.tokens import TokenStore
 
-PATIENCE = 60_000.0
+PATIENCE = 120_000.0
 """Longest wait for what a page shall show, on a machine that does much else [ms]."""
 CAPTURES = 8
 """Behind each mask: the light of a fresh one takes a simulated camera a fifth of a second, which at
@@ -40,12 +42,17 @@ WIDE: ViewportSize = {"width": 1200, "height": 900}
 PHONE: ViewportSize = {"width": 360, "height": 740}
 
 
+PORTS = range(16_384, 32_768)
+"""Below those that a system gives to whoever asks for any: no connection has one of these, so that
+nothing takes the daemon's while it is down."""
+
+
 def free_port() -> int:
     """A port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+    while True:
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port := random.choice(PORTS)))
+            return port
 
 
 @dataclass
@@ -99,8 +106,11 @@ def chromium() -> Iterator[Browser]:
     assert program is not None, "there is no Chromium: on Debian, apt install chromium"
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as playwright:
-        # The pages are ours, and root has no sandbox.
-        found = playwright.chromium.launch(executable_path=program, chromium_sandbox=False)
+        # The pages are ours, and root has no sandbox. It draws faster without an emulated graphics
+        # card.
+        found = playwright.chromium.launch(
+            executable_path=program, chromium_sandbox=False, args=["--disable-gpu"]
+        )
         yield found
         found.close()
 
@@ -114,6 +124,7 @@ def logged_in(chromium: Browser, daemon: Daemon) -> StorageState:
     page.goto(daemon.url)
     log_in(page, daemon.token)
     expect(page.get_by_role("heading", name="Live")).to_be_visible()
+    listening(page)
     state = context.storage_state()
     context.close()
     return state
@@ -123,6 +134,12 @@ def log_in(page: Page, token: str) -> None:
     """Give a token as a person does."""
     page.get_by_label("Token").fill(token)
     page.get_by_role("button", name="Log in").click()
+
+
+def listening(page: Page) -> None:
+    """Wait until a page shows what there is, and is told of all that happens from then on."""
+    expect(page.locator("h1")).to_be_visible()
+    expect(page.locator("main")).not_to_have_attribute("aria-busy", "true")
 
 
 Open: TypeAlias = Callable[..., Page]
@@ -162,16 +179,18 @@ def open_page(
             ),
         )
 
-    def opened(path: str = "/", *, known: bool = True, **settings: Any) -> Page:
+    def opened(path: str = "/", *, known: bool = True, axe: bool = False, **settings: Any) -> Page:
         context = chromium.new_context(
             storage_state=logged_in if known else None,
             **{"viewport": WIDE, "color_scheme": "light", **settings},
         )
-        context.add_init_script(AXE)
+        if axe:
+            context.add_init_script(AXE)
         contexts.append(context)
         page = context.new_page()
         watch(page)
         page.goto(daemon.url + path)
+        listening(page)
         return page
 
     yield opened
@@ -184,7 +203,7 @@ def open_page(
 
 @pytest.fixture(autouse=True)
 def _as_it_was(daemon: Daemon) -> Iterator[None]:
-    """Whatever a test did to the camera, the next one finds it well."""
+    """Whatever a test did to the camera, the next one finds it well, and looking."""
     yield
     from veilcam_client import EveryCaptures, Faults, InvalidRequestError, Watching
 
@@ -196,3 +215,8 @@ def _as_it_was(daemon: Daemon) -> Iterator[None]:
         camera.hold_scene(None)
         camera.set_watch(Watching(rate_hz=2.0))
         camera.set_rotation(EveryCaptures(captures=CAPTURES))
+        # A camera that failed tests its panel before it is ready.
+        ends = time.monotonic() + PATIENCE / 1000
+        while camera.status().state != "ready" or camera.watch().activity != "looking":
+            assert time.monotonic() < ends, (camera.status(), camera.watch())
+            time.sleep(0.1)

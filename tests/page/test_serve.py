@@ -65,5 +65,5 @@ def test_a_label_changes_after_one_command_and_one_click(chromium: Browser, serv
     page.get_by_role("link", name="Tokens").click()
     expect(page.get_by_text("This daemon wants no tokens")).to_be_visible()
     page.goto(f"{served}/docs")
-    expect(page.get_by_role("article")).not_to_have_count(0)
+    expect(page.locator("article")).not_to_have_count(0)
     context.close()

@@ -73,8 +73,13 @@ def test_the_daemon_restarts_and_the_page_comes_back(open_page: Open, daemon: Da
     label, notice = page.locator("output.label"), page.locator("#notice")
     expect(label).to_have_text(re.compile(r"^\d$"))
     # An event has come by then: without one, nothing would be missed.
-    page.get_by_role("button", name="Hold up a 2").click()
-    expect(label).to_have_text("2")
+    page.get_by_role("link", name="Events").click()
+    page.get_by_label("Masks and captures, too").check()
+    with daemon.camera() as camera:
+        camera.rotate()
+    masks = page.get_by_role("listitem").filter(has_text="A new mask is shown")
+    expect(masks).not_to_have_count(0)
+    page.get_by_role("link", name="Live").click()
     daemon.stop()
     try:
         expect(notice).to_have_text(re.compile("The daemon does not answer."))

@@ -70,6 +70,8 @@ def test_calibration_asks_for_its_three_scenes_one_after_the_other(open_page: Op
 
 def test_a_calibration_of_the_simulated_camera_begins_and_ends(open_page: Open) -> None:
     page = open_page("/#calibration")
+    # So many that it is not over before it is ended.
+    page.get_by_label("Exposures for one measurement").fill("100")
     page.get_by_role("button", name="Begin").click()
     expect(page.locator("#state")).to_have_text("Calibrating")
     expect(page.get_by_text("Measuring. Leave the scene as it is.")).to_be_visible()
@@ -125,12 +127,7 @@ def test_events_stand_there_as_they_happen(open_page: Open, daemon: Daemon) -> N
     page = open_page("/#events")
     line = page.get_by_role("listitem").filter(has_text=re.compile(r"It saw \d"))
     with daemon.camera() as camera:
-        # What happens before the page listens is told to nobody there.
-        for _ in range(20):
-            camera.classify()
-            page.wait_for_timeout(500)
-            if line.count():
-                break
+        camera.classify()
     expect(line).not_to_have_count(0)
     masks = page.get_by_role("listitem").filter(has_text="A new mask is shown")
     expect(masks).to_have_count(0)
@@ -142,15 +139,16 @@ def test_events_stand_there_as_they_happen(open_page: Open, daemon: Daemon) -> N
 
 def test_the_api_is_a_page_of_the_daemon(open_page: Open) -> None:
     page: Page = open_page("/docs")
-    expect(page.get_by_role("heading", name=re.compile("^The API, version"))).to_be_visible()
+    expect(page.locator("h1")).to_have_text(re.compile("^The API, version"))
     document = page.evaluate(
         """async () => (await fetch("/v1/openapi.json", {headers: {
             "Veilcam-Session": localStorage.getItem("veilcam-session")}})).json()"""
     )
     count = sum(len(operations) for operations in document["paths"].values())
-    expect(page.get_by_role("article")).to_have_count(count)
-    capture = page.get_by_role("article", name="POST /v1/captures")
-    expect(capture.get_by_text("camera.capture()")).to_be_visible()
+    expect(page.locator("article")).to_have_count(count)
+    capture = page.locator("article#capture")
+    expect(capture.locator("h3")).to_have_text("POST /v1/captures")
+    expect(capture).to_contain_text("camera.capture()")
     stranger = open_page("/docs", known=False)
     expect(stranger.get_by_role("alert")).to_have_text("Log in to read it: the camera")
-    expect(stranger.get_by_role("article")).to_have_count(0)
+    expect(stranger.locator("article")).to_have_count(0)

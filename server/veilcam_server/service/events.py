@@ -46,16 +46,18 @@ class EventLog:
         self._closed = True
         self._wake()
 
-    async def follow(
-        self, last_event_id: str | None, heartbeat: float
-    ) -> AsyncIterator[Event | None]:
-        """Yield events after ``last_event_id`` (None: from now on), and None every quiet while.
+    def follow(self, last_event_id: str | None, heartbeat: float) -> AsyncIterator[Event | None]:
+        """Yield events after ``last_event_id``, and None every quiet while.
 
         Args:
-            last_event_id: the last one the listener has seen.
+            last_event_id: the last one the listener has seen; None: all from this call on.
             heartbeat: longest silence [s].
         """
-        position = self._next
+        return self._follow(last_event_id, heartbeat, self._next)
+
+    async def _follow(
+        self, last_event_id: str | None, heartbeat: float, position: int
+    ) -> AsyncIterator[Event | None]:
         if last_event_id is not None:
             seen = self._number(last_event_id)
             position = self._first if seen is None else seen + 1

@@ -66,6 +66,14 @@ async def test_missed_events_are_told_and_counted() -> None:
     assert names(await take(log.follow(heard[0].id, 1.0), 3)) == ["f", "g", "h"]
 
 
+async def test_whoever_follows_misses_nothing_from_then_on() -> None:
+    log = EventLog()
+    fill(log, "a")
+    stream = log.follow(None, 1.0)
+    fill(log, *"bc")
+    assert names(await take(stream, 2)) == ["b", "c"]
+
+
 async def test_a_slow_listener_is_told_what_it_missed() -> None:
     log = EventLog(capacity=2)
     stream = log.follow(None, 1.0)

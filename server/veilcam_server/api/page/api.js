@@ -72,7 +72,8 @@ export async function logOut() {
 
 export const forget = () => localStorage.removeItem(HALF);
 
-// Events from `last` on, until the stream ends; calls `opened` once it is there.
+// Events from `last` on, until the stream ends. Once it is there, and nothing is missed any more, it
+// waits for `opened`: its first words come before all that happens from then on.
 export async function* events(last, opened) {
   const stop = new AbortController();
   let timer;
@@ -84,13 +85,13 @@ export async function* events(last, opened) {
   try {
     const headers = last ? { "Last-Event-ID": last } : {};
     const answer = await send("GET", "/v1/events", { headers, signal: stop.signal });
-    opened();
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
     let text = "";
-    for (;;) {
+    for (let first = true; ; first = false) {
       const { done, value } = await reader.read();
       if (done) return;
       alive();
+      if (first) await opened();
       const parts = (text + value).split(/\r?\n\r?\n/);
       text = parts.pop();
       for (const part of parts) {

@@ -41,11 +41,24 @@ const camera = {
 };
 let shown = null;
 let stale = false;
+let asked = 0;
+let told = 0;
 
 async function refresh() {
-  const [status, watch] = await Promise.all([get("/v1/status"), watched()]);
-  Object.assign(camera, { status, watch, statusAt: performance.now() });
+  asked += 1;
+  const number = asked;
   stale = false;
+  let status, watch;
+  try {
+    [status, watch] = await Promise.all([get("/v1/status"), watched()]);
+  } catch (error) {
+    stale = true;
+    throw error;
+  }
+  // What a later question was answered is newer, and who logged out is told nothing.
+  if (number < told || !camera.session) return;
+  told = number;
+  Object.assign(camera, { status, watch, statusAt: performance.now() });
   update();
 }
 
@@ -80,17 +93,23 @@ function take(event) {
   }
   camera.events.unshift(event);
   if (TELLING.has(event.kind)) stale = true;
-  if (WATCHED.has(event.kind)) refresh().catch(() => { stale = true; });
+  if (WATCHED.has(event.kind)) refresh().catch(() => {});
   else update(event);
 }
 
-// Follows the daemon until the session ends, through its restarts.
+// Follows the daemon until the session ends, through its restarts. What happened before it listens
+// the status tells, so that is asked for once it listens, and not before.
 async function follow() {
   let last = null;
   for (let failures = 0; ; failures += 1) {
     try {
-      await refresh();
-      for await (const event of events(last, () => { failures = 0; warn(""); })) {
+      const heard = events(last, async () => {
+        await refresh();
+        failures = 0;
+        warn("");
+        main.removeAttribute("aria-busy");
+      });
+      for await (const event of heard) {
         last = event.id;
         take(event);
       }
@@ -99,6 +118,7 @@ async function follow() {
         ended();
         return;
       }
+      main.setAttribute("aria-busy", "true");
       if (error instanceof Problem && error.status < 500) warn(error.message);
       else warn("The daemon does not answer. This page goes on as soon as it does.");
     }
@@ -109,10 +129,8 @@ async function follow() {
 // Times go by; and what an event made stale is fetched anew, once a second at most.
 setInterval(() => {
   if (!camera.status || !shown) return;
-  if (stale && !document.hidden) {
-    stale = false;
-    refresh().catch(() => { stale = true; });
-  } else shown.tick?.();
+  if (stale && !document.hidden) refresh().catch(() => {});
+  else shown.tick?.();
 }, 1000);
 
 function show() {
@@ -139,6 +157,7 @@ addEventListener("hashchange", () => {
 
 async function begin(session) {
   camera.session = session;
+  main.setAttribute("aria-busy", "true");
   await refresh();
   nav.replaceChildren(
     ...Object.entries(VIEWS).map(([name, [title]]) => h("a", { href: `#${name}` }, title)),
@@ -158,6 +177,7 @@ function ended() {
 
 function showLogIn(reason = "") {
   camera.session = null;
+  main.removeAttribute("aria-busy");
   shown?.close?.();
   shown = null;
   nav.hidden = true;

@@ -107,7 +107,7 @@ export function calibrationView(camera) {
       const told = run && h("p", { role: "status" }, `${SAID[run.stage]} ${run.detail ?? ""}`);
       place.replaceChildren(begin(told));
     }
-    if (run === null || ENDED.has(run.stage)) load();
+    if (run === null || ENDED.has(run.stage)) load().catch(() => {});
     return undefined;
   }
 

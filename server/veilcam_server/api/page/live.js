@@ -31,6 +31,7 @@ function labelCard(camera) {
   const how = h("p", { class: "note", role: "status" });
   const history = h("ol", { class: "history", "aria-label": "Seen before" });
   let asked = null;
+  let listed = "";
   const look = button("Look once", async () => {
     asked = await post("/v1/classifications");
     draw();
@@ -41,6 +42,10 @@ function labelCard(camera) {
     const belief = camera.watch?.belief;
     if (belief) return { ...belief, at: belief.since };
     const [last] = camera.events.filter((event) => event.kind === "classification");
+    // The answer may be here before its event.
+    if (asked && (!last || new Date(last.at) < new Date(asked.taken_at))) {
+      return { ...asked, at: asked.taken_at };
+    }
     if (!last) return null;
     const own = asked?.id.startsWith(last.capture) ? asked : null;
     return { label: last.label, confidence: own?.confidence ?? null, at: last.at };
@@ -54,8 +59,16 @@ function labelCard(camera) {
     label.classList.toggle("none", !now?.label);
     say(how, activityText(activity, detail, policy));
     look.hidden = activity === "off" || activity === "quiet";
-    history.replaceChildren(...before.slice(0, KEPT).map(sighting));
+    list(before.slice(0, KEPT));
     tick();
+  }
+
+  // Anew only where it differs, so that nothing that is read or marked is lost.
+  function list(sights) {
+    const items = sights.map(sighting);
+    const text = items.map((item) => item.textContent).join("\n");
+    if (text !== listed) history.replaceChildren(...items);
+    listed = text;
   }
 
   function tick() {

@@ -66,7 +66,7 @@ function sceneCard() {
     const picture = canvas();
     digits().then((image) =>
       picture.getContext("2d").drawImage(image, SIDE * label, 0, SIDE, SIDE, 0, 0, SIDE, SIDE),
-    );
+    ).catch(() => {}); // who presses the button is told
     element.append(picture);
     buttons.set(name, element);
   }

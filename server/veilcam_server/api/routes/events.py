@@ -49,9 +49,11 @@ async def events(
     Labels are among them where the token has the scope `classify`, confidences as scores are. The
     stream ends with the token.
     """
+    # Before the first words, so that who has read them misses nothing any more.
+    following = service.events(last_event_id)
     yield ServerSentEvent(retry=RETRY_MS, comment="veilcam events")
     checked = time.monotonic()
-    async for event in service.events(last_event_id):
+    async for event in following:
         if time.monotonic() - checked >= RECHECK:
             if not admission.still_admits(request.headers):
                 return
