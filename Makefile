@@ -79,7 +79,9 @@ serve: $(INSTALLED)
 
 check: lint types layers fast
 
-test: lint types layers pytest
+# Checks of the source take one core, and the tests begin on the other meanwhile.
+test: lint
+	$(MAKE) --jobs 2 pytest types layers
 
 # The long form of what the tests do for seconds.
 stress: $(INSTALLED)

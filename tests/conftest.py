@@ -20,8 +20,21 @@ torch.set_num_threads(THREADS)
 settings.register_profile("short", max_examples=10, deadline=None, derandomize=True)
 settings.register_profile("long", max_examples=1000, deadline=None)
 
-NUMERICAL = ("contracts", "optics", "training", "server/calibration", "server/devices")
-"""Folders of tests that compute; single files elsewhere bear the mark themselves."""
+NUMERICAL = (
+    "contracts",
+    "optics",
+    *(
+        f"training/{room}"
+        for room in ("attacks", "encoders", "export", "models", "trainer", "transforms")
+    ),
+    *(f"training/bundle/test_{name}.py" for name in ("fresh", "layers", "network")),
+    *(f"training/data/test_{name}.py" for name in ("drawn", "measurements", "sources")),
+    *(f"training/experiments/test_{name}.py" for name in ("adapt", "fit", "fresh", "pictures")),
+    "server/calibration",
+    "server/devices/simulated",
+)
+"""Folders and files of tests that compute; single files elsewhere bear the mark themselves. What
+parses, refuses, keeps files or talks HTTP is the same on every processor."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -33,13 +34,15 @@ from veilcam_training.experiments.card_page import draw_pictures, write_page
 Made = tuple[PrivacyCard, Study]
 
 
-def made(bundle: Bundle, form: str | None, work: Work | None = None, seed: int = 1) -> Made:
+def made(
+    bundle: Bundle, form: str | None, work: Work | None = None, seed: int = 1, plan: Plan = TINY
+) -> Made:
     return make_card(
         bundle,
         make_images(),
         form=form,
         data="bars",
-        plan=TINY,
+        plan=plan,
         seed=seed,
         work=work or Work(None),
         tell=lambda *_: None,
@@ -124,26 +127,26 @@ def test_a_card_that_was_broken_off_goes_on_where_it_was(
 
     few = {threat: watched(threat, ROWS[threat]) for threat in ("T0", "T4", "T6")}
     monkeypatch.setattr("veilcam_training.attacks.card.report.ROWS", few)
-    work = Work(tmp_path / "work")
+    work, hasty = Work(tmp_path / "work"), replace(TINY, own=20, seen=20, epochs=1)
     with pytest.raises(KeyboardInterrupt):
-        made(make_fresh(), None, work)
+        made(make_fresh(), None, work, plan=hasty)
     with pytest.raises(TrainingError, match="give --resume"):
-        made(make_fresh(), None, work)
+        made(make_fresh(), None, work, plan=hasty)
     with pytest.raises(TrainingError, match="holds another card"):
-        made(make_fresh(), None, Work(work.folder, resume=True), seed=2)
+        made(make_fresh(), None, Work(work.folder, resume=True), seed=2, plan=hasty)
     parts = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "work").glob("*.pt")}
-    again, _ = made(make_fresh(), None, Work(work.folder, resume=True))
+    again, _ = made(make_fresh(), None, Work(work.folder, resume=True), plan=hasty)
     assert asked == ["T0", "T4", "T6", "T6"]
     assert parts
     for path in (tmp_path / "work").glob("*.pt"):
         assert path.stat().st_mtime_ns == parts[path.name]
     # What is resumed is what would have been found at once.
     asked.append("T6")
-    straight, _ = made(make_fresh(), None)
+    straight, _ = made(make_fresh(), None, plan=hasty)
     assert straight.rows == again.rows
     (tmp_path / "work" / "T4.json").write_text("{}")
     with pytest.raises(TrainingError, match="remove it to attack T4 again"):
-        made(make_fresh(), None, Work(work.folder, resume=True))
+        made(make_fresh(), None, Work(work.folder, resume=True), plan=hasty)
 
 
 def found(threat: str, value: float, error: float = 0.1) -> Found:
