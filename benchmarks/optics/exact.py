@@ -55,6 +55,9 @@ def exact_honest_fraction(jobs: int) -> float:
     results = [judge_job(draw_everyday(seed), seed=seed) for seed in range(jobs)]
     judged = [result for result in results if not result.unjudged]
     print(f"judged {len(judged)} of {jobs}")
+    for result in judged:
+        if not result.honest:
+            print(f"seed {result.seed}: {result.true:.3g}, predicted {result.predicted:.3g}")
     return sum(result.honest for result in judged) / len(judged)
 
 

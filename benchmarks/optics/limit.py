@@ -5,8 +5,8 @@ With one thread, contestants taking turns:
 - ``transfer_over_matmul``: time of the default job's transfer matrix, from a mask to the matrix in
   the order of its pixels, over that of the largest of its products of matrices alone;
 - ``mask_batch_speedup``: time of 64 masks one by one over that of the 64 at once, for an embedding
-  of 3 x 4. With 24 x 32 there is little to gain, which is printed beside it: a matrix is 2.4 MB,
-  and its own arithmetic and memory take the time;
+  of 3 x 4; ``mask_batch_speedup_6x8`` and so on for larger ones, of which there is less to gain: at
+  24 x 32 a matrix is 2.4 MB, and its own arithmetic and memory take the time;
 - ``plan_cpu_ms``: time of the processor for the first plan of the default job, at a tolerance of
   1e-2, in a fresh process that has imported what it needs.
 
@@ -99,12 +99,16 @@ def main(
     values = {
         "transfer_over_matmul": transfer_over_matmul(rounds),
         "mask_batch_speedup": mask_batch_speedup(Embedding(3, 4), rounds),
+        **{
+            f"mask_batch_speedup_{rows}x{columns}": mask_batch_speedup(
+                Embedding(rows, columns), rounds
+            )
+            for rows, columns in ((6, 8), (12, 16), (24, 32))
+        },
         "plan_cpu_ms": plan_cpu_ms(rounds),
     }
     for name, value in values.items():
-        print(f"{name:24s} {value:10.3g}")
-    large = mask_batch_speedup(Embedding(), rounds)
-    print(f"{'mask batch, 24 x 32':24s} {large:10.3g}")
+        print(f"{name:26s} {value:10.3g}")
     record(figures, {name: float(f"{value:.4g}") for name, value in values.items()})
 
 

@@ -50,6 +50,14 @@ LIMIT: Figures = {
         "{:.2f} x",
     ),
     "mask_batch_speedup": ("optics", "64 masks at once over one by one, 3 x 4", "{:.1f} x"),
+    **{
+        f"mask_batch_speedup_{size}": (
+            "optics",
+            f"64 masks at once over one by one, {size.replace('x', ' x ')}",
+            "{:.1f} x",
+        )
+        for size in ("6x8", "12x16", "24x32")
+    },
     "numpy_torch_max_difference": (
         "optics",
         "NumPy against torch: transfers, decoded scenes, releases, relative",

@@ -7,8 +7,6 @@ is here: overwriting secrets, numbers without a gradient, and factors of matrice
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -29,7 +27,6 @@ __all__ = [
     "device",
     "ends",
     "is_torch_array",
-    "joined",
     "namespace",
     "needs_gradient",
     "overwrite",
@@ -98,35 +95,6 @@ def overwrite(*arrays: Array) -> None:
                 array.zero_()
         else:
             array[...] = 0
-
-
-def joined(parts: Iterable[Array], length: int) -> Array:
-    """Arrays, at least one, one after another along their first axis.
-
-    Each is written to its place as soon as it is made, so that no second copy of them all is ever
-    held: memory that is new costs more time than what is written into it. With a gradient they are
-    held, since it has to find its way back.
-
-    Args:
-        parts: of one type and shape, but for the length of the first axis.
-        length: of the first axes, all together.
-    """
-    rest: Iterator[Array] = iter(parts)
-    first: Array = next(rest)
-    if first.shape[0] == length:
-        return first
-    xp = namespace(first)
-    together: Array
-    if needs_gradient(first):
-        together = xp.concat([first, *rest])
-        return together
-    together = xp.empty((length, *first.shape[1:]), dtype=first.dtype, device=device(first))
-    start = 0
-    for part in itertools.chain([first], rest):
-        stop = start + part.shape[0]
-        together[start:stop, ...] = part
-        start = stop
-    return together
 
 
 def cholesky(matrix: Array) -> Array | None:

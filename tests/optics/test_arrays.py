@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import weakref
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,6 @@ from veilcam_optics.arrays import (
     cholesky,
     detached,
     ends,
-    joined,
     needs_gradient,
     overwrite,
     solve_triangular,
@@ -98,40 +94,6 @@ def test_gradients_are_torch_s_alone() -> None:
     assert bool((detached(learned) == 1).all())
     array = np.ones(2)
     assert detached(array) is array
-
-
-@pytest.mark.parametrize("library", [np.asarray, torch.tensor])
-@pytest.mark.parametrize("lengths", [(3,), (0,), (2, 2, 1), (1, 4)])
-def test_parts_are_joined_in_their_order(lengths: tuple[int, ...], library: Any) -> None:
-    whole = np.arange(4.0 * sum(lengths)).reshape(-1, 4)
-    ends = np.cumsum((0, *lengths))
-    parts = [library(whole[start:end]) for start, end in itertools.pairwise(ends)]
-    found = joined((part for part in parts), sum(lengths))
-    assert type(found) is type(parts[0])
-    assert np.array_equal(np.asarray(found), whole)
-
-
-def test_a_gradient_finds_its_way_to_every_part() -> None:
-    parts = [torch.full((2, 3), float(k), requires_grad=True) for k in range(3)]
-    found = joined(iter(parts), 6)
-    found.backward(torch.arange(18.0).reshape(6, 3))  # type: ignore[no-untyped-call]
-    gradients = [part.grad for part in parts if part.grad is not None]
-    assert torch.equal(torch.cat(gradients), torch.arange(18.0).reshape(6, 3))
-
-
-def test_only_one_part_is_held_at_a_time() -> None:
-    """But for the first: without a gradient, each is let go once it is in its place."""
-    held: list[weakref.ref[Values]] = []
-
-    def parts() -> Iterator[Values]:
-        for _ in range(4):
-            assert sum(each() is not None for each in held) <= 1 + (len(held) > 1)
-            part = np.ones((2, 3))
-            held.append(weakref.ref(part))
-            yield part
-
-    assert joined(parts(), 8).all()
-    assert len(held) == 4
 
 
 def test_the_ends_of_an_array() -> None:

@@ -11,13 +11,15 @@ along x by one product, and gathered along y by another.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Self
 
-from veilcam_optics.arrays import Array, device, joined, namespace
+from veilcam_optics.arrays import Array, device, namespace, needs_gradient
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.inputs import check_scenes, check_weights
+from veilcam_optics.transfer.joining import joined
 from veilcam_optics.transfer.regions import Region, embed_lit
 
 _NUMBERS_AT_ONCE = 2**20
@@ -271,8 +273,16 @@ class Transfer(Generic[Array]):
         parts = (
             self._apart(measurement, weights[start : start + at_once], region) for start in starts
         )
-        # Laid out in the order of pixels by whichever copies.
-        matrices: Array = xp.reshape(joined(parts, masks), (masks, pixels, self.embedding.size))
+        first = next(parts)
+        together: Array
+        if needs_gradient(first):
+            from veilcam_optics.transfer.gradients import Joined  # noqa: PLC0415 - torch is here
+
+            together = Joined.apply(masks, first, *parts)  # type: ignore[no-untyped-call]
+        else:
+            together = joined(itertools.chain([first], parts), masks)
+        # Laid out in the order of pixels by what joins them.
+        matrices: Array = xp.reshape(together, (masks, pixels, self.embedding.size))
         return matrices
 
     def _apart(self, measurement: Measurement[Array], weights: Array, region: Region) -> Array:

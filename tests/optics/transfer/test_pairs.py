@@ -13,7 +13,7 @@ from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.transfer import product
 from veilcam_optics.transfer.operator import TransferOperator
-from veilcam_optics.transfer.product import Measurement
+from veilcam_optics.transfer.product import Measurement, Transfer
 from veilcam_optics.transfer.reference import reference_transfer
 from veilcam_optics.transfer.regions import Region
 from veilcam_optics.transfer.tables import Reach
@@ -61,6 +61,24 @@ def test_masks_together_are_masks_one_by_one(
     assert together.shape == (count, *((3,) if colour else ()), pixels, 20)
     for mask, transfer in zip(masks, together, strict=True):
         assert_same(transfer, operator(mask, region))
+
+
+@pytest.mark.parametrize("columns", [1, 2, 4, 6])
+@pytest.mark.parametrize("numpy", [False, True])
+def test_masks_together_whatever_the_width(columns: int, numpy: bool) -> None:
+    """Rows of whole words are laid out in words: with and without a gradient, in both libraries."""
+    operator = TransferOperator(
+        CAMERA, SCENE, Embedding(3, columns), reach=Reach(3, 1), step=6e-6, dtype=torch.float64
+    )
+    masks = masks_of(CAMERA, 3)
+    singles = torch.stack([operator(mask) for mask in masks])
+    if numpy:
+        tables = {name: table.numpy() for name, table in operator.transfer.arrays().items()}
+        transfer = Transfer.from_arrays(CAMERA, SCENE, operator.embedding, tables)
+        assert_same(torch.from_numpy(transfer(masks.numpy())), singles)
+    else:
+        assert_same(operator(masks), singles)
+        assert_same(operator(masks.requires_grad_()).detach(), singles)
 
 
 def test_masks_of_single_precision_together() -> None:
