@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TypeAlias
 
@@ -40,6 +40,7 @@ from veilcam_server.camera.epochs import Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
 from veilcam_server.devices.base import Levels, Measurement
+from veilcam_server.devices.simulated import device as simulation
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
@@ -460,6 +461,15 @@ def scene_file(tmp_path: Path) -> Path:
 @pytest.fixture
 def display_fault() -> DisplayError:
     return DisplayError("the bus gave no answer")
+
+
+_planned_once = cache(simulation.planned_light)
+
+
+@pytest.fixture(autouse=True)
+def _one_plan_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light knows nothing of masks and scenes: daemons of one camera may share it."""
+    monkeypatch.setattr(simulation, "planned_light", _planned_once)
 
 
 @pytest.fixture(autouse=True)

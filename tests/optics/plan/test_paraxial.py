@@ -136,7 +136,7 @@ def test_apertures_turn_with_their_mask() -> None:
     far = replace(camera(30e-6, (1, 1), 4e-3, 40e-3, 3e-6), panel=panel)
     turned = Conditions(imperfections=Imperfections(rotation=0.08))
     job = Job(
-        far, Scene(1, 1, height=0.8, distance=40.0), Embedding(4, 4), turned, 1e-3, ((1, 1), (3, 2))
+        far, Scene(1, 1, height=0.8, distance=40.0), Embedding(2, 2), turned, 1e-3, ((1, 1), (3, 2))
     )
     predicted, true = judged(job, "transfer")
     assert true > 5e-3

@@ -38,7 +38,7 @@ from veilcam_server.security.admission import open_admission
 from veilcam_server.settings import Settings
 from veilcam_training.bundle import write_bundle
 
-pytestmark = [pytest.mark.slow, pytest.mark.numerical]
+pytestmark = pytest.mark.slow
 
 REFUSED = {"confirm_scene": 409}
 """A simulated camera sets its scenes itself, so that none is waited for."""

@@ -20,8 +20,6 @@ from veilcam_server.errors import FenceError, NotReadyError, SelfTestError
 from veilcam_server.errors import UndecidedError as Undecided
 from veilcam_server.system.state_file import make_directory
 
-pytestmark = pytest.mark.numerical
-
 if TYPE_CHECKING:
     from tests.server.conftest import Bench
 

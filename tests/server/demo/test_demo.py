@@ -29,8 +29,6 @@ from veilcam_server.errors import StartError
 from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.sealing.identity import DeviceKey
 
-pytestmark = pytest.mark.numerical
-
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle
 
@@ -106,6 +104,7 @@ def test_a_daemon_that_does_not_start_tells_why(tmp_path: Path, bundle_file: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.numerical
 def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
     light = GridLight(bundle.camera, bundle.scene, oversampling=2, dtype=torch.float32)
     observer, digits = PairObserver(bundle), load_digits()
@@ -118,6 +117,7 @@ def test_the_observer_knows_every_mask(bundle: Bundle) -> None:
             assert observer.which(image, seen[0].numpy(), example_envelope()) == index
 
 
+@pytest.mark.numerical
 def test_the_observer_with_a_key_draws_the_mask_of_an_envelope(
     fresh_bundle: Bundle,
 ) -> None:

@@ -26,7 +26,7 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.testing import FakeCamera
 
 pytest_plugins = ["pytester"]
-pytestmark = [pytest.mark.slow, pytest.mark.numerical]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +41,7 @@ def fake(daemon: FakeCamera) -> FakeCamera:
     return daemon
 
 
+@pytest.mark.numerical
 def test_it_sees_what_is_held_up_without_a_socket(
     fake: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
