@@ -4,7 +4,6 @@ The numbers in brackets are those of docs/proof.md.
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,6 @@ from veilcam_optics.camera.geometry import Embedding
 Single = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
 Complex = npt.NDArray[np.complex64]
-Complexes = TypeVar("Complexes", npt.NDArray[np.complex64], npt.NDArray[np.complex128])
 
 _LOWEST = 3
 """Cosines along each axis that are left out: lamps that flicker, and light that falls off."""
@@ -90,8 +88,8 @@ class Traces:
         first, profile = cosines[:, 0, 0], np.square(cosines[:, 0, _PROFILE]).sum(1)
         return Trace(
             (squares * self._weights).reshape(len(whole), -1),
-            lower_half(spectrum),
-            np.sqrt(profile) / np.maximum(np.abs(first), _LEAST),
+            lower_half(spectrum).astype(np.complex64),
+            np.sqrt(profile / np.maximum(np.square(first), np.float32(_LEAST))),
             first / np.float32((self._bins.rows * self._bins.columns) ** 0.5),
         )
 
@@ -104,7 +102,7 @@ class Traces:
         return filled
 
 
-def lower_half(spectrum: Complexes) -> Complexes:
+def lower_half(spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
     """The lower half of the frequencies along each axis.
 
     Args:
