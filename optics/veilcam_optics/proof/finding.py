@@ -10,20 +10,22 @@ from typing import Literal
 Verdict = Literal["seen", "not seen", "undecided"]
 Alternative = Literal["before", "inverted", "transparent", "another"]
 
-FOR = 4.0
+FOR = 4.5
 """Score that a mask has to reach to be seen: one that is not there reaches it in 1 of 11,000."""
 CLEAR = 1.5
-"""By which it has to be ahead of every rival (eq. 6)."""
-AGAINST = 5.4
+"""By which it has to be ahead of every rival (eq. 8)."""
+CLEAR_OF_INVERTED = 3.0
+"""The same of the inverted mask, most of whose picture is its own."""
+AGAINST = 8.0
 """Score that a rival has to reach for the named mask not to be seen: one that is not there reaches
 it in 1 of 1,800,000."""
-OPEN = 4.0
+OPEN = 3.0
 """The same of an open window: masks have less of its mark than chance has."""
 AHEAD = 2.5
 """By which a rival's score has to be ahead of that of the named mask as well."""
-BARE = 0.15
-"""Unevenness (eq. 7), over that of even light behind the window, below which there is no window.
-Of a panel without power it is a tenth of that, in the dimmest light."""
+BARE = 0.05
+"""Unevenness (eq. 10), over that of even light behind the window, below which there is no window.
+Of a panel without power it is a fifth of that, in the dimmest light."""
 AROUND = 0.4
 """The same below which light may pass around the window, as where the panel is inverted."""
 
@@ -35,7 +37,7 @@ class Finding:
     Attributes:
         verdict: whether the named mask was in front of the sensor.
         margin: by how much the named mask is ahead of the nearest alternative, in standard
-            deviations of what two masks differ by that are not there (eq. 6).
+            deviations of what two masks differ by that are not there (eq. 8).
         nearest: name of that alternative.
         departure: share of its mark that the named mask should have left and did not: some 0.4
             where it fits, 1 where nothing of it is there.
@@ -55,8 +57,8 @@ class Rival:
 
     Attributes:
         name: of the state.
-        score: of its mark (eq. 5).
-        behind: by how much the named mask is ahead of it (eq. 6).
+        score: of its mark (eq. 7, of an open window eq. 9).
+        behind: by how much the named mask is ahead of it (eq. 8).
     """
 
     name: Alternative
@@ -73,7 +75,11 @@ class Rival:
             named: score of the mask that the capture names.
         """
         enough = OPEN if self.name == "transparent" else AGAINST
-        return self.score >= max(enough, named + AHEAD)
+        return self.score >= max(enough, named + AHEAD) and self.behind <= -CLEAR
+
+    def cleared(self) -> bool:
+        """Whether the named mask is ahead by enough to be seen."""
+        return self.behind >= (CLEAR_OF_INVERTED if self.name == "inverted" else CLEAR)
 
     def inverts(self) -> bool:
         """Whether it is the inverted mask, and there rather than the named one.
@@ -95,13 +101,13 @@ def judged(
         departure: see :class:`Finding`.
         light: see :class:`Finding`.
     """
-    if unevenness < BARE:
+    if unevenness < BARE and score < AGAINST:
         return Finding("not seen", -OPEN, "transparent", departure, light)
     nearest = min(rivals, key=lambda rival: rival.behind)
     verdict: Verdict = "undecided"
     around = unevenness < AROUND
     if nearest.convicted(score) or (around and nearest.inverts()):
         verdict = "not seen"
-    elif score >= FOR and nearest.behind >= CLEAR and not around:
+    elif score >= FOR and all(rival.cleared() for rival in rivals) and not around:
         verdict = "seen"
     return Finding(verdict, nearest.behind, nearest.name, departure, light)

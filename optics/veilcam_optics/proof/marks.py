@@ -1,19 +1,22 @@
-"""The mark of a mask: the texture of its power spectrum, as light from anywhere leaves it.
+"""The mark of a mask: texture and phases of its spectrum, as light from anywhere leaves them.
 
 The numbers in brackets are those of docs/proof.md.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_optics.arrays import overwrite
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding
 from veilcam_optics.camera.imperfections import Imperfections
+from veilcam_optics.proof.traces import lower_half
 
 Array = npt.NDArray[np.float64]
-Mark = npt.NDArray[np.float32]
+Field = npt.NDArray[np.complex128]
 
 _DISTANCE = 0.6
 """Of scenes whose shadows are as large as they are on average, between 0.3 m and infinity [m]."""
@@ -23,8 +26,34 @@ _COARSEST = 12e-3
 """Wavelength on the sensor up to which the power of scenes grows [m]."""
 _AROUND = 4
 """Frequencies to each side over which the level of a spectrum is taken."""
+_NOT_FOLDED = 1
+"""Place of frequencies among their folds."""
 _BORNE = 0.5
 """Share of a mark that a trace bears, for which its frequencies are weighed best."""
+_LEAST = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """What a mask leaves in captures. As secret as the mask, so its repr holds nothing.
+
+    Attributes:
+        texture: by how much its spectrum is above its own level at each frequency (eq. 2),
+            (2 x rows, columns + 1) of the bins, as :func:`numpy.fft.rfft2` orders them.
+        phases: conjugate, of modulus 1, at the lower half of the frequencies along each axis,
+            (rows, columns // 2 + 1).
+    """
+
+    texture: npt.NDArray[np.float32] = field(repr=False)
+    phases: npt.NDArray[np.complex64] = field(repr=False)
+
+    def weighed(self) -> Self:
+        """The same with what power at each frequency says for the mask as its texture (eq. 4)."""
+        return replace(self, texture=self.texture / (1 + _BORNE * self.texture))
+
+    def erase(self) -> None:
+        """Overwrite it, as well as Python lets us."""
+        overwrite(self.texture, self.phases.view(np.float32))
 
 
 @dataclass(frozen=True)
@@ -84,22 +113,24 @@ class Marks:
         )
         self._smoothing = _lags(2 * bins.rows)[:, None] * _lags(2 * bins.columns)
         every = self._passed(np.arange(panel.levels, dtype=np.uint8))
-        self._usual = self._spectrum(np.full(camera.mask_shape, every.mean()))
+        even = self._light(np.full(camera.mask_shape, every.mean()))
+        self._usual = self._folded(np.square(np.abs(even)))
         self._usual += every.var() * self._white()
 
     def mark(self, transmittance: Array) -> Mark:
-        """By how much a mask's spectrum is above its own level at each frequency (eq. 2).
+        """The mark of one mask.
 
         Args:
             transmittance: intensity that each sub-pixel passes, the window's shape.
-
-        Returns:
-            (2 x rows, columns + 1) of the bins, as :func:`numpy.fft.rfft2` orders frequencies.
         """
-        relative = self._spectrum(transmittance) / self._usual
+        light = self._light(transmittance)
+        relative = self._folded(np.square(np.abs(light))) / self._usual
         level = np.fft.rfft2(np.fft.irfft2(relative, self._smoothing.shape) * self._smoothing).real
-        mark: Mark = (relative / level - 1).astype(np.float32)
-        return mark
+        plain = lower_half(light[_NOT_FOLDED, :, _NOT_FOLDED])
+        phases = plain.conj() / np.maximum(np.abs(plain), _LEAST)
+        return Mark(
+            (relative / level - 1).astype(np.float32), phases.astype(np.complex64, order="C")
+        )
 
     def shown(self, levels: npt.NDArray[np.uint8]) -> Array:
         """Intensity that each sub-pixel passes when the panel is told ``levels``."""
@@ -115,17 +146,17 @@ class Marks:
         passed: Array = np.square(real.contrast_floor + (1 - real.contrast_floor) * told)
         return passed
 
-    def _spectrum(self, transmittance: Array) -> Array:
-        """Power that a mask leaves at each frequency of a scene like any other (eq. 1)."""
-        field: npt.NDArray[np.complex128] | float = 0.0
+    def _light(self, transmittance: Array) -> Field:
+        """Fourier transform of the light behind a mask, (folds, rows, folds, columns)."""
+        light: Field | float = 0.0
         for filters, down, across in zip(
             self._filters, self._y.opened, self._x.opened, strict=True
         ):
             rows = down[..., None] * (self._y.waves * filters) @ transmittance
-            field = field + np.einsum(
+            light = light + np.einsum(
                 "fyc,gxc->fygx", rows, across[..., None] * self._x.waves, optimize=True
             )
-        return self._folded(np.square(np.abs(field)))
+        return np.asarray(light)
 
     def _white(self) -> Array:
         """Power that sub-pixels of variance 1 leave which are independent of each other."""
@@ -136,6 +167,7 @@ class Marks:
         return self._folded(total * self._x.waves.shape[-1])
 
     def _folded(self, power: Array) -> Array:
+        """Power at each frequency of a scene like any other (eq. 1)."""
         folded: Array = (power * self._scene).sum((0, 2))
         return folded
 
@@ -176,16 +208,6 @@ def _axis(
         np.stack([slit.transform(frequencies) for slit in slits]),
         np.sinc(frequencies * bin_side) ** 2,
     )
-
-
-def weighed(mark: Mark) -> Mark:
-    """What power at each frequency says for a mask (eq. 4).
-
-    Args:
-        mark: of the mask.
-    """
-    weights: Mark = mark / (1 + _BORNE * mark)
-    return weights
 
 
 def _lags(count: int) -> Array:

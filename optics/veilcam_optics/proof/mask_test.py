@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,43 +17,21 @@ from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.errors import OpticsError, require_shape, require_within
 from veilcam_optics.keys.masks import Levels
 from veilcam_optics.proof.finding import Alternative, Finding, Rival, judged
-from veilcam_optics.proof.marks import Mark, Marks, even_light, weighed
+from veilcam_optics.proof.marks import Mark, Marks, even_light
+from veilcam_optics.proof.strangers import STRANGERS, Strangers
 from veilcam_optics.proof.traces import Bools, Single, Trace, Traces
 
 PROOF = Embedding(48, 64)
 """To what measurements are binned for the test, whatever the embedding's size."""
 
-STRANGERS = 64
-"""Masks that are not there, the same ones always: they say what chance scores in a capture."""
 _DARK = 10
 """Standard uncertainties of the dark measurement below which there is no light."""
+_TEXTURED = 1.5
+"""Times as uneven as behind an even panel light may be behind a mask."""
 _CLIPPED = 0.25
 """Share of clipped bins from which on nothing is decided."""
-_LEAST = float(np.finfo(np.float32).tiny)
-
-
-@dataclass(frozen=True)
-class _Strangers:
-    """Masks that are not there.
-
-    Attributes:
-        weights: of their frequencies, (strangers, frequencies).
-        squares: of these.
-    """
-
-    weights: Single
-    squares: Single
-
-    @classmethod
-    def of(cls, weights: Single) -> Self:
-        """Those of some weights, (strangers, *frequencies)."""
-        flat = weights.reshape(len(weights), -1)
-        return cls(flat, np.square(flat))
-
-    def chance(self, power: Single) -> tuple[Single, Single]:
-        """Mean and standard deviation of their raw scores (eq. 4) in each trace, (captures,)."""
-        raw = (self.weights @ power.T) / np.sqrt(np.maximum(self.squares @ power.T, _LEAST))
-        return raw.mean(0), np.maximum(raw.std(0, ddof=1), _LEAST)
+_LEAST = 1e-6
+"""Share of light that a panel misses at least."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +44,16 @@ class MaskTest:
     mark: Mark = field(repr=False)
     """Weighed, as that of its inversion is."""
     inverted: Mark = field(repr=False)
-    transparent: Mark = field(repr=False)
-    """Of an open window, as it is: light that bins and edges spread fills what is dark of it."""
-    strangers: _Strangers = field(repr=False)
-    unweighed: _Strangers = field(repr=False)
-    """The same masks, by their marks as they are."""
+    window: Mark = field(repr=False)
+    """Of the window without a mask, as it is."""
+    strangers: Strangers = field(repr=False)
     traces: Traces = field(repr=False)
     dark: float
     """Measurement below which there is no light."""
     even: float
     """Unevenness of even light behind the window."""
+    reach: float
+    """Largest unevenness that the inverted panel leaves, over that."""
 
     def find(self, measurement: Single, clipped: Bools, before: Sequence[MaskTest] = ()) -> Finding:
         """What a capture says of its mask.
@@ -109,37 +86,31 @@ class MaskTest:
         ]
 
     def _found(self, trace: Trace, before: Sequence[MaskTest]) -> Iterator[Finding]:
-        names: list[Alternative] = ["transparent", "inverted"]
-        names += ["before"] * len(before)
-        others = [self.transparent, self.inverted, *(each.mark for each in before)]
-        marks = np.stack([self.mark.ravel(), *(mark.ravel() for mark in others)])
-        root = np.sqrt(np.maximum(np.square(marks) @ trace.power.T, _LEAST))
-        raw = marks @ trace.power.T / root
-        mean, deviation = self.strangers.chance(trace.power)
-        scores = (raw - mean) / deviation
-        mean_open, deviation_open = self.unweighed.chance(trace.power)
-        scores[1] = (raw[1] - mean_open) / deviation_open
-        alike = (marks[0] * marks) @ trace.power.T / root[0] / root
-        behind = (scores[0] - scores) / np.sqrt(np.maximum(2 - 2 * alike, _LEAST))
-        gone = 1 - (raw[0] - mean) / root[0]
+        marks = [self.mark, self.inverted, *(each.mark for each in before)]
+        names: list[Alternative] = ["inverted", *["before" for _ in before]]
+        scores = self.strangers.scores(trace, marks, self.window)
         for place, light in enumerate(trace.mean):
-            rivals = [
-                Rival(name, float(score), float(margin))
-                for name, score, margin in zip(
-                    names, scores[1:, place], behind[1:, place], strict=True
-                )
-            ]
+            unevenness = float(trace.unevenness[place]) / self.even
+            named, *others = map(float, scores.score[:, place])
+            window = float(scores.window[place])
+            rivals = [Rival("transparent", window, (named - window) / 2**0.5)]
+            rivals += (
+                Rival(name, other, float(ahead))
+                for name, other, ahead in zip(names, others, scores.ahead[1:, place], strict=True)
+                if name != "inverted" or unevenness <= self.reach
+            )
             yield judged(
-                float(scores[0, place]),
+                named,
                 rivals,
-                unevenness=float(trace.unevenness[place]) / self.even,
-                departure=float(gone[place]),
+                unevenness=unevenness,
+                departure=float(1 - scores.share[place]),
                 light=float(light),
             )
 
     def erase(self) -> None:
         """Overwrite what is the mask's, as well as Python lets us."""
-        overwrite(self.mark, self.inverted)
+        self.mark.erase()
+        self.inverted.erase()
 
 
 class MaskTests:
@@ -163,13 +134,10 @@ class MaskTests:
         self._marks, self._traces = Marks(camera, imperfections, PROOF), Traces(PROOF)
         even = self._traces.take(even_light(camera, PROOF)[None], np.zeros((1, *PROOF.shape), bool))
         self._even = float(even.unevenness[0])
-        self._transparent = self._marks.mark(np.ones(camera.mask_shape))
+        self._window = self._marks.mark(np.ones(camera.mask_shape))
         chance = np.random.default_rng(0)
-        strangers = np.stack(
+        self._strangers = Strangers(
             [self._marks.mark(self._marks.shown(each)) for each in _drawn(camera, chance)]
-        )
-        self._strangers, self._unweighed = (
-            _Strangers.of(each) for each in (weighed(strangers), strangers)
         )
 
     def prepare(self, levels: Levels) -> MaskTest:
@@ -190,18 +158,27 @@ class MaskTests:
         missing = 1 - self._marks.shown((top - levels).astype(np.uint8))
         mark, inverted = self._marks.mark(shown), self._marks.mark(missing)
         test = MaskTest(
-            weighed(mark),
-            weighed(inverted),
-            self._transparent,
+            mark.weighed(),
+            inverted.weighed(),
+            self._window,
             self._strangers,
-            self._unweighed,
             self._traces,
             self._dark,
             self._even,
+            _reach(float(missing.mean())) / self._even,
         )
-        overwrite(shown, missing)
-        overwrite(mark, inverted)
+        overwrite(shown, missing, mark.texture, inverted.texture)
         return test
+
+
+def _reach(missing: float) -> float:
+    """Largest unevenness of light around a window that misses a share of it.
+
+    One lamp casts a shadow over a share ``q`` of the sensor's width; what is left there is
+    ``1 - missing``, with an rms of ``missing sqrt(q (1 - q))`` over a mean of ``1 - missing q``,
+    which is largest at ``q = 1 / (2 - missing)``.
+    """
+    return _TEXTURED * missing / 2 / max(1 - missing, _LEAST) ** 0.5
 
 
 def _drawn(camera: Camera, chance: np.random.Generator) -> npt.NDArray[np.uint8]:

@@ -12,6 +12,7 @@ from veilcam_optics.camera.geometry import Embedding
 
 Single = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
+Complex = npt.NDArray[np.complex64]
 
 _LOWEST = 3
 """Cosines along each axis that are left out: lamps that flicker, and light that falls off."""
@@ -33,11 +34,14 @@ class Trace:
     Attributes:
         power: at each frequency, ordered as a mark, and as often as the whole plane has it:
             (captures, frequencies).
+        picture: amplitude at the lower half of the frequencies along each axis,
+            (captures, rows, columns // 2 + 1).
         unevenness: of the light along x, over its mean (eq. 7), (captures,).
         mean: of the measurements, (captures,).
     """
 
     power: Single
+    picture: Complex
     unevenness: Single
     mean: Single
 
@@ -56,7 +60,8 @@ class Traces:
         self._near_y, self._near_x = _near(bins.rows), _near(bins.columns)
         row, column = np.arange(bins.rows)[:, None], np.arange(bins.columns)
         self._kept = np.float32((row >= _LOWEST) & (column >= _LOWEST))
-        self._beyond = (row > _BEYOND[0] * bins.rows) & (column > _BEYOND[1] * bins.columns)
+        beyond = (row > _BEYOND[0] * bins.rows) & (column > _BEYOND[1] * bins.columns)
+        self._beyond = np.float32(beyond.ravel() / beyond.sum())
         # How often each column of a half plane of frequencies is in the whole one.
         self._weights = np.full(bins.columns + 1, 2, np.float32)
         self._weights[[0, -1]] = 1
@@ -72,20 +77,20 @@ class Traces:
         cosines = self._y @ whole @ self._x.T
         power = np.square(cosines)
         level = self._mean_y @ power @ self._mean_x.T
-        noise = power[:, self._beyond].mean(1)[:, None, None]
+        noise = (power.reshape(len(whole), -1) @ self._beyond)[:, None, None]
         # Nothing is divided by zero where there is no light at all.
         level = np.maximum(level, _LEAST)
         signal = np.maximum(1 - noise / level, 0) * self._kept
         white = self._y.T @ (signal * cosines / np.sqrt(level)) @ self._x
         spectrum = np.fft.rfft2(white, (2 * self._bins.rows, 2 * self._bins.columns))
         squares = np.square(spectrum.real) + np.square(spectrum.imag)
-        mean = whole.mean((1, 2))
-        profile = whole.mean(1) @ self._x[_PROFILE].T
-        even = np.maximum(np.abs(mean), _LEAST) * self._bins.columns**0.5
+        # The first row of cosines are those of the profile along x.
+        first, profile = cosines[:, 0, 0], np.square(cosines[:, 0, _PROFILE]).sum(1)
         return Trace(
             (squares * self._weights).reshape(len(whole), -1),
-            np.linalg.norm(profile, axis=1) / even,
-            mean,
+            lower_half(spectrum).astype(np.complex64),
+            np.sqrt(profile / np.maximum(np.square(first), np.float32(_LEAST))),
+            first / np.float32((self._bins.rows * self._bins.columns) ** 0.5),
         )
 
     def _filled(self, measurement: Single, clipped: Bools) -> Single:
@@ -95,6 +100,16 @@ class Traces:
         nearby = self._near_y @ (measurement * known) @ self._near_x
         filled: Single = np.where(clipped, nearby / np.maximum(weight, _LEAST), measurement)
         return filled
+
+
+def lower_half(spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """The lower half of the frequencies along each axis.
+
+    Args:
+        spectrum: (..., rows, columns), as :func:`numpy.fft.rfft2` orders frequencies.
+    """
+    rows, columns = spectrum.shape[-2] // 4, spectrum.shape[-1] // 2 + 1
+    return np.concatenate([spectrum[..., :rows, :columns], spectrum[..., -rows:, :columns]], -2)
 
 
 def _cosines(count: int) -> Single:

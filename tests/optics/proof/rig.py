@@ -71,13 +71,21 @@ class Room:
 
     def behind(self, panel: Array) -> Array:
         """Light on the bins, 1 in the mean of an even scene without a panel."""
-        y, x = ((np.arange(side) - (side - 1) / 2) * STEP for side in SIDES)
-        faded = self.scene / np.square(1 + np.add.outer(y**2, x**2) / CAMERA.distance**2)
+        faded = self._faded()
         shape = [side + lit for side, lit in zip(SIDES, PANEL, strict=True)]
         product = np.fft.rfft2(faded, shape) * np.conj(np.fft.rfft2(panel, shape))
         fine = np.fft.irfft2(product, shape)[: 2 * PROOF.rows, : 2 * PROOF.columns]
         light: Array = fine.reshape(PROOF.rows, 2, PROOF.columns, 2).mean((1, 3)) / panel.size
         return light
+
+    def behind_all_of(self, share: float) -> float:
+        """Light behind a panel of which a share is open as far as light comes from."""
+        return float(self._faded().sum()) * share / (PANEL[0] * PANEL[1])
+
+    def _faded(self) -> Array:
+        y, x = ((np.arange(side) - (side - 1) / 2) * STEP for side in SIDES)
+        faded: Array = self.scene / np.square(1 + np.add.outer(y**2, x**2) / CAMERA.distance**2)
+        return faded
 
 
 def natural(seed: int, exponent: float = 1.0) -> Room:

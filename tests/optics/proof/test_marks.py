@@ -11,14 +11,14 @@ from tests.optics.proof.rig import CAMERA, mask
 
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
-from veilcam_optics.proof.marks import Marks, _slit, even_light, weighed
+from veilcam_optics.proof.marks import Mark, Marks, _slit, even_light
 
 BINS = Embedding(24, 32)
 MARKS = Marks(CAMERA, NOMINAL, BINS)
 
 
-def _alike(first: np.ndarray, second: np.ndarray) -> float:
-    return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
+def _alike(first: Mark, second: Mark) -> float:
+    return float(np.corrcoef(first.texture.ravel(), second.texture.ravel())[0, 1])
 
 
 def test_a_slit_has_the_transform_of_its_fresnel_pattern() -> None:
@@ -38,17 +38,18 @@ def test_a_slit_has_the_transform_of_its_fresnel_pattern() -> None:
 
 def test_a_mark_has_no_level_and_the_shape_of_its_frequencies() -> None:
     mark = MARKS.mark(MARKS.shown(mask(1)))
-    assert mark.shape == (48, 33)
-    assert mark.dtype == np.float32
-    assert abs(float(mark.mean())) < 0.02
-    assert mark.min() > -1
+    assert mark.texture.shape == (48, 33)
+    assert mark.texture.dtype == np.float32
+    assert abs(float(mark.texture.mean())) < 0.02
+    assert mark.texture.min() > -1
     # Power of a random mask is as far above its level as an exponential's: 1, less what bins fold.
-    assert 0.5 < float(mark.std()) < 1.2
+    assert 0.5 < float(mark.texture.std()) < 1.2
 
 
 def test_weights_tell_a_mask_better_than_its_mark_does() -> None:
-    marks = np.stack([MARKS.mark(MARKS.shown(mask(seed))).ravel() for seed in range(40)])
-    weights = weighed(marks)
+    every = [MARKS.mark(MARKS.shown(mask(seed))) for seed in range(40)]
+    marks = np.stack([mark.texture.ravel() for mark in every])
+    weights = np.stack([mark.weighed().texture.ravel() for mark in every])
     assert weights.max() < 2
     # Power that bears half of the first mark, and chance (exponential): by how many standard
     # deviations of the other masks is the first one ahead?
@@ -63,7 +64,7 @@ def test_weights_tell_a_mask_better_than_its_mark_does() -> None:
 
 def test_masks_have_marks_of_their_own() -> None:
     marks = [MARKS.mark(MARKS.shown(mask(seed))) for seed in (1, 1, 2)]
-    np.testing.assert_array_equal(marks[0], marks[1])
+    np.testing.assert_array_equal(marks[0].texture, marks[1].texture)
     assert abs(_alike(marks[0], marks[2])) < 0.15
 
 
@@ -79,7 +80,36 @@ def test_a_mask_that_is_moved_keeps_its_mark() -> None:
     # Whole cycles of the filters, so that every row keeps its colour.
     moved = np.roll(levels, (6, 2), (0, 1))
     marks = [MARKS.mark(MARKS.shown(each)) for each in (levels, moved)]
-    np.testing.assert_allclose(marks[0], marks[1], atol=1e-4)
+    np.testing.assert_allclose(marks[0].texture, marks[1].texture, atol=1e-4)
+
+
+def test_phases_are_those_of_the_shadow_at_the_lower_half_of_the_frequencies() -> None:
+    levels = np.zeros(CAMERA.mask_shape, np.uint8)
+    levels[25, 11] = 63
+    mark = MARKS.mark(MARKS.shown(levels))
+    assert mark.phases.shape == (24, 17)
+    np.testing.assert_allclose(np.abs(mark.phases), 1, rtol=1e-5)
+    # Of a single sub-pixel, half a column beside the axis: its shadow is larger by 4 mm in 0.6 m.
+    turns = np.fft.rfftfreq(64)[:17] / (CAMERA.sensor.width / 32) * CAMERA.panel.pitch_x / 2
+    expected = np.exp(2j * np.pi * turns * (1 + CAMERA.distance / 0.6))
+    np.testing.assert_allclose(mark.phases[0], expected, atol=1e-4)
+    np.testing.assert_allclose(mark.phases[-3], expected, atol=1e-4)
+
+
+def test_a_mask_that_is_moved_turns_its_phases_alone() -> None:
+    levels = np.zeros(CAMERA.mask_shape, np.uint8)
+    levels[6:40, 3:18] = mask(1)[6:40, 3:18]
+    marks = [MARKS.mark(MARKS.shown(np.roll(levels, columns, 1))) for columns in (0, 2)]
+    turned = marks[1].phases / marks[0].phases
+    np.testing.assert_allclose(turned, np.broadcast_to(turned[0], turned.shape), atol=1e-2)
+
+
+def test_an_erased_mark_is_empty() -> None:
+    mark = MARKS.mark(MARKS.shown(mask(1)))
+    mark.erase()
+    assert not mark.texture.any()
+    assert not mark.phases.any()
+    assert "array" not in repr(mark)
 
 
 def test_the_size_of_shadows_follows_the_distance() -> None:

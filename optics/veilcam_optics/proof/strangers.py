@@ -1,0 +1,144 @@
+"""How much more of a mask is in captures than of masks that are not there.
+
+The numbers in brackets are those of docs/proof.md.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from veilcam_optics.proof.marks import Mark
+from veilcam_optics.proof.traces import Complex, Single, Trace
+
+STRANGERS = 64
+"""Masks that are not there, the same ones always: they say what chance scores in a capture."""
+PICTURED = 12
+"""So many of them say what chance makes of pictures, and what it scores of an open window."""
+_SHARED = 0.3
+"""Correlation of both scores of a mask that is not there."""
+_INEXACT = 0.1
+"""Share of a picture's score by which it may be off, as a camera is off its drawing."""
+_LEAST = float(np.finfo(np.float32).tiny)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What is in captures.
+
+    Attributes:
+        score: of each mask, by spectrum and picture (eq. 7), (masks, captures).
+        ahead: by how much the first mask is ahead of each (eq. 8), (masks, captures).
+        share: of its mark that the first mask left, (captures,).
+        window: score of the open window (eq. 9), (captures,).
+    """
+
+    score: Single
+    ahead: Single
+    share: Single
+    window: Single
+
+
+class Strangers:
+    """Masks that are not there.
+
+    Args:
+        marks: of :data:`STRANGERS` masks.
+    """
+
+    def __init__(self, marks: Sequence[Mark]) -> None:
+        some = marks[:PICTURED]
+        self._weights = _rows([mark.weighed().texture for mark in marks])
+        self._squares = np.square(self._weights)
+        self._textures = _rows([mark.texture for mark in some])
+        self._texture_squares = np.square(self._textures)
+        self._phases = np.stack([mark.phases for mark in some])
+
+    def scores(self, trace: Trace, marks: Sequence[Mark], window: Mark) -> Scores:
+        """Those of some masks, and of the window without any.
+
+        Args:
+            trace: of the captures.
+            marks: of the masks, weighed; the named one first.
+            window: mark of the open window, as it is: bins and edges fill what is dark of its
+                spectrum.
+        """
+        by_spectrum, ahead, share = self._spectra(trace, marks)
+        by_picture, ahead_in_pictures, skew = self._pictures(trace, marks, window)
+        texture = window.texture.reshape(1, -1)
+        raw = _raw(trace, texture, np.square(texture))
+        by_texture = _standardised(raw, _raw(trace, self._textures, self._texture_squares))[0]
+        return Scores(
+            (by_spectrum + by_picture) / np.float32((2 + 2 * _SHARED) ** 0.5),
+            (ahead + ahead_in_pictures) / np.float32(2**0.5),
+            share,
+            # Where something dark is in front of light, skewness is no sign of a window.
+            np.maximum(by_texture, (by_texture + skew) / np.float32(2**0.5)),
+        )
+
+    def _spectra(self, trace: Trace, marks: Sequence[Mark]) -> tuple[Single, Single, Single]:
+        """Scores by spectra (eq. 5), by how much the first is ahead, and the share it left."""
+        weights = _rows([mark.texture for mark in marks])
+        root = np.sqrt(np.maximum(np.square(weights) @ trace.power.T, _LEAST))
+        raw = weights @ trace.power.T / root
+        chance = _raw(trace, self._weights, self._squares)
+        scores = _standardised(raw, chance)
+        alike = (weights[0] * weights) @ trace.power.T / root[0] / root
+        apart = np.sqrt(np.maximum(2 - 2 * alike, _LEAST))
+        return scores, (scores[0] - scores) / apart, (raw[0] - chance.mean(0)) / root[0]
+
+    def _pictures(
+        self, trace: Trace, marks: Sequence[Mark], window: Mark
+    ) -> tuple[Single, Single, Single]:
+        """Scores by pictures (eq. 6), by how much the first is ahead, and the window's skewness."""
+        phases = np.stack([mark.phases for mark in (*marks, window)])
+        every = np.concatenate([phases, self._phases])
+        moments = [_moments(picture, every) for picture in trace.picture]
+        skews, peaks = (np.stack(each, 1) for each in zip(*moments, strict=True))
+        skew = _standardised(skews[len(marks) : len(phases)], skews[len(phases) :])[0]
+        scores = _standardised(peaks[: len(marks)], peaks[len(phases) :])
+        power = np.square(trace.picture.real) + np.square(trace.picture.imag)
+        turned = (phases[0] * phases[: len(marks)].conj()).real
+        alike = np.einsum("myx,cyx->mc", turned, power) / np.maximum(power.sum((1, 2)), _LEAST)
+        # Fourth powers of Gaussian numbers, apart from their squares, are correlated by this.
+        alike = np.square(np.square(alike))
+        off = _INEXACT * np.maximum(scores, scores[0])
+        apart = np.sqrt(np.maximum(2 - 2 * alike, 0) + np.square(off) + _LEAST)
+        return scores, (scores[0] - scores) / apart, skew
+
+
+def _rows(textures: Sequence[Single]) -> Single:
+    return np.stack([texture.ravel() for texture in textures])
+
+
+def _raw(trace: Trace, weights: Single, squares: Single) -> Single:
+    """How well spectra fit (eq. 4), (masks, captures)."""
+    root = np.sqrt(np.maximum(squares @ trace.power.T, _LEAST))
+    raw: Single = weights @ trace.power.T / root
+    return raw
+
+
+def _moments(picture: Complex, phases: Complex) -> tuple[Single, Single]:
+    """Third and fourth moment of a capture's pictures, (masks,) each.
+
+    Args:
+        picture: amplitudes of the capture.
+        phases: of masks, (masks, *frequencies).
+    """
+    scenes = np.fft.irfft2(picture * phases).reshape(len(phases), -1)
+    # All of one power, as phases leave it.
+    scenes /= max(float(np.square(scenes[-1]).mean()) ** 0.5, _LEAST)
+    squares = np.square(scenes)
+    third, fourth = (
+        (squares[:, None] @ each[..., None]).ravel() / squares.shape[1]
+        for each in (scenes, squares)
+    )
+    return third, fourth
+
+
+def _standardised(values: Single, chance: Single) -> Single:
+    """How far values are from the mean of others, in standard deviations of these."""
+    mean = chance.sum(0) / len(chance)
+    variance = np.square(chance - mean).sum(0) / (len(chance) - 1)
+    scores: Single = (values - mean) / np.sqrt(np.maximum(variance, _LEAST))
+    return scores
