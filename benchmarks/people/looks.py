@@ -124,24 +124,18 @@ class Rig:
 
 def fixing_digits() -> Digits:
     """Every other digit of those that come along: they fixed the numbers of the filter."""
-    return _every_other(0)
-
-
-def other_digits() -> Digits:
-    """The digits of those that come along that fixed nothing."""
-    return _every_other(1)
-
-
-def all_digits(data: Path | None) -> Digits:
-    """All that come along, or all of the MNIST test files in a folder."""
-    if data is None:
-        return load_digits()
-    return Digits(read_idx(data / IMAGES), read_idx(data / LABELS))
-
-
-def _every_other(first: int) -> Digits:
     shipped = load_digits()
-    return Digits(shipped.images[first::2], shipped.labels[first::2])
+    return Digits(shipped.images[::2], shipped.labels[::2])
+
+
+def unseen_digits(data: Path | None = None) -> Digits:
+    """Digits that fixed nothing, of those that come along or of all MNIST test files in a folder."""
+    every = load_digits()
+    if data is not None:
+        every = Digits(read_idx(data / IMAGES), read_idx(data / LABELS))
+    known = {image.tobytes() for image in fixing_digits().images}
+    unseen = [place for place, image in enumerate(every.images) if image.tobytes() not in known]
+    return Digits(every.images[unseen], every.labels[unseen])
 
 
 def as_scenes(images: npt.NDArray[np.uint8]) -> Scenes:
