@@ -129,7 +129,7 @@ def fixing_digits() -> Digits:
 
 
 def unseen_digits(data: Path | None = None) -> Digits:
-    """Digits that fixed nothing, of those that come along or of all MNIST test files in a folder."""
+    """Digits that fixed nothing, of those that come along or of the MNIST test files."""
     every = load_digits()
     if data is not None:
         every = Digits(read_idx(data / IMAGES), read_idx(data / LABELS))
