@@ -98,7 +98,11 @@ class Rig:
 
     def look_behind(self, scenes: Scenes, mask: Mask) -> list[Evidence]:
         """What every one of ``scenes`` tells behind one mask."""
-        return self.read(torch.from_numpy(scenes).flatten(1) @ mask.transfer, mask)
+        return mask.reader.evidence_of(self.measured(scenes, mask))
+
+    def measured(self, scenes: Scenes, mask: Mask) -> npt.NDArray[np.float32]:
+        """What is read of every one of ``scenes`` behind one mask, (looks, rows, columns)."""
+        return self._read(torch.from_numpy(scenes).flatten(1) @ mask.transfer, mask)
 
     def look_by_grid(self, scenes: Scenes, masks: int) -> tuple[list[Evidence], list[Evidence]]:
         """The same scenes behind the same masks: by the matrix, and by the daemon's grid path."""
@@ -110,38 +114,33 @@ class Rig:
             with torch.inference_mode():
                 weights = torch.from_numpy(to_weights(mask.levels, self.bundle.camera.panel))
                 raw = grid.collect(images, grid.response(weights))
-            by_grid += self.read(area_average(raw, *self.bundle.embedding.shape).flatten(1), mask)
+            light = area_average(raw, *self.bundle.embedding.shape).flatten(1)
+            by_grid += mask.reader.evidence_of(self._read(light, mask))
         return by_matrix, by_grid
 
-    def read(self, light: Tensor, mask: Mask) -> list[Evidence]:
-        """What measurements tell, (batch, embedding pixels), once noise is added."""
+    def _read(self, light: Tensor, mask: Mask) -> npt.NDArray[np.float32]:
+        """Measurements, (batch, embedding pixels), once noise is added, as a sensor's."""
         with torch.inference_mode():
             floor = READ_NOISE * float(mask.reader.decoder.mean_measurement.mean())
             noise = torch.randn(light.shape, generator=self._generator)
             read = shot_noise(light, SNR_DB, self._generator) + floor * noise
-            return mask.reader.evidence_of(read.reshape(-1, *self.bundle.embedding.shape).numpy())
+            return read.reshape(-1, *self.bundle.embedding.shape).numpy()
 
 
 def fixing_digits() -> Digits:
     """Every other digit of those that come along: they fixed the numbers of the filter."""
-    return _every_other(0)
-
-
-def other_digits() -> Digits:
-    """The digits of those that come along that fixed nothing."""
-    return _every_other(1)
-
-
-def all_digits(data: Path | None) -> Digits:
-    """All that come along, or all of the MNIST test files in a folder."""
-    if data is None:
-        return load_digits()
-    return Digits(read_idx(data / IMAGES), read_idx(data / LABELS))
-
-
-def _every_other(first: int) -> Digits:
     shipped = load_digits()
-    return Digits(shipped.images[first::2], shipped.labels[first::2])
+    return Digits(shipped.images[::2], shipped.labels[::2])
+
+
+def unseen_digits(data: Path | None = None) -> Digits:
+    """Digits that fixed nothing, of those that come along or of the MNIST test files."""
+    every = load_digits()
+    if data is not None:
+        every = Digits(read_idx(data / IMAGES), read_idx(data / LABELS))
+    known = {image.tobytes() for image in fixing_digits().images}
+    unseen = [place for place, image in enumerate(every.images) if image.tobytes() not in known]
+    return Digits(every.images[unseen], every.labels[unseen])
 
 
 def as_scenes(images: npt.NDArray[np.uint8]) -> Scenes:

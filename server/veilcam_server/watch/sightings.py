@@ -9,7 +9,7 @@ from typing import Literal
 
 from veilcam_server.watch.belief import Probabilities
 
-SEEN, GONE = 0.8, 0.05
+SEEN, GONE = 0.6, 0.05
 """Probabilities from which on a thing is said to be there, and to be there no longer."""
 _HINT = 0.2
 """Probability from which on something is taken note of, to say later since when it was there."""
