@@ -1,12 +1,18 @@
-"""Fields of apertures in the boxes of a few offsets, and what the boxes make of their products."""
+"""Fields of apertures in the boxes of a few offsets, and what the boxes make of their products.
+
+In NumPy, whose calls take less than those of torch: there are many small ones.
+"""
 
 import math
+from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
+import numpy.typing as npt
 
 from veilcam_optics.transfer.factored import aperture_fields
 from veilcam_optics.transfer.kernels import Axis
+
+Values = npt.NDArray[Any]
 
 _CELLS = 24
 """Fewest cells in the box of an offset."""
@@ -37,27 +43,28 @@ class BoxFields:
         fields: complex128 (offsets, cells, apertures).
     """
 
-    def __init__(self, axis: Axis, of: Tensor, wavelength: float, reach: int) -> None:
+    def __init__(self, axis: Axis[Values], of: Values, wavelength: float, reach: int) -> None:
         pixel, image = axis.pixel, float(axis.image)
         outer, inner = (pixel + image) / 2, abs(pixel - image) / 2
         pitch = float(axis.centres[1] - axis.centres[0]) if len(axis.centres) > 1 else 0.0
         apart = axis.width + min(reach, len(axis.centres) - 1) * pitch
         cells = box_cells(2 * outer, wavelength, float(axis.distance), apart)
-        edges = torch.linspace(-outer, outer, cells + 1, dtype=torch.float64)
-        below = torch.zeros_like(edges)
+        edges = np.linspace(-outer, outer, cells + 1)
+        below = np.zeros_like(edges)
         for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1)):
-            below += sign * (edges - corner).clamp_min(0).square() / 2
-        self._shares: Tensor = (axis.scale * below.diff())[:, None]
+            below += sign / 2 * np.maximum(edges - corner, 0) ** 2
+        self._shares: Values = (axis.scale * np.diff(below))[:, None]
         self._near = within_reach(of, reach)
         self._axis, self._of, self._wavelength = axis, of, wavelength
         self.points = axis.offsets[:, None] + (edges[1:] + edges[:-1]) / 2
         self.fields = _fields(axis, self.points, of, wavelength)
 
-    def integrated(self, one: Tensor, other: Tensor) -> Tensor:
+    def integrated(self, one: Values, other: Values) -> Values:
         """Integrals of ``kappa one[r] conj(other[s])``, (offsets, apertures, apertures)."""
-        return ((one * self._shares).mT @ other.conj()) * self._near
+        found: Values = ((one * self._shares).swapaxes(1, 2) @ other.conj()) * self._near
+        return found
 
-    def strays(self, most: int) -> list[Tensor]:
+    def strays(self, most: int) -> list[Values]:
         """Fields of light times powers of its stray, as :attr:`fields`; powers 0 to ``most``.
 
         The stray of light is how far it comes along the axis from aperture to sensor, over the
@@ -72,9 +79,8 @@ class BoxFields:
         edges = []
         for side in (axis.width / 2, -axis.width / 2):
             at = (axis.centres[self._of] + side) / distance - shadow * points
-            phase = math.pi * distance / (wavelength * shadow) * at.square()
-            wave = torch.polar(torch.full_like(phase, math.sqrt(distance / wavelength)), phase)
-            edges.append((at, wave))
+            phase = math.pi * distance / (wavelength * shadow) * at**2
+            edges.append((at, math.sqrt(distance / wavelength) * np.exp(1j * phase)))
         moments = [self.fields]
         for power in range(1, most + 1):
             (above, wave), (below, other) = edges
@@ -83,11 +89,11 @@ class BoxFields:
                 ends = ends - (power - 1) * moments[power - 2]
             moments.append(scale * ends)
         straight = (1 - shadow) * points
-        gap = (points - self._axis.centres[self._of] / distance).abs() - axis.width / distance / 2
-        excess = (gap / _FARTHEST).clamp_min(1)
+        gap = abs(points - self._axis.centres[self._of] / distance) - axis.width / distance / 2
+        excess = np.maximum(gap / _FARTHEST, 1)
         found = [self.fields]
         for power in range(1, most + 1):
-            stray = torch.zeros_like(self.fields)
+            stray = np.zeros_like(self.fields)
             for k in range(power + 1):
                 factor = math.comb(power, k) * (-1) ** k
                 stray += factor * straight ** (power - k) * moments[k]
@@ -95,38 +101,39 @@ class BoxFields:
         return found
 
 
-def integrals(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
+def integrals(axis: Axis[Values], of: Values, wavelength: float, reach: int) -> Values:
     """Integrals of ``kappa F_r conj(F_s)``, (offsets, apertures, apertures), r, s within reach."""
     if axis.shadow:
-        return torch.diag_embed(axis.kernel(axis.fields(wavelength), of, of))
+        alone: Values = axis.kernel(axis.fields(wavelength), of, of)
+        return alone[:, :, None] * np.eye(len(of))
     boxes = BoxFields(axis, of, wavelength, reach)
     return boxes.integrated(boxes.fields, boxes.fields)
 
 
-def bends(axis: Axis, of: Tensor, wavelength: float, reach: int) -> Tensor:
+def bends(axis: Axis[Values], of: Values, wavelength: float, reach: int) -> Values:
     """Second derivative by the offset of :func:`integrals`, same shape: four points of a box."""
     outer, inner = (axis.pixel + float(axis.image)) / 2, (axis.pixel - float(axis.image)) / 2
-    corners = torch.tensor([-outer, -inner, inner, outer], dtype=torch.float64)
-    signs = torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
+    corners, signs = np.array([-outer, -inner, inner, outer]), np.array([1.0, -1.0, -1.0, 1.0])
     fields = _fields(axis, axis.offsets[:, None] + corners, of, wavelength)
-    weighted: Tensor = fields * (axis.scale * signs)[:, None]
-    return (weighted.mT @ fields.conj()) * within_reach(of, reach)
+    weighted = fields * (axis.scale * signs)[:, None]
+    found: Values = (weighted.swapaxes(1, 2) @ fields.conj()) * within_reach(of, reach)
+    return found
 
 
-def _fields(axis: Axis, points: Tensor, of: Tensor, wavelength: float) -> Tensor:
+def _fields(axis: Axis[Values], points: Values, of: Values, wavelength: float) -> Values:
     """Fields of some apertures at ``points`` (offsets, n): (offsets, n, apertures)."""
-    # In NumPy, whose calls take less than those of torch: there are many small ones.
     fields = aperture_fields(
-        points.flatten().numpy(),
-        axis.centres[of].numpy(),
+        points.reshape(-1),
+        axis.centres[of],
         axis.width,
         wavelength=wavelength,
         source_distance=axis.source_distance,
         distance=axis.distance,
     )
-    return torch.from_numpy(fields).reshape(*points.shape, len(of))
+    return fields.reshape(*points.shape, len(of))
 
 
-def within_reach(of: Tensor, reach: int) -> Tensor:
+def within_reach(of: Values, reach: int) -> Values:
     """Which pairs of the apertures ``of`` are at most ``reach`` apart, (apertures, apertures)."""
-    return (of[:, None] - of).abs() <= reach
+    near: Values = abs(of[:, None] - of) <= reach
+    return near

@@ -213,7 +213,7 @@ class ErrorModel:
         for actual, taken, slope in zip(
             self._stretches, _taken(self.model, count), self._slopes, strict=True
         ):
-            errors = errors + slope**2 * (actual / taken).log().square().mean(0)
+            errors = errors + slope**2 * (actual - taken.log()).square().mean(0)
         if count is None:
             errors = errors + (1 / fade - 1).square()
         return min(1.0, float(((errors * fade.square()).mean() / fade.square().mean()).sqrt()))
@@ -232,7 +232,8 @@ class ErrorModel:
 
     @cached_property
     def _stretches(self) -> tuple[Tensor, Tensor]:
-        return _in_pixels(self.model)
+        down, across = _in_pixels(self.model)
+        return down.log(), across.log()
 
     @cached_property
     def _uneven(self) -> float:
@@ -276,7 +277,7 @@ class ErrorModel:
 
     @cached_property
     def _fewer(self) -> Probe:
-        return Probe(self.model, _FEWER)
+        return Probe(self.model, _FEWER, self._probe)
 
     @cached_property
     def _missing(self) -> Missing | None:

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from veilcam_optics.effects.light import scene_pixel_tangent
 from veilcam_optics.effects.model import Model
 from veilcam_optics.plan.boxes import BoxFields
-from veilcam_optics.plan.probe import Probe, pair_products, relative
+from veilcam_optics.plan.probe import Probe, lit_rows, pair_products, relative
 
 _MOST = 4
 """Highest power: of the phase; of the amplitude the second."""
@@ -82,13 +83,15 @@ def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = N
     plain, spread, factored, grid = (probe.dark(parts) for _ in range(4))
     for beam, scaled in probe.lights(model, channels):
         y, x = probe.axes(model, beam, parts)
-        rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
+        rows, every = lit_rows(model, beam.channel), np.arange(len(x.centres))
         wavelength, reach = float(beam.wavelength), model.sampling.reach
-        every = torch.arange(len(x.centres))
         down = _powers(BoxFields(y, rows, wavelength, reach.rows))
         across = _powers(BoxFields(x, every, wavelength, reach.columns))
         share = probe.share(model, beam.channel, parts)
-        found = {of: share * sums for of, sums in _sums(down, across, scaled[:, rows]).items()}
+        found = {
+            of: share * sums
+            for of, sums in _sums(down, across, scaled[:, torch.from_numpy(rows)]).items()
+        }
         plain += found[0, 0].real
         spread += rays.cosine**2 * (found[2, 0] + found[0, 2]).real
         turns = 2 * math.pi / wavelength * float(y.distance)
@@ -201,7 +204,8 @@ def _oblique(rays: Rays, turns: float) -> Series:
 
 def _powers(boxes: BoxFields) -> Tensor:
     """Integrals with powers of one field's stray, (powers, offsets, apertures, apertures)."""
-    return torch.stack([boxes.integrated(stray, boxes.fields) for stray in boxes.strays(_MOST)])
+    strays = boxes.strays(_MOST)
+    return torch.from_numpy(np.stack([boxes.integrated(one, boxes.fields) for one in strays]))
 
 
 def _sums(down: Tensor, across: Tensor, weights: Tensor) -> Series:

@@ -13,7 +13,9 @@ known: with ``K[r, s]`` the integral of ``kappa F_r conj(F_s)``, an entry is the
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,7 +24,7 @@ from veilcam_optics.effects.composition import beams, collected, fade, shown
 from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares, mean_shares
-from veilcam_optics.plan.boxes import bends, integrals, within_reach
+from veilcam_optics.plan.boxes import Values, bends, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.tables import Beam, make_axes
 
@@ -36,7 +38,7 @@ _WEIGHTS = 4000
 """Random weights in all masks together, and hence how well chance averages out."""
 
 
-Integrals = Callable[[Axis, Tensor, float, int], Tensor]
+Integrals = Callable[[Axis[Values], Values, float, int], Values]
 """Of an axis, apertures, a wavelength and a reach: (offsets, apertures, apertures)."""
 
 
@@ -46,21 +48,30 @@ class Probe:
     Args:
         model: gives camera, scene and embedding; all compared models share their shapes.
         offsets: offsets kept of each axis.
+        whole: another of the model, with more: these are among its own, and what it has integrated
+            is not integrated again.
     """
 
-    def __init__(self, model: Model, offsets: int = _OFFSETS) -> None:
+    def __init__(self, model: Model, offsets: int = _OFFSETS, whole: Self | None = None) -> None:
         rows, columns = model.camera.mask_shape
         count = min(16, max(2, math.ceil(_WEIGHTS / (rows * columns))))
         generator = torch.Generator().manual_seed(0)
         self.masks = torch.rand(count, rows, columns, generator=generator, dtype=torch.float64)
-        scene, embedding = model.scene, model.embedding
         offsets = offsets if rows * columns < _MANY else offsets * 2 // 3
-        self._kept: dict[object, tuple[int, Tensor]] = {}
-        self._axes: dict[object, tuple[Axis, Axis]] = {}
-        self.kept_y, self._together_y = _spread(model, scene.rows, embedding.rows, 0, offsets)
-        self.kept_x, self._together_x = _spread(model, scene.columns, embedding.columns, 1, offsets)
+        self._kept: dict[object, tuple[int, Values | None]] = {}
+        self._axes: dict[object, tuple[Axis[Values], Axis[Values]]] = {}
+        kept = (None, None) if whole is None else (whole.kept_y, whole.kept_x)
+        self.kept_y: Tensor
+        self.kept_x: Tensor
+        self.kept_y, self._together_y = _spread(model, 0, offsets, kept[0])
+        self.kept_x, self._together_x = _spread(model, 1, offsets, kept[1])
+        self._whole = whole
+        self._places = [
+            np.arange(len(own)) if some is None else (own[:, None] == some).nonzero()[:, 1].numpy()
+            for own, some in zip((self.kept_y, self.kept_x), kept, strict=True)
+        ]
 
-    def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis, Axis]:
+    def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis[Values], Axis[Values]]:
         """The axes of ``model``, reduced to the kept offsets.
 
         Args:
@@ -76,7 +87,9 @@ class Probe:
             self._axes[key] = self._made_axes(model, scene, parts)
         return self._axes[key]
 
-    def _made_axes(self, model: Model, scene: Scene, parts: int) -> tuple[Axis, Axis]:
+    def _made_axes(
+        self, model: Model, scene: Scene, parts: int
+    ) -> tuple[Axis[Values], Axis[Values]]:
         y, x = make_axes(
             model.camera,
             scene,
@@ -84,10 +97,11 @@ class Probe:
             step=model.sampling.step,
             approximation=model.approximation,
             imperfections=model.conditions.imperfections,
-            like=torch.empty(0),
+            like=np.empty(0),
         )
         for axis, kept in ((y, self.kept_y), (x, self.kept_x)):
-            axis.offsets = _parted(axis.offsets[kept], float(axis.image), parts)
+            offsets = torch.from_numpy(axis.offsets[kept.numpy()])
+            axis.offsets = _parted(offsets, float(axis.image), parts).numpy()
             axis.image, axis.scale = axis.image / parts, axis.scale * parts
         return y, x
 
@@ -197,12 +211,13 @@ class Probe:
         found = self.dark().repeat(len(rows), len(columns), 1, 1, 1)
         for beam, scaled in self.lights(model):
             used, down, across = self._pairs(model, beam, (1.0, 1.0))
-            every, share = torch.arange(across.shape[-1]), self.share(model, beam.channel)
-            for k, far_columns in enumerate(columns):
-                near = across * within_reach(every, far_columns)
-                spread = pair_products(near, scaled[:, used], scaled[:, used])
-                for n, far_rows in enumerate(rows):
-                    found[n, k] += share * _traced(down * within_reach(used, far_rows), spread)
+            weights, share = scaled[:, used], self.share(model, beam.channel)
+            close = [down * _near(used, far) for far in rows]
+            for k, far in enumerate(columns):
+                near = across * _near(torch.arange(across.shape[-1]), far)
+                spread = pair_products(near, weights, weights)
+                for n, one in enumerate(close):
+                    found[n, k] += share * _traced(one, spread)
         return self.faded(model, found)
 
     def dark(self, parts: int = 1) -> Tensor:
@@ -234,8 +249,7 @@ class Probe:
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that pass light, and ``K`` along y and x; kept, since masks do not change them."""
         axes = self.axes(model, beam, parts)
-        rows = torch.tensor(model.camera.row_amplitudes(beam.channel)).nonzero().flatten()
-        used = (rows, torch.arange(len(axes[1].centres)))
+        used = (lit_rows(model, beam.channel), np.arange(len(axes[1].centres)))
         reach = model.sampling.reach
         found = []
         for index, (axis, some, far) in enumerate(
@@ -243,16 +257,30 @@ class Probe:
         ):
             wavelength = float(beam.wavelength) * stretch[index]
             key = (
-                *(of, index, float(axis.centres[0]), float(axis.centres[-1]), axis.width),
-                *(float(axis.distance), float(axis.source_distance), float(axis.image), axis.pixel),
-                *(tuple(some.tolist()), wavelength, model.approximation),
+                *(of, index, axis.centres[0], axis.centres[-1], axis.width, axis.distance),
+                *(axis.source_distance, axis.image, axis.pixel, some.tobytes(), wavelength),
+                *(model.approximation, parts),
             )
-            kept, values = self._kept.get(key, (-1, None))
+            kept, values = self.integrated(key, index)
             if values is None or kept < far:
                 kept, values = far, of(axis, some, wavelength, far)
                 self._kept[key] = kept, values
-            found.append(values if kept == far else values * within_reach(some, far))
-        return rows, found[0], found[1]
+            near = values if kept == far else values * within_reach(some, far)
+            found.append(torch.from_numpy(near))
+        return torch.from_numpy(used[0]), found[0], found[1]
+
+    def integrated(self, key: object, index: int) -> tuple[int, Values | None]:
+        """How far apertures interfere in some integrals along an axis that there are, and they."""
+        if key not in self._kept and self._whole is not None:
+            far, values = self._whole.integrated(key, index)
+            if values is not None:
+                self._kept[key] = far, values[self._places[index]]
+        return self._kept.get(key, (-1, None))
+
+
+def lit_rows(model: Model, channel: int) -> Values:
+    """Indices of the rows whose filters pass light of a channel."""
+    return np.flatnonzero(model.camera.row_amplitudes(channel))
 
 
 def relative(value: Tensor, reference: Tensor) -> float:
@@ -289,6 +317,10 @@ def pair_products(across: Tensor, one: Tensor, other: Tensor) -> Tensor:
     return one[:, None].to(across.dtype) @ across @ other[:, None].mT.to(across.dtype)
 
 
+def _near(of: Tensor, reach: int) -> Tensor:
+    return torch.from_numpy(within_reach(of.numpy(), reach))
+
+
 def _parted(middles: Tensor, side: float, parts: int) -> Tensor:
     """Middles of the parts of pixels, part by part."""
     at = (torch.arange(parts, dtype=torch.float64) - (parts - 1) / 2) * side / parts
@@ -299,23 +331,30 @@ def _traced(down: Tensor, spread: Tensor) -> Tensor:
     return torch.einsum("ors,mprs->mop", down, spread).real
 
 
-def _spread(model: Model, scene: int, embedding: int, axis: int, most: int) -> tuple[Tensor, int]:
+def _spread(model: Model, axis: int, most: int, among: Tensor | None) -> tuple[Tensor, int]:
     """Indices (scene pixel slower) of some offsets, and how many each belong together.
 
     Of few embedding pixels all are kept, for some scene pixels; of more, as many offsets as are
     asked for, evenly spread by size.
+
+    Args:
+        model: whose.
+        axis: 0 for y, 1 for x.
+        most: how many are asked for.
+        among: to choose from, of a choice of more; None for all.
     """
+    embedding = model.embedding.shape[axis]
+    if among is None:
+        among = torch.arange(model.scene.shape[axis] * embedding)
+    pixels = among // embedding
     if embedding <= most:
-        pixels = _some(torch.arange(scene), math.ceil(most / embedding))
+        pixels = _some(torch.unique(pixels), math.ceil(most / embedding))
         return (pixels[:, None] * embedding + torch.arange(embedding)).flatten(), embedding
     length = (model.camera.sensor.height, model.camera.sensor.width)[axis]
     image = model.scene.pixel_at_sensor(model.camera)
-    at_pixel = (torch.arange(embedding, dtype=torch.float64) - (embedding - 1) / 2) * (
-        length / embedding
-    )
-    at_scene = (torch.arange(scene, dtype=torch.float64) - (scene - 1) / 2) * image
-    order = (at_scene[:, None] + at_pixel).flatten().argsort(stable=True)
-    kept = _some(order, most)
+    # From the middles of the first ones: what is the same for all does not matter.
+    offsets = pixels * image + among % embedding * (length / embedding)
+    kept = _some(among[offsets.argsort(stable=True)], most)
     return kept, len(kept)
 
 

@@ -10,12 +10,13 @@ moves, which leaves out that pairs and apertures turn.
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from veilcam_optics.effects.model import Model
-from veilcam_optics.plan.boxes import BoxFields, integrals
-from veilcam_optics.plan.probe import Probe, pair_sums, relative
+from veilcam_optics.plan.boxes import BoxFields, Values, integrals
+from veilcam_optics.plan.probe import Probe, lit_rows, pair_sums, relative
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.tables import Beam
 
@@ -49,12 +50,11 @@ def _turned(probe: Probe, model: Model, beam: Beam, weights: Tensor) -> Tensor:
         weights: amplitudes that it passes, (masks, rows, columns).
     """
     angle = model.conditions.imperfections.rotation
-    amplitudes = torch.tensor(model.camera.row_amplitudes(beam.channel), dtype=torch.float64)
-    rows = amplitudes.nonzero().flatten()
-    weights = weights[:, rows]
+    rows = lit_rows(model, beam.channel)
+    weights = weights[:, torch.from_numpy(rows)]
     axis_y, axis_x = probe.axes(model, beam)
-    y = (axis_y.centres - axis_y.centres.mean())[rows, None]
-    x = axis_x.centres - axis_x.centres.mean()
+    y = torch.from_numpy(axis_y.centres - axis_y.centres.mean())[rows, None]
+    x = torch.from_numpy(axis_x.centres - axis_x.centres.mean())
     reach, wavelength = model.sampling.reach, float(beam.wavelength)
     # Where one line alone stays in place, derivatives are by what an aperture's edge would move.
     far_y, far_x = (
@@ -62,7 +62,7 @@ def _turned(probe: Probe, model: Model, beam: Beam, weights: Tensor) -> Tensor:
         for axis, other in ((axis_y, x), (axis_x, y))
     )
     down = _orders(axis_y, rows, wavelength, reach.rows, far_y)
-    across = _orders(axis_x, torch.arange(len(x)), wavelength, reach.columns, far_x)
+    across = _orders(axis_x, np.arange(len(x)), wavelength, reach.columns, far_x)
 
     def total(
         along_y: tuple[int, int], along_x: tuple[int, int], one: Tensor, other: Tensor
@@ -87,7 +87,7 @@ def _turned(probe: Probe, model: Model, beam: Beam, weights: Tensor) -> Tensor:
     return torch.stack([plain, change, change - angle * moved])
 
 
-def _orders(axis: Axis, of: Tensor, wavelength: float, reach: int, far: float) -> Orders:
+def _orders(axis: Axis[Values], of: Values, wavelength: float, reach: int, far: float) -> Orders:
     """Integrals of ``kappa`` with a derivative of each field, by central differences.
 
     Args:
@@ -104,17 +104,19 @@ def _orders(axis: Axis, of: Tensor, wavelength: float, reach: int, far: float) -
         )
         # Nothing interferes: the irradiance's own derivatives.
         slope, curve = (after - before) / (4 * far), (after + before - 2 * plain) / (2 * far**2)
-        none = torch.zeros_like(plain)
-        return {
-            (0, 0): plain,
-            (0, 1): slope,
-            (1, 0): slope,
-            (1, 1): none,
-            (0, 2): curve,
-            # An aperture's light is its own mirror image, but for what the box cuts off.
-            (0, _LEVER): none,
-        }
-    seen = float(axis.offsets.abs().max() + (axis.centres - axis.centres.mean()).abs().max())
+        none = np.zeros_like(plain)
+        return _as_torch(
+            {
+                (0, 0): plain,
+                (0, 1): slope,
+                (1, 0): slope,
+                (1, 1): none,
+                (0, 2): curve,
+                # An aperture's light is its own mirror image, but for what the box cuts off.
+                (0, _LEVER): none,
+            }
+        )
+    seen = float(abs(axis.offsets).max() + abs(axis.centres - axis.centres.mean()).max())
     small = _SMALL * min(axis.width, wavelength * float(axis.distance) / (seen + axis.width))
     boxes = BoxFields(axis, of, wavelength, reach)
     before, after = (
@@ -133,10 +135,14 @@ def _orders(axis: Axis, of: Tensor, wavelength: float, reach: int, far: float) -
     strays = boxes.strays(1)[1] * float(axis.distance)
     lever = (boxes.points[..., None] - axis.centres[of]) * boxes.fields - strays
     found[0, _LEVER] = boxes.integrated(boxes.fields, lever)
-    return found
+    return _as_torch(found)
 
 
-def _moved(axis: Axis, move: float, found: Callable[[], Tensor]) -> Tensor:
+def _as_torch(found: dict[tuple[int, int], Values]) -> Orders:
+    return {of: torch.from_numpy(values) for of, values in found.items()}
+
+
+def _moved(axis: Axis[Values], move: float, found: Callable[[], Values]) -> Values:
     """What is found while all apertures are moved [m]."""
     centres = axis.centres
     axis.centres = centres + move

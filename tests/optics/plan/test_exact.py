@@ -166,6 +166,24 @@ def test_a_probe_looks_at_what_is_judged(conditions: Conditions) -> None:
     assert error(found[probe.kept_y.argsort()][:, probe.kept_x.argsort()], wanted) < 2e-3
 
 
+@pytest.mark.parametrize("embedding", [Embedding(3, 4), Embedding(3, 7), Embedding(3, 20)])
+def test_a_probe_of_fewer_offsets_takes_what_the_whole_has(embedding: Embedding) -> None:
+    """Its offsets are among the others', and their light is the same."""
+    model = Model(small(), Scene(6, 5, height=0.02), embedding, PARAXIAL)
+    model = model.with_sampling(reach=Reach(2, 1), step=1e-6)
+    whole = Probe(model)
+    every = whole.transfer(model)
+    own, taken = (Probe(model, 6, one).transfer(model) for one in (Probe(model), whole))
+    fewer = Probe(model, 6, whole)
+    assert 6 <= len(fewer.kept_x) < len(whole.kept_x)
+    rows, columns = (
+        [some.tolist().index(one) for one in kept.tolist()]
+        for kept, some in ((fewer.kept_y, whole.kept_y), (fewer.kept_x, whole.kept_x))
+    )
+    torch.testing.assert_close(taken, own, rtol=1e-12, atol=0)
+    torch.testing.assert_close(taken, every[:, rows][..., columns], rtol=1e-12, atol=0)
+
+
 def test_stray_light_is_judged_behind_the_bayer_pattern() -> None:
     """Light that is nearly even is not read so: 8 x 10 sensor pixels make 3 x 4 unlike ones."""
     camera = small(panel=square(1e-3), window=Window(1, 1), distance=5e-3)
