@@ -58,6 +58,17 @@ LIMIT: Figures = {
         )
         for size in ("6x8", "12x16", "24x32")
     },
+    "transfer_tables_mb": ("optics", "tables of the default job", "{:.2f} MB"),
+    "transfer_peak_mb": ("optics", "memory beside them, one mask", "{:.1f} MB"),
+    "transfer_peak_mb_64": ("optics", "memory beside them, 64 masks at once", "{:.0f} MB"),
+    **{
+        f"plan_cpu_ms_{tolerance}": (
+            "optics",
+            f"first plan of a process, tolerance {tolerance}, CPU",
+            "{:.0f} ms",
+        )
+        for tolerance in ("1e-1", "1e-2", "1e-3", "1e-4")
+    },
     "numpy_torch_max_difference": (
         "optics",
         "NumPy against torch: transfers, decoded scenes, releases, relative",
