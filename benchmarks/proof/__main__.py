@@ -11,6 +11,7 @@ from typing import Annotated, TypeAlias
 
 import typer
 from benchmarks.figures import FiguresOption, record
+from benchmarks.proof.bound import unexplained
 from benchmarks.proof.captures import LEVELS
 from benchmarks.proof.figures import (
     Counts,
@@ -151,6 +152,21 @@ def kinds(
             "proof_found_in_telling_scenes": min(share.found for share in telling),
         },
     )
+
+
+@app.command()
+def bound(
+    *,
+    cameras: Annotated[int, typer.Option(min=1)] = 6,
+    bundle: Annotated[str, typer.Option(help="Name of a shipped bundle.")] = "fresh",
+    seed: SeedOption = 1,
+) -> None:
+    """Show what of a capture no smooth scene behind another mask explains."""
+    for each in unexplained(
+        read_bundle(BUNDLES[bundle]), load_digits(), cameras=cameras, electrons=SENSORS, seed=seed
+    ):
+        where = "half space" if each.outdoors else "room"
+        print(f"{each.kind:20} {where:10} {each.excess:9.2g} chi-square per bin")
 
 
 if __name__ == "__main__":

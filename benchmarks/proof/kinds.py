@@ -70,11 +70,11 @@ def by_kind(
         proof = tests(world)
         before, test = (proof.prepare(world.masks[-back]) for back in (2, 1))
         for kind, draw in kinds.items():
-            lights = world.behind_last(_drawn(draw, world.pixels, chance))
+            lights = world.behind_last(drawn(draw, world.pixels, chance))
             for many in electrons:
                 build = replace(world.build, electrons=many, read_noise=0.0)
                 for due, light in zip((True, False), lights, strict=True):
-                    bright = _scaled(light, build.full_scale)
+                    bright = scaled(light, build.full_scale)
                     crest = np.ones(len(bright))
                     captures, clipped = exposed(bright, crest, build, world.belief, chance)
                     found = test.find_each(captures, clipped, [before])
@@ -83,7 +83,7 @@ def by_kind(
     return list(_shares(counts))
 
 
-def _drawn(draw: Draw, pixels: int, chance: np.random.Generator) -> Singles:
+def drawn(draw: Draw, pixels: int, chance: np.random.Generator) -> Singles:
     """Scenes of one kind that are not black, (scenes, channels, pixels, pixels)."""
     scenes: list[Array] = []
     while len(scenes) < SCENES:
@@ -93,7 +93,8 @@ def _drawn(draw: Draw, pixels: int, chance: np.random.Generator) -> Singles:
     return np.repeat(np.array(scenes, np.float32)[:, None], len(CHANNELS), axis=1)
 
 
-def _scaled(light: Singles, full_scale: float) -> Array:
+def scaled(light: Singles, full_scale: float) -> Array:
+    """Light whose brightest bins are at :data:`BRIGHTEST`, in measurements."""
     brightest = np.maximum(light.max((1, 2), keepdims=True), 1e-12)
     scaled: Array = light.astype(np.float64) / brightest * (BRIGHTEST * full_scale)
     return scaled

@@ -19,7 +19,7 @@ CLEAR_OF_INVERTED = 3.0
 AGAINST = 8.0
 """Score that a rival has to reach for the named mask not to be seen: one that is not there reaches
 it in 1 of 1,800,000."""
-OPEN = 3.0
+OPEN = 5.0
 """The same of an open window: masks have less of its mark than chance has."""
 AHEAD = 2.5
 """By which a rival's score has to be ahead of that of the named mask as well."""

@@ -5,6 +5,7 @@ The numbers in brackets are those of docs/proof.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -87,7 +88,8 @@ class MaskTest:
 
     def _found(self, trace: Trace, before: Sequence[MaskTest]) -> Iterator[Finding]:
         marks = [self.mark, self.inverted, *(each.mark for each in before)]
-        names: list[Alternative] = ["inverted", *["before" for _ in before]]
+        names: list[Alternative] = ["inverted"]
+        names += ["before"] * len(before)
         scores = self.strangers.scores(trace, marks, self.window)
         for place, light in enumerate(trace.mean):
             unevenness = float(trace.unevenness[place]) / self.even
@@ -167,7 +169,8 @@ class MaskTests:
             self._even,
             _reach(float(missing.mean())) / self._even,
         )
-        overwrite(shown, missing, mark.texture, inverted.texture)
+        overwrite(shown, missing)
+        overwrite(mark.texture, inverted.texture)
         return test
 
 
@@ -178,7 +181,7 @@ def _reach(missing: float) -> float:
     ``1 - missing``, with an rms of ``missing sqrt(q (1 - q))`` over a mean of ``1 - missing q``,
     which is largest at ``q = 1 / (2 - missing)``.
     """
-    return _TEXTURED * missing / 2 / max(1 - missing, _LEAST) ** 0.5
+    return _TEXTURED * missing / 2 / math.sqrt(max(1 - missing, _LEAST))
 
 
 def _drawn(camera: Camera, chance: np.random.Generator) -> npt.NDArray[np.uint8]:

@@ -79,8 +79,8 @@ class Strangers:
     def _spectra(self, trace: Trace, marks: Sequence[Mark]) -> tuple[Single, Single, Single]:
         """Scores by spectra (eq. 5), by how much the first is ahead, and the share it left."""
         weights = _rows([mark.texture for mark in marks])
-        root = np.sqrt(np.maximum(np.square(weights) @ trace.power.T, _LEAST))
-        raw = weights @ trace.power.T / root
+        root: Single = np.sqrt(np.maximum(np.square(weights) @ trace.power.T, np.float32(_LEAST)))
+        raw: Single = weights @ trace.power.T / root
         chance = _raw(trace, self._weights, self._squares)
         scores = _standardised(raw, chance)
         alike = (weights[0] * weights) @ trace.power.T / root[0] / root

@@ -86,11 +86,14 @@ class Traces:
         squares = np.square(spectrum.real) + np.square(spectrum.imag)
         # The first row of cosines are those of the profile along x.
         first, profile = cosines[:, 0, 0], np.square(cosines[:, 0, _PROFILE]).sum(1)
+        unevenness: Single = np.sqrt(
+            profile / np.maximum(np.square(first), np.float32(_LEAST))
+        ).astype(np.float32)
         return Trace(
             (squares * self._weights).reshape(len(whole), -1),
             lower_half(spectrum).astype(np.complex64),
-            np.sqrt(profile / np.maximum(np.square(first), np.float32(_LEAST))),
-            first / np.float32((self._bins.rows * self._bins.columns) ** 0.5),
+            unevenness,
+            (first / (self._bins.rows * self._bins.columns) ** 0.5).astype(np.float32),
         )
 
     def _filled(self, measurement: Single, clipped: Bools) -> Single:

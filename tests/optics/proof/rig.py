@@ -75,6 +75,8 @@ class Room:
         shape = [side + lit for side, lit in zip(SIDES, PANEL, strict=True)]
         product = np.fft.rfft2(faded, shape) * np.conj(np.fft.rfft2(panel, shape))
         fine = np.fft.irfft2(product, shape)[: 2 * PROOF.rows, : 2 * PROOF.columns]
+        # Through one hole, a place further to the right sees what is further to the left.
+        fine = fine[::-1, ::-1]
         light: Array = fine.reshape(PROOF.rows, 2, PROOF.columns, 2).mean((1, 3)) / panel.size
         return light
 

@@ -1,0 +1,117 @@
+"""Scores tell a mask that is there from masks that are not, in pictures as in spectra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.optics.proof.rig import CAMERA, UNCLIPPED, Room, figure, mask, measured, natural, opened
+
+from veilcam_optics.camera.imperfections import NOMINAL
+from veilcam_optics.proof import PROOF
+from veilcam_optics.proof.marks import Mark, Marks
+from veilcam_optics.proof.strangers import STRANGERS, Scores, Strangers
+from veilcam_optics.proof.traces import Trace, Traces
+
+MARKS = Marks(CAMERA, NOMINAL, PROOF)
+TRACES = Traces(PROOF)
+WINDOW = MARKS.mark(np.ones(CAMERA.mask_shape))
+OPEN = np.full(CAMERA.mask_shape, 63, np.uint8)
+
+
+def _mark(seed: int) -> Mark:
+    return MARKS.mark(MARKS.shown(mask(seed)))
+
+
+@pytest.fixture(scope="module")
+def strangers() -> Strangers:
+    return Strangers([_mark(1000 + seed) for seed in range(STRANGERS)])
+
+
+def _trace(room: Room, seed: int = 1, snr_db: float = 80) -> Trace:
+    capture = measured(room.behind(opened(mask(seed))), 0, snr_db)
+    return TRACES.take(capture[None], UNCLIPPED[None])
+
+
+def _scores(strangers: Strangers, trace: Trace, *marks: Mark) -> Scores:
+    return strangers.scores(trace, [mark.weighed() for mark in marks], WINDOW)
+
+
+@pytest.mark.parametrize("room", [natural(1), figure(3), figure(4)])
+def test_the_mask_that_is_there_scores_and_others_are_behind(
+    strangers: Strangers, room: Room
+) -> None:
+    scores = _scores(strangers, _trace(room), _mark(1), _mark(2), _mark(3))
+    assert scores.score[0, 0] > 8
+    assert np.abs(scores.score[1:]).max() < 5
+    assert scores.ahead[0, 0] == 0
+    assert scores.ahead[1:].min() > 3
+    assert 0 < scores.share[0] < 1
+    assert scores.window[0] < 3
+
+
+def test_a_picture_adds_what_a_spectrum_does_not_tell(strangers: Strangers) -> None:
+    mark = _mark(1)
+    other = Mark(mark.texture, _mark(2).phases)
+    right, wrong = _scores(strangers, _trace(figure(3)), mark, other).score[:, 0]
+    assert right > 3 * wrong
+
+
+def test_masks_that_are_not_there_score_as_strangers_do(strangers: Strangers) -> None:
+    others = [_mark(2000 + seed) for seed in range(40)]
+    trace = _trace(natural(1))
+    scores = np.concatenate([_scores(strangers, trace, each).score for each in others])
+    assert abs(float(scores.mean())) < 0.6
+    assert 0.5 < float(scores.std(ddof=1)) < 1.6
+
+
+def test_a_mask_is_neither_ahead_of_nor_behind_itself(strangers: Strangers) -> None:
+    scores = _scores(strangers, _trace(natural(1)), _mark(1), _mark(1))
+    assert scores.score[0] == pytest.approx(scores.score[1])
+    assert abs(float(scores.ahead[1, 0])) < 1e-3
+
+
+def test_a_mask_that_is_there_is_ahead_of_its_inversion_by_no_more_than_a_camera_allows(
+    strangers: Strangers,
+) -> None:
+    inverted = MARKS.mark(1 - MARKS.shown((63 - mask(1)).astype(np.uint8)))
+    scores = _scores(strangers, _trace(figure(3)), _mark(1), inverted)
+    assert scores.score[0, 0] > scores.score[1, 0] > 5
+    # A tenth of a score may be wrong: ten times the share that is missing, over the root of 2.
+    pictures = scores.ahead[1, 0]
+    assert 3 < pictures < 30
+
+
+@pytest.mark.parametrize("room", [figure(4), figure(5)])
+def test_an_open_window_scores_where_it_is_open(strangers: Strangers, room: Room) -> None:
+    capture = measured(room.behind(opened(OPEN)), 0)
+    trace = TRACES.take(capture[None], UNCLIPPED[None])
+    assert _scores(strangers, trace, _mark(1)).window[0] > 5
+    assert _scores(strangers, _trace(room), _mark(1)).window[0] < 3
+
+
+def test_dark_on_light_leaves_an_open_window_its_texture(strangers: Strangers) -> None:
+    # Whose picture is skewed to the other side: the texture alone is what counts then.
+    window = opened(OPEN)
+    capture = measured(figure(3).behind(window), 0)
+    trace = TRACES.take(capture[None], UNCLIPPED[None])
+    assert _scores(strangers, trace, _mark(1)).window[0] > 3
+
+
+def test_captures_are_scored_as_each_is(strangers: Strangers) -> None:
+    captures = np.stack(
+        [measured(room.behind(opened(mask(1))), 0) for room in (natural(1), figure(3))]
+    )
+    together = TRACES.take(captures, np.stack([UNCLIPPED] * 2))
+    both = _scores(strangers, together, _mark(1), _mark(2))
+    assert both.score.shape == both.ahead.shape == (2, 2)
+    assert both.share.shape == both.window.shape == (2,)
+    for place, room in enumerate((natural(1), figure(3))):
+        alone = _scores(strangers, _trace(room), _mark(1), _mark(2))
+        np.testing.assert_allclose(both.score[:, place], alone.score[:, 0], rtol=1e-2, atol=1e-2)
+
+
+def test_nothing_at_all_is_no_error(strangers: Strangers) -> None:
+    trace = TRACES.take(np.zeros((1, *PROOF.shape), np.float32), UNCLIPPED[None])
+    scores = _scores(strangers, trace, _mark(1), _mark(2))
+    for values in (scores.score, scores.ahead, scores.share, scores.window):
+        assert np.isfinite(values).all()
