@@ -46,17 +46,21 @@ class RotatedMask:
         )
         inside = axis(_SAMPLES_PER_CELL, pitch / _SAMPLES_PER_CELL)
         found = []
-        for dy in inside:
-            for dx in inside:
+        # A cell's samples are counted with those of its row: all at once would be 25 grids of them.
+        for first, row_of_cells in zip(range(0, cells, self.grid.columns), y, strict=True):
+            samples = []
+            for dy in inside:
                 # Each sample is turned back to where the panel is straight.
-                v = cosine * (y + dy)[:, None] - sine * (x + dx)
-                u = sine * (y + dy)[:, None] + cosine * (x + dx)
+                across = (x + inside[:, None]).flatten()
+                v = cosine * (row_of_cells + dy) - sine * across
+                u = sine * (row_of_cells + dy) + cosine * across
                 row, in_row = _aperture(v, rows, panel.pitch_y, panel.aperture_y)
                 column, in_column = _aperture(u, columns, panel.pitch_x, panel.aperture_x)
-                here = (in_row & in_column).flatten()
-                cell = here.nonzero().flatten()
-                found.append(cell * (rows * columns) + (row * columns + column).flatten()[cell])
-        pairs, counts = torch.unique(torch.cat(found), return_counts=True)
+                here = (in_row & in_column).nonzero().flatten()
+                cell = first + here % self.grid.columns
+                samples.append(cell * (rows * columns) + (row * columns + column)[here])
+            found.append(torch.unique(torch.cat(samples), return_counts=True))
+        pairs, counts = (torch.cat(each) for each in zip(*found, strict=True))
         cell, aperture = pairs // (rows * columns), pairs % (rows * columns)
         shares = counts.double() / _SAMPLES_PER_CELL**2
         covered = torch.zeros(cells, dtype=torch.float64).index_add(0, cell, shares)

@@ -24,27 +24,41 @@ from tests.client.recordings import Daemon
 from veilcam_client.recording import record as record_captures
 
 from .checks import Checks, Result
+from .emulation import EmulationError, register
 from .reading import measured
 from .root import Root, archive
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILD = ROOT / "build" / "debian"
 TOOLS = {"dpkg-deb": "dpkg", "mmdebstrap": "mmdebstrap", "unshare": "util-linux"}
+FOREIGN_TOOLS = {"arch-test": "arch-test"}
+"""What mmdebstrap wants besides, for a root of another architecture."""
 EMULATED = 20.0
 """How many times longer an emulated processor takes, at most."""
 CAPTURES = 40
+SUITE = "bookworm"
+"""Of the figures of room and time; the older of the two."""
 
 console = Console(highlight=False)
 
 
-def obstacle() -> str | None:
+def obstacle(*, emulated: bool) -> str | None:
     """Return why this machine cannot run the checks, None if it can."""
-    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
+    tools = {**TOOLS, **(FOREIGN_TOOLS if emulated else {})}
+    missing = [package for tool, package in tools.items() if shutil.which(tool) is None]
     if missing:
         return f"programs are missing: apt install {' '.join(missing)}"
     if os.geteuid() != 0:
         return "a root of Debian takes root rights: run it with sudo"
     return None
+
+
+def native() -> str | None:
+    """Return Debian's name of this machine's architecture; None where there is no Debian."""
+    if shutil.which("dpkg") is None:
+        return None
+    command = ["dpkg", "--print-architecture"]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def recording(build: Path) -> Path:
@@ -58,7 +72,7 @@ def recording(build: Path) -> Path:
 def main(
     *,
     architecture: Annotated[Architecture, typer.Option(help="Of the root.")] = Architecture.AMD64,
-    suite: Annotated[str, typer.Option(help="Of Debian.")] = "bookworm",
+    suite: Annotated[str, typer.Option(help="Of Debian.")] = SUITE,
     package: Annotated[
         Path | None, typer.Option(help="That was built before; otherwise it is built.")
     ] = None,
@@ -66,20 +80,19 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Make the root, install the package in it, and make the checks."""
-    reason = obstacle()
+    emulated = architecture.value != native()
+    reason = obstacle(emulated=emulated)
     if reason is not None:
         console.print(f"NOT RUN: {reason}")
         return
     folder.mkdir(parents=True, exist_ok=True)
     try:
+        if emulated:
+            register(architecture.value)
         package = package or build(architecture, folder)
-    except BuildError as error:
+    except (BuildError, EmulationError) as error:
         console.print(f"NOT RUN: {error}")
         return
-    native = subprocess.run(
-        ["dpkg", "--print-architecture"], check=True, capture_output=True, text=True
-    ).stdout.strip()
-    emulated = architecture.value != native
     root = Root.unpack(archive(folder, suite, architecture.value), folder / "root")
     digits = folder / "measured.npz"
     if not digits.exists():
@@ -93,12 +106,10 @@ def main(
         console.print(result.detail, markup=False, soft_wrap=True)
 
     passed = checks.run(report)
-    if emulated:
-        values: dict[str, float] = {f"{architecture.value}_{suite}": int(passed)}
-    else:
-        values = checks.figures
-    if passed or emulated:
-        record(figures, values)
+    values: dict[str, float] = {f"{architecture.value}_{suite}": int(passed)}
+    if passed and not emulated and suite == SUITE:
+        values |= checks.figures
+    record(figures, values)
     shutil.rmtree(root.path)
     sys.exit(0 if passed else 1)
 

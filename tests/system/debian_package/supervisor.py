@@ -7,7 +7,9 @@ and no watchdog.
 
 from __future__ import annotations
 
+import os
 import re
+import resource
 import shlex
 import signal
 import socket
@@ -15,6 +17,7 @@ import subprocess
 import threading
 import time
 from collections import defaultdict
+from pathlib import Path
 
 from .root import Root
 
@@ -43,6 +46,7 @@ class Supervisor:
         self.starts: list[str] = []
         """Releases, one for each start."""
         self.ready_at = threading.Event()
+        self._paused = 0.0
         self._stop = threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
         (root.path / SOCKET).parent.mkdir(parents=True, exist_ok=True)
@@ -87,6 +91,18 @@ class Supervisor:
         if not self.ready_at.wait(seconds):
             raise AssertionError(f"not ready in {seconds:.0f} s: {self.log()[-1500:]}")
 
+    def spent(self) -> float:
+        """Return the processor time of all starts so far, and of the pauses between them [s].
+
+        It is what a start takes on a machine that has nothing else to do.
+        """
+        ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+        process, running = self._process, 0.0
+        if process is not None and process.poll() is None:
+            fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+            running = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+        return ended.ru_utime + ended.ru_stime + running + self._paused
+
     def log(self) -> str:
         """Return what the program printed."""
         return (self._root.path / "run/veilcamd.log").read_text(errors="replace")
@@ -97,6 +113,7 @@ class Supervisor:
             asked = self._once()
             if not asked:
                 self._stop.wait(pause)
+                self._paused += pause
 
     def _once(self) -> bool:
         """Start it, and wait for its end; return whether it was asked to end."""

@@ -204,13 +204,13 @@ class SimulatedLight:
     def _collected(self, scene: torch.Tensor, begin: float, end: float) -> torch.Tensor:
         """Light on the sensor, mean over the exposure."""
         if self._panel.settled(begin):
-            levels = self._window(self._panel.framebuffer())
-            return self._light.collect(scene, self._settled.response(levels))
+            return self._settled.collect(scene, self._window(self._panel.framebuffer()))
         top = self._camera.panel.levels - 1
         seen = []
         for instant in np.linspace(begin, end, _INSTANTS):
             weights = torch.from_numpy(self._window(self._panel.visible(float(instant)))) / top
             seen.append(self._light.collect(scene, self._light.response(weights)))
+        give_back_free_memory()
         return torch.stack(seen).mean(0)
 
     def _window(self, shown: npt.NDArray[Number]) -> npt.NDArray[Number]:
@@ -228,17 +228,21 @@ class _Responses:
     camera: Camera
     kept: OrderedDict[bytes, Response] = field(default_factory=OrderedDict, repr=False)
 
-    def response(self, levels: Levels) -> Response:
+    def collect(self, scene: torch.Tensor, levels: Levels) -> torch.Tensor:
+        """Return the light of a scene behind a mask."""
         key = hashlib.sha256(levels.tobytes()).digest()
-        if key not in self.kept:
-            self.kept[key] = self.light.response(
-                torch.from_numpy(to_weights(levels, self.camera.panel))
-            )
+        new = key not in self.kept
+        if new:
+            while len(self.kept) >= _CACHED_MASKS:
+                self.kept.popitem(last=False)
+            weights = torch.from_numpy(to_weights(levels, self.camera.panel))
+            self.kept[key] = self.light.response(weights)
         self.kept.move_to_end(key)
-        while len(self.kept) > _CACHED_MASKS:
-            self.kept.popitem(last=False)
+        collected = self.light.collect(scene, self.kept[key])
+        if new:
+            # Behind everything that a new mask takes, so that the next one finds it all given back.
             give_back_free_memory()
-        return self.kept[key]
+        return collected
 
 
 def simulated_device(
@@ -288,6 +292,8 @@ def simulated_device(
             opened = light.response(torch.ones(camera.mask_shape))
             white = light.collect(torch.ones((1, *scenes.shape)), opened)
         full_scale = _HEADROOM * float(white.max())
+        del opened, white
+        give_back_free_memory()
     display.check(camera)
     open_display, emulated = display.emulate(
         camera,
