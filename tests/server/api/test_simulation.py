@@ -40,7 +40,6 @@ from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import make_directory
 from veilcam_training.bundle import Bundle, write_bundle
 
-
 EXPOSURE = 0.2
 KEY = ReceiverKey.generate()
 """Of a receiver, which is told of the scene, too."""
