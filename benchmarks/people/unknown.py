@@ -76,7 +76,8 @@ class Reader:
         """Greater where no class is likely, (looks,)."""
         weight, bias = (self._weights[f"{self._last}.{name}"] for name in ("weight", "bias"))
         logits = features @ weight.T + bias
-        return -np.log(np.exp(logits).sum(axis=1))
+        energies: Values = -np.log(np.exp(logits).sum(axis=1))
+        return energies
 
 
 def distance(features: Values, labels: npt.NDArray[np.uint8]) -> Callable[[Values], Values]:
