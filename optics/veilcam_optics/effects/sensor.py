@@ -38,9 +38,21 @@ def converter_range(conditions: Conditions) -> float:
     return 1.0
 
 
-def _rms(values: Tensor) -> float:
-    """Root mean square, kept from zero so that it may divide."""
-    return max(float(values.square().mean().sqrt()), 1e-300)
+def over_light(part: Tensor, values: Tensor) -> float:
+    """Root mean square over masks of the relative L2 of a part of what embeddings say.
+
+    Of few weights a mask may leave the sensor almost dark, where a step of a converter is much.
+
+    Args:
+        part: (masks, rows, columns), or alike for all.
+        values: embeddings, (masks, rows, columns).
+
+    Returns:
+        1 where no mask passes any light.
+    """
+    shares = part.expand_as(values).square().mean((-2, -1)), values.square().mean((-2, -1))
+    lit = shares[1] > 0
+    return float((shares[0][lit] / shares[1][lit]).mean().sqrt()) if lit.any() else 1.0
 
 
 class Bayer(Effect):
@@ -81,8 +93,7 @@ class ShotNoise(Effect):
         if not conditions.electrons:
             return float(10 ** (-conditions.snr_db / 20))
         values = comparison.white()
-        mean = float(values.mean().clamp_min(0))
-        return math.sqrt(mean / conditions.electrons) / _rms(values)
+        return over_light((values.clamp_min(0) / conditions.electrons).sqrt(), values)
 
     def reason(self, model: Model) -> str:
         """How many."""
@@ -117,7 +128,8 @@ class ReadNoise(Effect):
     def error(self, comparison: Comparison) -> float:
         """Noise over signal."""
         conditions = comparison.model.conditions
-        return conditions.read_noise / conditions.electrons / _rms(comparison.white())
+        noise = torch.tensor(conditions.read_noise / conditions.electrons, dtype=torch.float64)
+        return over_light(noise, comparison.white())
 
     def reason(self, model: Model) -> str:
         """How much."""
@@ -155,7 +167,7 @@ class FullWell(Effect):
         conditions = comparison.model.conditions
         values = comparison.white()
         lost = (values - conditions.full_well / conditions.electrons).clamp_min(0)
-        return _rms(lost) / _rms(values) if float(lost.max()) > 0 else 0.0
+        return over_light(lost, values) if float(lost.max()) > 0 else 0.0
 
     def reason(self, model: Model) -> str:
         """Where it ends."""
@@ -181,7 +193,8 @@ class BlackLevel(Effect):
 
     def error(self, comparison: Comparison) -> float:
         """Offset over signal."""
-        return comparison.model.conditions.black_level / _rms(comparison.white())
+        offset = torch.tensor(comparison.model.conditions.black_level, dtype=torch.float64)
+        return over_light(offset, comparison.white())
 
     def reason(self, model: Model) -> str:
         """How much."""
@@ -205,12 +218,18 @@ class Converter(Effect):
     neutral = MappingProxyType({"adc_bits": 0})
 
     def error(self, comparison: Comparison) -> float:
-        """Rounding (a twelfth of a step squared) and what lies beyond the range."""
+        """Rounding (a twelfth of a step squared) and what lies beyond the range.
+
+        What is below half a step is read as nothing: all of it is lost.
+        """
         conditions = comparison.model.conditions
         values = comparison.white()
+        lifted = values + conditions.black_level
         step = converter_range(conditions) / (2**conditions.adc_bits - 1)
-        lost = (values + conditions.black_level - converter_range(conditions)).clamp_min(0)
-        return math.hypot(step / math.sqrt(12), float(lost.square().mean().sqrt())) / _rms(values)
+        rounded = torch.full_like(values, step / math.sqrt(12))
+        rounded = torch.where(lifted < step / 2, lifted, rounded)
+        lost = (lifted - converter_range(conditions)).clamp_min(0)
+        return over_light(torch.hypot(rounded, lost), values)
 
     def reason(self, model: Model) -> str:
         """Its range and step."""

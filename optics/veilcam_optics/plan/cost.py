@@ -21,7 +21,7 @@ from veilcam_optics.transfer.tables import Reach
 
 _PRODUCTS_PER_MS = {torch.float32: 2.0e7, torch.float64: 0.9e7}
 _NUMBERS_PER_MS = {torch.float32: 1.2e6, torch.float64: 0.5e6}
-_FIXED_MS, _ZONE_MS, _STACK_MS, _SCENE_MS, _GRID_MS = 0.17, 0.05, 0.08, 0.03, 2.5
+_FIXED_MS, _ZONE_MS, _STACK_MS, _SCENE_MS, _GRID_MS = 0.15, 0.09, 0.045, 0.02, 2.5
 """What a step, each zone of the field, each stack of pairs, each scene by factors and each sample
 of light on a grid take beside their products: measured for masks of a few sub-pixels."""
 

@@ -107,8 +107,9 @@ def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = N
     # An edge sends less light out at an angle than Fresnel's: of what strays by s the share
     # 1 / (1 + s^2) arrives; half of that is the flux's. Where phases are off by more than a turn,
     # their first order may hide it, and it is there all the same.
+    strayed = relative(seen + spread, seen)
     errors = tuple(
-        _all_orders(max(relative(seen + change, seen), share * relative(seen + spread, seen)))
+        _all_orders(relative(seen + change, seen), share * strayed)
         for change, share in zip(changes, (1.0, 0.5), strict=True)
     )
     return Missing(changes[0], changes[1], (errors[0], errors[1]), channels)
@@ -129,9 +130,17 @@ def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = No
     return relative(even, uneven)
 
 
-def _all_orders(first: float) -> float:
-    """Sum of a series of which each term is no larger a part of the last than the first is."""
-    return min(1.0, first / (1 - first)) if first < 0.5 else 1.0
+def _all_orders(first: float, bright: float) -> float:
+    """Sum of a series of which each term is no larger a part of the last than the first is.
+
+    Where there is no such sum, light is wrong by all of itself, or by more: what is too bright.
+
+    Args:
+        first: relative L2 of the first order.
+        bright: share of the exact light by which it is too bright.
+    """
+    most = max(first, bright)
+    return min(1.0, most / (1 - most)) if most < 0.5 else max(1.0, bright)
 
 
 def _whole(light: Tensor, parts: int) -> Tensor:

@@ -82,6 +82,9 @@ def _turned(probe: Probe, model: Model, beam: Beam, weights: Tensor) -> Tensor:
         + total((0, 2), (0, 0), w, wx * x)
         + total((0, 0), (0, 2), w, wy * y)
         - 2 * total((0, 1), (0, 1), w, wx * y)
+        # What turns comes nearer to the axes, by the cosine.
+        - total((0, 1), (0, 0), w, wy)
+        - total((0, 0), (0, 1), w, wx)
     )
     change = angle * (turned + own) + angle**2 * second
     return torch.stack([plain, change, change - angle * moved])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import pytest
@@ -12,6 +13,8 @@ from torch import Tensor
 
 from veilcam_optics.camera.imperfections import Conditions
 from veilcam_optics.effects.composition import read
+from veilcam_optics.effects.sensor import over_light
+from veilcam_optics.plan.reading import converted
 
 
 def test_counted_photons_have_the_variance_of_their_mean() -> None:
@@ -50,6 +53,26 @@ def test_measurement_passes_gradients_straight_through() -> None:
     measurements_ = read(measurement_model(conditions), values, torch.Generator().manual_seed(0))
     (gradient,) = torch.autograd.grad(measurements_.sum(), values)
     assert torch.allclose(gradient, torch.ones_like(gradient))
+
+
+def test_a_part_of_the_light_is_that_of_each_mask() -> None:
+    """One mask in two leaves hardly any light: what is added is a thousand times as much there."""
+    values = torch.stack([torch.ones(2, 3), torch.full((2, 3), 1e-3), torch.zeros(2, 3)]).double()
+    added = torch.tensor(0.01, dtype=torch.float64)
+    assert over_light(added, values) == pytest.approx(math.sqrt((0.01**2 + 10**2) / 2))
+    assert over_light(added, values[2:]) == 1.0
+
+
+def test_what_is_below_half_a_step_is_not_made_much_of() -> None:
+    """Far below it reads nothing whatever its error is; a little below, an error may lift it."""
+    conditions = Conditions(adc_bits=4, adc_range=15.0)
+    bright = torch.linspace(1, 9, 12, dtype=torch.float64).reshape(1, 3, 4)
+    for faint, most in ((0.05, 1.2), (0.496, 20.0)):
+        values = torch.cat((bright, torch.full_like(bright, faint)))
+        alone = converted(0.01, values[:1], conditions, 12)
+        both = converted(0.01, values, conditions, 12)
+        assert both < most * alone
+    assert both > 1.2 * alone
 
 
 def test_every_setting_changes_the_measurements() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tests.oracle.judge import computed, judge_job, truth
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.effects.model import Method
-from veilcam_optics.plan import plan
+from veilcam_optics.plan import Plan, plan
 
 HALF_OPEN = (10, 8), (10, 8)
 
@@ -43,11 +44,14 @@ def narrow(distance: float, tangent: float = 0.01) -> Scene:
     return Scene(2, 2, height=2e3 * tangent * distance, distance=1e3 * distance)
 
 
+def chosen_by(job: Job, method: Method | None = None) -> Plan:
+    """A job's plan."""
+    return plan(job.camera, job.scene, job.embedding, job.tolerance, job.conditions, method=method)
+
+
 def judged(job: Job, method: Method | None = None) -> tuple[float, float]:
     """Predicted and true error of a job's plan."""
-    chosen = plan(
-        job.camera, job.scene, job.embedding, job.tolerance, job.conditions, method=method
-    )
+    chosen = chosen_by(job, method)
     weights = masks(job)
     exact, unsure = truth(job, weights, lambda _: chosen.error / 10)
     true = float(np.linalg.norm(computed(chosen, weights) - exact) / np.linalg.norm(exact))
@@ -141,6 +145,34 @@ def test_apertures_turn_with_their_mask() -> None:
     predicted, true = judged(job, "transfer")
     assert true > 5e-3
     assert true / 2 < predicted < 3 * true
+
+
+def test_what_turns_comes_nearer_to_the_axis() -> None:
+    """Two apertures, halves of which the sensor sees: by symmetry nothing else shows."""
+    panel = Panel(
+        pitch_y=200e-6, pitch_x=200e-6, aperture_y=100e-6, aperture_x=100e-6, filter_cycle=()
+    )
+    seen = replace(camera(200e-6, (2, 1), 200e-6, 8e-3, 0.3e-6), panel=panel)
+    turned = Conditions(imperfections=Imperfections(rotation=0.1))
+    job = Job(seen, narrow(8e-3), Embedding(1, 1), turned, 1e-1, ((2, 1), (2, 1)))
+    rotated = {each.name: each for each in chosen_by(job).assessments}["mask rotation"]
+    weights = masks(job)
+    exact, _ = truth(job, weights, lambda _: 1e-3)
+    straight, unsure = truth(replace(job, conditions=Conditions()), weights, lambda _: 1e-3)
+    true = float(np.linalg.norm(straight - exact) / np.linalg.norm(exact))
+    assert true > 5 * unsure
+    assert true / 2 < rotated.error < 2 * true
+
+
+def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright() -> None:
+    """At a tangent of 2 Fresnel's flux is that of exact waves several times over."""
+    panel = Panel(pitch_y=50e-6, pitch_x=50e-6, aperture_y=40e-6, aperture_x=40e-6, filter_cycle=())
+    shadowed = replace(camera(50e-6, (1, 1), 6e-6, 15e-6, 0.9e-6), panel=panel)
+    moved = Conditions(imperfections=Imperfections(shift_y=50e-6))
+    job = Job(shadowed, narrow(15e-6), Embedding(1, 1), moved, 1e-2, HALF_OPEN)
+    found = judge_job(job, planner=partial(plan, method="transfer"))
+    assert found.true > 2
+    assert found.honest
 
 
 FAINT = camera(30e-6, (2, 2), 200e-6, 2e-3, 3e-6)
