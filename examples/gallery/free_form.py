@@ -21,7 +21,8 @@ camera = replace(
 scene, embedding = Scene(16, 16, height=0.04), Embedding(12, 12)
 
 cells = mls_cells(order=5, repeats=2)
-grid = Grid.square(*cells.shape, PITCH)
+rows, columns = cells.shape
+grid = Grid.square(rows, columns, PITCH)
 relief = diffuser_height(
     grid, roughness=1e-6, correlation=60e-6, generator=torch.Generator().manual_seed(0)
 )
