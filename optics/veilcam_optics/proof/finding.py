@@ -10,15 +10,15 @@ from typing import Literal
 Verdict = Literal["seen", "not seen", "undecided"]
 Alternative = Literal["before", "inverted", "transparent", "another"]
 
-FOR = 4.5
-"""Score that a mask has to reach to be seen: one that is not there reaches it in 1 of 11,000."""
+FOR = 5.0
+"""Score that a mask has to reach to be seen: 18 of 13,680 that were not there reached it."""
 CLEAR = 1.5
 """By which it has to be ahead of every rival (eq. 8)."""
 CLEAR_OF_INVERTED = 3.0
 """The same of the inverted mask, most of whose picture is its own."""
 AGAINST = 8.0
-"""Score that a rival has to reach for the named mask not to be seen: one that is not there reaches
-it in 1 of 1,800,000."""
+"""Score that a rival has to reach for the named mask not to be seen: of those 13,680 one did, behind
+an opaque panel."""
 OPEN = 5.0
 """The same of an open window: masks have less of its mark than chance has."""
 AHEAD = 2.5

@@ -17,6 +17,8 @@ PICTURED = 12
 """So many of them say what chance makes of pictures, and what it scores of an open window."""
 _SHARED = 0.3
 """Correlation of both scores of a mask that is not there."""
+_RARER = 2**0.5
+"""Times as high as by spectrum chance scores by both: fourth moments have longer tails."""
 _INEXACT = 0.1
 """Share of a picture's score by which it may be off, as a camera is off its drawing."""
 _LEAST = float(np.finfo(np.float32).tiny)
@@ -68,8 +70,10 @@ class Strangers:
         texture = window.texture.reshape(1, -1)
         raw = _raw(trace, texture, np.square(texture))
         by_texture = _standardised(raw, _raw(trace, self._textures, self._texture_squares))[0]
+        both = (by_spectrum + by_picture) / np.float32((2 + 2 * _SHARED) ** 0.5)
         return Scores(
-            (by_spectrum + by_picture) / np.float32((2 + 2 * _SHARED) ** 0.5),
+            # A scene that is dense even as its edges has a spectrum alone.
+            np.maximum(both, np.float32(_RARER) * by_spectrum),
             (ahead + ahead_in_pictures) / np.float32(2**0.5),
             share,
             # Where something dark is in front of light, skewness is no sign of a window.
