@@ -17,8 +17,8 @@ CLEAR = 1.5
 CLEAR_OF_INVERTED = 3.0
 """The same of the inverted mask, most of whose picture is its own."""
 AGAINST = 8.0
-"""Score that a rival has to reach for the named mask not to be seen: of those 13,680 one did, behind
-an opaque panel."""
+"""Score that a rival has to reach for the named mask not to be seen: of those 13,680 one did,
+behind an opaque panel."""
 OPEN = 5.0
 """The same of an open window: masks have less of its mark than chance has."""
 AHEAD = 2.5
