@@ -166,7 +166,7 @@ deb: $(INSTALLED)
 test-deb: $(INSTALLED)
 	$(BIN)/python -m tests.system.debian_package
 
-# The same on an emulated processor: wants qemu-user-static and its entry in binfmt_misc, and hours.
+# The same on an emulated processor: wants qemu-user-static and arch-test, and hours.
 .PHONY: test-arm64
 test-arm64: $(INSTALLED)
 	$(BIN)/python -m tests.system.debian_package --architecture arm64

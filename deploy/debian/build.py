@@ -17,6 +17,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
 from email.message import Message
 from email.parser import HeaderParser
 from email.utils import formatdate
@@ -43,6 +44,8 @@ DEPENDS = (
     "python3-numpy (>= 1:1.24)",
     # Has no wheels.
     "python3-spidev",
+    # Wheels of the newest platform that is taken are built for it.
+    "libc6 (>= 2.34)",
     # The first that keeps a service from running what it wrote, and takes credentials.
     "systemd (>= 252)",
     "udev",
@@ -203,7 +206,7 @@ def rights(stage: Path, own: Message) -> str:
         f"Source: {own['Project-URL'] or own['Home-page'] or 'the checkout it was built from'}",
         "",
         "Files: *",
-        "Copyright: the authors of Veilcam",
+        f"Copyright: {datetime.fromtimestamp(changed(), UTC).year} the authors of Veilcam",
         "License: Apache-2.0",
         " On Debian systems the text is in /usr/share/common-licenses/Apache-2.0.",
     ]
@@ -222,9 +225,25 @@ def rights(stage: Path, own: Message) -> str:
     return "\n".join(lines) + "\n"
 
 
+def changed() -> int:
+    """Return when what is built was committed, in seconds since 1970."""
+    return int(_run("git", "-C", ROOT, "log", "-1", "--format=%ct"))
+
+
+def manual(name: str, version: str) -> str:
+    """Return the manual page of a command, which leads to what it says of itself."""
+    return Template((HERE / "manual.in").read_text()).substitute(
+        name=name.replace("-", r"\-"),
+        upper=name.upper(),
+        purpose=COMMANDS[name],
+        version=version,
+        day=datetime.fromtimestamp(changed(), UTC).date().isoformat(),
+    )
+
+
 def changes(version: str) -> str:
     """Return the newest entry of the changelog, as Debian writes one."""
-    when = formatdate(int(_run("git", "-C", ROOT, "log", "-1", "--format=%ct")))
+    when = formatdate(changed())
     entry = "  * See CHANGELOG.md of the checkout that it was built from."
     return f"veilcam ({version}) stable; urgency=medium\n\n{entry}\n\n -- {MAINTAINER}  {when}\n"
 
@@ -247,7 +266,12 @@ PROGRAMS: Mapping[str, str] = {
     "debian/command.py": "usr/lib/veilcam/command",
     "debian/release.sh": "usr/lib/veilcam/release",
 }
-COMMANDS = ("veilcam", "veilcamd", "veilcam-mqtt")
+COMMANDS: Mapping[str, str] = {
+    "veilcam": "ask a camera without a lens",
+    "veilcamd": "serve a camera without a lens",
+    "veilcam-mqtt": "tell a house over MQTT what a camera without a lens reads",
+}
+"""And what each is for."""
 
 
 def lay_out(stage: Path, version: str) -> None:
@@ -260,6 +284,9 @@ def lay_out(stage: Path, version: str) -> None:
     (stage / "usr/bin").mkdir(parents=True)
     for name in COMMANDS:
         (stage / "usr/bin" / name).symlink_to("../lib/veilcam/command")
+        page = stage / f"usr/share/man/man1/{name}.1.gz"
+        page.parent.mkdir(parents=True, exist_ok=True)
+        page.write_bytes(gzip.compress(manual(name, version).encode(), 9, mtime=0))
     # Secrets of the bridge: root alone may look.
     (stage / "etc/veilcam/house").mkdir(parents=True)
     (stage / "etc/veilcam/house").chmod(0o700)
@@ -295,7 +322,7 @@ def close(stage: Path, version: str, architecture: Architecture, out: Path) -> P
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"veilcam_{version}_{architecture.value}.deb"
     _run("dpkg-deb", "--root-owner-group", "-Zxz", "-z3", "--build", stage, file,
-        SOURCE_DATE_EPOCH=_run("git", "-C", ROOT, "log", "-1", "--format=%ct"))  # fmt: skip
+        SOURCE_DATE_EPOCH=str(changed()))  # fmt: skip
     return file
 
 

@@ -47,7 +47,7 @@ def test_everything_of_this_folder_is_in_the_package() -> None:
         if path.is_file() and "__pycache__" not in path.parts
     }
     apart = {"README.md", "config.py", "prometheus/veilcam.rules.yml"}
-    apart |= {f"debian/{name}" for name in ("__init__.py", "build.py", "control.in")}
+    apart |= {f"debian/{name}" for name in ("__init__.py", "build.py", "control.in", "manual.in")}
     apart |= {f"debian/{name}" for name in ("postinst", "prerm", "postrm")}
     assert there - apart == {*FILES, *PROGRAMS}
 
@@ -129,8 +129,23 @@ def test_the_package_holds_what_it_says(
     assert rows["/etc/veilcam/house/"][0] == "drwx------"
     for name in COMMANDS:
         assert rows[f"/usr/bin/{name}"][0].startswith("l")
+        assert rows[f"/usr/share/man/man1/{name}.1.gz"][0] == "-rw-r--r--"
     # dpkg asks nobody which settings to keep.
     assert not [name for name in rows if name.startswith("/etc/") and not name.endswith("/")]
+
+
+@packs
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("lintian") is None, reason="apt install lintian")
+def test_lintian_finds_nothing_in_what_is_laid_out(release: Path, tmp_path: Path) -> None:
+    stage = tmp_path / "stage"
+    build.lay_out(stage, "1.2.3")
+    file = build.close(stage, "1.2.3", Architecture.AMD64, tmp_path / "out")
+    command = ["lintian", "--allow-root", "--tag-display-limit", "0", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # What is overridden because of wheels has no use where there is none.
+    found = [line for line in done.stdout.splitlines() if "mismatched-override" not in line]
+    assert found == [], done.stderr
 
 
 @pytest.mark.parametrize("name", COMMANDS)
