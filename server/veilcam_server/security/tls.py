@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ssl
+from asyncio.sslproto import SSLProtocol
 from pathlib import Path
 
 from veilcam_server.errors import StartError
+
+_READ_AT_ONCE = 32 * 1024
+"""From a connection, all connections of this process [bytes]."""
 
 
 def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
@@ -18,6 +22,9 @@ def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
     Raises:
         StartError: one of them cannot be used; no message repeats what is in it.
     """
+    # asyncio fills 256 KiB of memory for whatever a connection may send at once, so that 200 that
+    # never speak would take 50 MB. A record of TLS has 16 KiB (RFC 8446, 5.1).
+    SSLProtocol.max_size = _READ_AT_ONCE
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     for option, path in (("--tls-certificate", certificate), ("--tls-key", key)):

@@ -109,6 +109,7 @@ class Rig:
     policy: RotationPolicy = field(default_factory=lambda: EveryCaptures(captures=1))
     faults: CameraFaults = field(default_factory=CameraFaults)
     shown: list[int] = field(default_factory=list)
+    optics: Plain = field(default_factory=Plain)
 
     def __post_init__(self) -> None:
         self.panel = PanelEmulator(TABS["green"], crystal=self.crystal, reset_time=0.0)
@@ -131,7 +132,7 @@ class Rig:
         self.light = SimulatedLight(
             self.panel,
             Scenes((White(),)),
-            Plain(),
+            self.optics,
             camera=CAMERA,
             embedding=EMBEDDING,
             conditions=Conditions(exposure=self.exposures.start, snr_db=math.inf),
@@ -244,8 +245,8 @@ def test_a_frame_of_an_exposure_not_yet_applied_is_passed_over(
         return taken[-1]
 
     monkeypatch.setattr(IMX477, "capture", noted)
-    rig = rigged(exposures=ExposureRange(0.001, factor=4))
-    rig.light._light = Dim()
+    # Dim from the first frame on: the camera sees before it is asked.
+    rig = rigged(exposures=ExposureRange(0.001, factor=4), optics=Dim())
     for _ in range(4):
         level, captured = rig.capture()
         np.testing.assert_allclose(captured.measurement, 0.1 * level / 63, atol=2e-3)
