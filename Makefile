@@ -94,8 +94,8 @@ stress: $(INSTALLED)
 siege: $(INSTALLED)
 	$(BIN)/python -m tests.stress.siege --figures benchmarks/results/siege.json
 
-# The page in Chromium, Debian's. Not part of test, since who changes optics needs no browser. One
-# browser and one daemon for all of it, so it runs in one process.
+# The page in Chromium, Debian's. Not part of test, since who changes optics needs no browser; CI runs
+# it. One browser and one daemon for all of it, so it runs in one process.
 .PHONY: test-page
 test-page: $(INSTALLED)
 	$(BIN)/pytest -m page tests/page
