@@ -41,7 +41,7 @@ git -C "$project" describe --always --dirty --abbrev=12 --exclude='*' > commit
 say "the package"
 rm -rf root packages
 (cd "$project" && "${BUILDER:-python3}" -m deploy.debian.build --architecture amd64 --out "$OLDPWD/packages")
-mkdir -p root/tmp
+mkdir -p root/srv
 tar -C root -xf base.tar --exclude='./dev/*'
 mknod -m 666 root/dev/null c 1 3
 mknod -m 666 root/dev/urandom c 1 9
@@ -54,8 +54,8 @@ mkdir -p root/usr/local/lib/python3.11/dist-packages
 cp -r light/. root/usr/local/lib/python3.11/dist-packages
 
 say "what the checks need"
-cp "$here/spidev.c" root/tmp/
-inside sh -c 'gcc -Wall -Wextra -Werror -O1 -o /usr/local/bin/spidev-in-user-space /tmp/spidev.c \
+cp "$here/spidev.c" root/srv/
+inside sh -c 'gcc -Wall -Wextra -Werror -O1 -o /usr/local/bin/spidev-in-user-space /srv/spidev.c \
     $(pkg-config --cflags --libs fuse3)'
 mkdir -p root/usr/local/lib/veilcam-checks/guest
 cp "$project/deploy/README.md" root/usr/local/lib/veilcam-checks/
@@ -66,7 +66,7 @@ install -D -m 644 "$here/guest/virtual-machine.conf" \
 cp "$here/guest/veilcam.env" root/etc/veilcam/veilcam.env
 inside systemctl --quiet enable veilcam-prepare.service veilcam-checks.service
 inside systemctl --quiet mask serial-getty@ttyS0.service getty@.service systemd-timesyncd.service
-rm -rf root/tmp/* root/srv/*
+rm -rf root/srv/*
 
 say "initial file system"
 version=$(ls root/usr/lib/modules | sort -V | tail -n 1)
