@@ -8,8 +8,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import typer
 from benchmarks.figures import FiguresOption, record
@@ -18,6 +20,8 @@ from benchmarks.figures import FiguresOption, record
 def completeness(report: str) -> float:
     """Percent of symbols whose type is known, in a report of pyright; prints all others."""
     found = json.loads(report)["typeCompleteness"]
+    if not found["modules"]:
+        sys.exit("pyright found no veilcam_client: install the project beside this Python")
     for symbol in found["symbols"]:
         if symbol["isExported"] and not symbol["isTypeKnown"]:
             print(symbol["name"])
@@ -27,8 +31,14 @@ def completeness(report: str) -> float:
 def main(*, figures: FiguresOption = None) -> None:
     """Measure the completeness of the SDK's types."""
     command = (sys.executable, "-m", "pyright", "--ignoreexternal", "--outputjson")
+    # --verifytypes takes the packages of the first Python on the path, whichever runs pyright.
+    first = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
-        (*command, "--verifytypes", "veilcam_client"), capture_output=True, text=True, check=False
+        (*command, "--verifytypes", "veilcam_client"),
+        env={**os.environ, "PATH": first},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     percent = round(completeness(done.stdout), 2)
     print(f"{percent} %")
