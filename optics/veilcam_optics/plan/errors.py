@@ -11,7 +11,7 @@ from torch import Tensor
 
 from veilcam_optics.camera.geometry import CHANNELS
 from veilcam_optics.effects.light import OffAxis, scene_pixel_tangent, stretch, tangents, zones
-from veilcam_optics.effects.mask import DeadLines
+from veilcam_optics.effects.mask import DeadLines, MaskShift
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import BlackLevel
 from veilcam_optics.plan.bounds import (
@@ -77,17 +77,30 @@ class ErrorModel:
         self._probe = Probe(model)
         self._exact_transfers: dict[tuple[Probe, tuple[int, ...] | None], Tensor] = {}
         panel = model.camera.panel
-        self._shadow_error = shadow_error(model, min(panel.aperture_y, panel.aperture_x))
-        # Very near the sensor fringes are too fine to be sampled, and too fine to matter.
-        self.resolved = 3 * self._shadow_error > tolerance and resolved(
-            model.with_sampling(reach=Reach(0, 0))
-        )
+        lit = shadow_error(model, min(panel.aperture_y, panel.aperture_x))
+        self._shadow_error = min(1.0, lit * self._beside_shadows(model))
+        # Very near the sensor fringes are too fine to be sampled, and too fine to matter. Where no
+        # shadow falls on it either, no more is known than that it is dark.
+        matters = self._shadow_error if self._shadow_error < 1 else lit
+        self.resolved = 3 * matters > tolerance and resolved(model.with_sampling(reach=Reach(0, 0)))
         """Whether fringes are sampled; else shadows are all that is known."""
         if not self.resolved:
             model = replace(model, sampling=replace(model.sampling, diffraction=False))
         self.full = self.interferences(model)
         """With every effect on."""
         self.model = self.full.model
+
+    def _beside_shadows(self, model: Model) -> float:
+        """Light of a centred mask's shadows over what of them a moved mask casts on the sensor.
+
+        What diffraction moves is a share of an aperture's light: of less it is more. At least 1.
+        """
+        if not MaskShift().present(model):
+            return 1.0
+        shadows = replace(model, sampling=replace(model.sampling, diffraction=False))
+        seen = float(self._probe.transfer(shadows).norm())
+        centred = float(self._probe.transfer(MaskShift().without(shadows)).norm())
+        return max(1.0, centred / seen) if seen else math.inf
 
     def interferences(self, model: Model) -> Interferences:
         """Errors of every reach: near pairs are counted, and what is farther apart is bounded."""
@@ -245,7 +258,7 @@ class ErrorModel:
         most = 2 * math.sqrt(2) * side * (farthest + side / 2)
         if most <= self._small:
             return most
-        return uneven_error(Probe(self.model, _FEWEST), self._near, self._telling)
+        return uneven_error(Probe(self.model, _FEWEST), self._near, self._small, self._telling)
 
     @cached_property
     def _slopes(self) -> tuple[float, float]:
@@ -306,20 +319,19 @@ class ErrorModel:
     def quadrature(self, model: Model) -> tuple[float, float]:
         """Largest step [m] whose integration error is far below the tolerance, and that error.
 
-        Between nodes products of fields are taken for straight: that is wrong by a twelfth of the
-        step squared times the second derivative.
+        Between nodes products of fields are taken for straight: that goes with the step squared.
         """
         if not model.sampling.diffraction:
             return model.sampling.step, 0.0
         longest = fringe_step(model, model.sampling.reach)
         judged = model.with_sampling(wavelengths=1, layers=1, step=longest)
         size = float(self._fewer.transfer(judged, channels=self._telling).norm())
-        bend = float(self._fewer.bend(judged, channels=self._telling).norm())
-        if not size or not bend:
+        changed = float(self._fewer.straightened(judged, channels=self._telling).norm())
+        if not size or not changed:
             return longest, 0.0
-        wanted = math.sqrt(12 * self._small * size / bend)
+        wanted = longest * math.sqrt(self._small * size / changed)
         step = max(min(longest, wanted), smallest_step(model))
-        return step, min(1.0, step**2 / 12 * bend / size)
+        return step, min(1.0, (step / longest) ** 2 * changed / size)
 
     def grids(self, model: Model, least: float) -> GridErrors:
         """Errors of the grids of a model, from the coarsest oversampling on."""

@@ -32,9 +32,7 @@ def joint_error(probe: Probe, full: Model, chosen: Model, missing: Missing | Non
     exact = probe.transfer(full, channels=channels)
     light = probe.transfer(computed, channels=channels)
     if computed.sampling.diffraction and not grid:
-        # Between nodes products of fields are taken for straight.
-        bent = probe.bend(computed, channels=channels)
-        light = light + computed.sampling.step**2 / 12 * bent
+        light = light + probe.straightened(computed, channels=channels)
     if missing is not None:
         exact = exact + (missing.grid if grid else missing.factored)
     return min(1.0, relative(light, exact))

@@ -23,8 +23,12 @@ from veilcam_optics.plan.probe import Probe, lit_rows, pair_products, relative
 _MOST = 4
 """Highest power: of the phase; of the amplitude the second."""
 
-_WIDE, _PARTS, _FEWER = 0.1, 5, 2
+_WIDE, _PARTS = 0.1, 5
 """Scene pixels from so wide an angle on [rad] are looked at in more parts along each axis."""
+
+_SIDES, _RINGS = 2, 4
+"""Parts along each axis that tell one side of a scene pixel from the other, or also its middle from
+its corners."""
 
 Series = dict[tuple[int, int], Tensor]
 """By powers of the stray over the distance along y and x: factors of it, (offsets y, offsets x), or
@@ -115,12 +119,25 @@ def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = N
     return Missing(changes[0], changes[1], (errors[0], errors[1]), channels)
 
 
-def uneven_error(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> float:
+def uneven_error(
+    probe: Probe, model: Model, small: float, channels: Sequence[int] | None = None
+) -> float:
     """Relative L2 of taking a scene pixel for evenly bright, where the sensor sees some of it.
 
     Oblique parts of it are fainter, by the fourth power of the cosine.
+
+    Args:
+        probe: offsets where light is looked at.
+        model: with the reach of interference that counts.
+        small: errors below it need not be known.
+        channels: those that are looked at; None for all.
     """
-    parts = _PARTS if scene_pixel_tangent(model) > _WIDE else _FEWER
+    side = scene_pixel_tangent(model)
+    parts = _PARTS if side > _WIDE else _SIDES
+    # Twice the square of the tangent is less light: from all of a pixel on the axis to its corner
+    # that grows by two thirds of the square of its side. Halves are alike in that.
+    if 2 / 3 * side**2 > small:
+        parts = max(parts, _RINGS)
     fade = Rays.of(*probe.tangents(model, parts)).cosine ** 4
     light = probe.light(model, channels=channels, parts=parts)
     even, uneven = (

@@ -178,7 +178,7 @@ def plan(
         if not close or error <= tolerance:
             break
         # Errors of one sign add up to more: less of each.
-        aim *= _CLOSER * tolerance / error
+        aim = _CLOSER * tolerance / error * min(aim, choice.error)
     return Plan(
         model=chosen,
         asked=asked,

@@ -24,7 +24,7 @@ from veilcam_optics.effects.composition import beams, collected, fade, shown
 from veilcam_optics.effects.light import scene_pixel_tangent, tangents
 from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares, mean_shares
-from veilcam_optics.plan.boxes import Values, bends, integrals, within_reach
+from veilcam_optics.plan.boxes import Straightening, Values, integrals, within_reach
 from veilcam_optics.transfer.kernels import Axis
 from veilcam_optics.transfer.tables import Beam, make_axes
 
@@ -183,17 +183,14 @@ class Probe:
         apart = light.reshape(*light.shape[:-2], *shape)
         return collected(model, apart, (-3, -1)).reshape(light.shape)
 
-    def bend(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
-        """Sum of the second derivatives of :meth:`transfer` by the offset along y and x [1/m^2].
-
-        The second derivative of the kernel's box is four points at its corners.
-        """
-        total = self.dark()
+    def straightened(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
+        """What :meth:`transfer` changes by where fields' products are straight between nodes."""
+        total, of = self.dark(), Straightening(model.sampling.step)
         for beam, scaled in self.lights(model, channels):
             rows, down, across = self._pairs(model, beam, (1.0, 1.0))
-            _, bent_down, bent_across = self._pairs(model, beam, (1.0, 1.0), of=bends)
+            _, changed_down, changed_across = self._pairs(model, beam, (1.0, 1.0), of=of)
             weights, share = scaled[:, rows], self.share(model, beam.channel)
-            for along_y, along_x in ((bent_down, across), (down, bent_across)):
+            for along_y, along_x in ((changed_down, across), (down, changed_across)):
                 total += share * pair_sums(along_y, along_x, weights, weights)
         return self.faded(model, total)
 

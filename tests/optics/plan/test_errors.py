@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
+import torch
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
-from veilcam_optics.camera.imperfections import PARAXIAL
+from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfections
 from veilcam_optics.effects import Model
 from veilcam_optics.effects.mask import DeadSpace
+from veilcam_optics.plan import plan
 from veilcam_optics.plan.errors import ErrorModel
+from veilcam_optics.plan.probe import Probe, relative
+from veilcam_optics.simulation.operator import LightOperator
+from veilcam_optics.transfer.tables import Reach
 
 
 def model(cycle: tuple[int, ...] = ()) -> Model:
@@ -68,3 +75,65 @@ def test_reaches_are_those_at_which_rows_meet(cycle: tuple[int, ...], rows: set[
     assert len(found) > 1
     # The farthest reach is what is affordable, whatever meets there.
     assert found - {max(found)} <= rows
+
+
+def one_aperture(distance: float, pixel: float, shift: float = 0.0) -> Model:
+    """An aperture of 0.6 mm, one scene pixel and one embedding pixel of so many metres."""
+    panel = Panel(
+        rows=1, columns=1, pitch_y=1e-3, pitch_x=1e-3, aperture_y=6e-4, aperture_x=6e-4,
+        filter_cycle=(),
+    )  # fmt: skip
+    camera = Camera(panel, Window(1, 1, 0, 0), Sensor(8, 8, pixel / 8), distance)
+    moved = Imperfections(shift_y=shift)
+    scene = Scene(1, 1, distance / 100, 10 * distance)
+    return Model(camera, scene, Embedding(1, 1), Conditions(off_axis=0.0, imperfections=moved))
+
+
+@pytest.mark.parametrize("pixel", [0.52e-3, 2e-3])
+def test_coarse_nodes_are_wrong_by_what_is_predicted(pixel: float) -> None:
+    """A pixel that light overflows, and one that holds all: there the step's square cancels.
+
+    What is left goes with the fourth power, which is said to be 5/4 of what it is; higher powers
+    are a few per cent at a step that resolves the fringes.
+    """
+    given = one_aperture(55e-3, pixel).with_sampling(reach=Reach(0, 0), dtype=torch.float64)
+    step = 20e-6
+    weights = torch.ones(1, 1, dtype=torch.float64)
+    coarse, fine = (
+        LightOperator(given.with_sampling(step=one))(weights) for one in (step, step / 16)
+    )
+    probe = Probe(given)
+    used = given.with_sampling(step=step)
+    light = probe.transfer(used)
+    predicted = relative(light + probe.straightened(used), light)
+    measured = float((coarse - fine).norm() / fine.norm())
+    assert measured > 1e-6
+    assert measured / 1.5 < predicted < 2 * measured
+
+
+def test_shadows_beside_the_sensor_are_no_plan_that_reaches() -> None:
+    """A mask that is moved by more than the sensor sees leaves it dark: no more is known."""
+    seen, moved = one_aperture(10e-6, 0.4e-3), one_aperture(10e-6, 0.4e-3, shift=0.8e-3)
+    partly = one_aperture(10e-6, 0.4e-3, shift=0.45e-3)
+    errors = [ErrorModel(one, 0.05)._shadow_error for one in (seen, partly, moved)]
+    assert errors[0] < 0.01
+    assert 1.5 * errors[0] < errors[1] < 0.5  # of 0.4 mm 0.05 are lit
+    assert errors[2] == 1
+    for given, reached in ((seen, True), (moved, False)):
+        chosen = plan(given.camera, given.scene, given.embedding, 0.05, given.conditions)
+        assert chosen.reached == reached
+
+
+def test_the_middle_of_a_scene_pixel_is_brighter_than_its_corners() -> None:
+    """One scene pixel about the axis, of whose image the sensor sees the inner third.
+
+    Over all of it light fades by 4/3 of the square of half its side's tangent on average, over that
+    third of each side by a ninth of this: 1.2 times the square are too much.
+    """
+    given = one_aperture(20e-3, 0.4e-3)
+    panel = replace(given.camera.panel, aperture_y=0.1e-3, aperture_x=0.1e-3)
+    camera = replace(given.camera, panel=panel)
+    scene = Scene(1, 1, height=0.08 * 2.0, distance=2.0)
+    wide = Model(camera, scene, Embedding(1, 1), Conditions(off_axis=0.04))
+    found = ErrorModel(wide, 1e-3)._uneven
+    assert 0.5 * 0.04**2 < found < 2 * 0.04**2
