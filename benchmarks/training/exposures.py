@@ -117,8 +117,8 @@ def draw(found: Mapping[Cell, Sequence[Outcome]], path: Path) -> None:
         epoch = [statistics.median(each.seconds for each in found[cell]) for cell in cells]
         waited = [1000 * SETTLE * cell.exposures for cell in cells]
         for axes, across in ((waiting, waited), (fitting, epoch)):
-            style = {"color": colour, "marker": "o", "capsize": 3}
-            axes.errorbar(across, mean, half, label=f"{values} values", **style)
+            name = f"{values} values"
+            axes.errorbar(across, mean, half, label=name, color=colour, marker="o", capsize=3)
             for x, y, cell in zip(across, mean, cells, strict=True):
                 axes.annotate(
                     str(cell.exposures), (x, y), (5, -11), textcoords="offset points", color=colour
