@@ -96,6 +96,14 @@ Binning = Annotated[
     str | None,
     typer.Option("--binning", help="area: mean of a pixel; point: its centre (the paper's)."),
 ]
+ExposureCount = Annotated[
+    int | None,
+    typer.Option(
+        "--exposures",
+        min=1,
+        help="Masks that a scene is seen through, one after the other; --embedding is of each.",
+    ),
+]
 ChangeName = Annotated[
     str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
@@ -122,6 +130,7 @@ def fit_command(
     psf_distance: PsfDistance = None,
     embedding: Shape = None,
     binning: Binning = None,
+    exposures: ExposureCount = None,
     change: ChangeName = None,
     recipe: RecipeName = None,
     epochs: Epochs = None,
@@ -146,6 +155,7 @@ def fit_command(
         psf_distance=psf_distance,
         embedding=embedding,
         binning=binning,
+        exposures=exposures,
         change=change,
         seed=seed,
         recipe=given(base=recipe, epochs=epochs, batch=batch),

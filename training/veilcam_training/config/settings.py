@@ -72,6 +72,8 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
     embedding: str = "24x32"
     binning: Literal["area", "point"] = "area"
     """Averaged over each embedding pixel, or at its centre as in the paper's code."""
+    exposures: Annotated[int, Field(ge=1, le=64)] = 1
+    """Masks that one scene is measured through, one after the other; ``embedding`` is of each."""
     change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
     """How images are shown to the camera, in training and in testing."""
     classifier: str = "LR"
@@ -83,10 +85,11 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         files = sorted(source.digests().items())
         if self.psf is not None:
             files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
-        # What is in the file counts, not where it lies; and what a file of its own says of itself
-        # is not told beside it, so that fits from before these settings are still the same.
-        told = {name for name in ("psf_pitch", "psf_distance") if getattr(self, name) is not None}
-        left_out = {"psf_pitch", "psf_distance"} - told
+        # What is in the file counts, not where it lies; and settings that came later are left out
+        # as long as they say nothing, so that fits from before them are still the same.
+        later = ("psf_pitch", "psf_distance", "exposures")
+        fields = type(self).model_fields
+        left_out = {name for name in later if getattr(self, name) == fields[name].default}
         same = self.model_copy(update={"psf": None})
         return _digest(same.model_dump_json(exclude=left_out), files)
 

@@ -21,7 +21,7 @@ from veilcam_optics.simulation.operator import LightOperator
 from veilcam_training.bundle import Accuracy, TransferError
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
-from veilcam_training.encoders import Mask
+from veilcam_training.encoders import Exposures, Mask
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.errors import require
 from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
@@ -53,8 +53,11 @@ class FitResult:
 
     @cached_property
     def transfer_error(self) -> TransferError | None:
-        """Of the mask on the panel, see :func:`transfer_error`; None if there is none."""
+        """Of the worst mask on the panel, see :func:`transfer_error`; None if there is none."""
         encoder = self.fit.model.encoder
+        if isinstance(encoder, Exposures):
+            errors = [error for each in encoder.masks if (error := transfer_error(each))]
+            return max(errors, key=lambda found: found.value, default=None)
         return transfer_error(encoder) if isinstance(encoder, Mask) else None
 
 

@@ -39,6 +39,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         embedding,
         colour=source.colour,
         point_binning=settings.binning == "point",
+        exposures=settings.exposures,
         finer=change.finer,
     )
     encoder = make_encoder(
@@ -50,7 +51,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         pinhole=settings.recipe.mask_start == "pinhole",
     )
     task = Task(
-        channels=setup.channels,
+        channels=setup.channels * setup.exposures,
         rows=embedding.rows,
         columns=embedding.columns,
         classes=len(source.labels),
