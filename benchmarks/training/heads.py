@@ -4,7 +4,8 @@
         --work runs/heads --figures benchmarks/results/data.json
 
 Each cell is fitted to the training part, its epoch chosen on the validation part, and the test set
-is looked at once, after that. One that was broken off is taken up from its last epoch in ``--work``.
+is looked at once, after that. A cell that was broken off is taken up from its last epoch in
+``--work``.
 """
 
 from __future__ import annotations
