@@ -21,7 +21,7 @@ from veilcam_training.encoders import LearnedMask, LinearEncoder, Setup, make_en
 from veilcam_training.encoders.estimate import SceneEstimate
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
-from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.experiments.keyring import as_bundle, check_pairs
 from veilcam_training.experiments.model import make_model, prepare
 from veilcam_training.seeding import stream
 
@@ -142,6 +142,7 @@ def settings(**changes: Any) -> Settings:
 @pytest.mark.parametrize("encoder", ["learned", "fixed_simulated"])
 def test_a_bundle_reads_without_it(source: Source, tmp_path: Path, encoder: str) -> None:
     """The daemon's network gives, from a bare measurement, what the fitted model gives."""
+    check_pairs(settings(encoder=encoder), source, CAMERA)  # before anything is known of scenes
     result = run_fit(settings(encoder=encoder), source, CAMERA)
     write_bundle(tmp_path / "res.veilcam", as_bundle([result], source, CAMERA))
     (pair,) = read_bundle(tmp_path / "res.veilcam").pairs
