@@ -41,7 +41,7 @@ from veilcam_training.models.classifiers import SceneTask, make_layers
 from veilcam_training.models.lensless import FreshClassifier
 from veilcam_training.models.network import build_classifier
 from veilcam_training.seeding import seeded
-from veilcam_training.trainer.callbacks import Epoch, FitProgress, MovingAverage, make_progress
+from veilcam_training.trainer.callbacks import Epoch, FitProgress, make_progress
 from veilcam_training.trainer.loop import fit
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
@@ -208,7 +208,6 @@ def keyless(
         parts,
         settings,
         settings.seed,
-        average=MovingAverage(model, settings.averaging),
         masks=settings.validation_masks,
         callbacks=[Log()],
     )

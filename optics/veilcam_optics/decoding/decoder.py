@@ -193,6 +193,7 @@ def prepare_decoder(
     embedding: Embedding,
     precision: Precision = Precision.MIXED,
     gain: float | Array = 1.0,
+    wanted: SceneStatistics[Array] | None = None,
 ) -> Decoder[Array]:
     """Decoder for a transfer matrix; differentiable in it where it is torch's.
 
@@ -200,14 +201,19 @@ def prepare_decoder(
         transfer: (scene pixels, embedding pixels), of the type of ``precision.products``.
         statistics: of the scenes, of the same type.
         noise: to expect in measurements.
-        scene: whose pixels the matrix takes.
+        scene: whose pixels are estimated: those that the matrix takes, unless others are wanted.
         embedding: whose pixels it gives.
         precision: a dial of accuracy against time.
         gain: measurement per unit of irradiance, a number or one per embedding pixel (E,).
+        wanted: statistics of what is to be estimated in the place of the scene, in the same
+            coordinates: a linear map of it, such as its means over larger pixels.
 
     Raises:
-        OpticsError: a gain of another shape, or not finite; a transfer that is not finite.
+        OpticsError: a gain of another shape, or not finite; a transfer that is not finite; what is
+            wanted has other coordinates.
     """
+    wanted = statistics if wanted is None else wanted
+    require(wanted.rank == statistics.rank, "wanted.rank", wanted.rank, "", f"{statistics.rank}")
     xp = namespace(transfer)
     response = transfer.T * _gain(gain, transfer, embedding.size)
     mean_measurement = response @ statistics.mean
@@ -217,8 +223,8 @@ def prepare_decoder(
     variance = noise.variance(mean_measurement, spread) + lost
     deviation = xp.sqrt(variance)
     scaled = as_type(reduced / deviation[:, None], precision.factors)
-    basis = as_type(statistics.basis, precision.factors)
-    prior = as_type(statistics.variance, precision.factors)
+    basis = as_type(wanted.basis, precision.factors)
+    prior = as_type(wanted.variance, precision.factors)
     if scaled.shape[0] < scaled.shape[1]:
         factor = _factor(scaled @ scaled.T)
         half = solve_triangular(factor, scaled)
@@ -230,7 +236,7 @@ def prepare_decoder(
         half = solve_triangular(factor, scaled.T)
         estimator = solve_triangular(factor, half, transposed=True)
         left = solve_triangular(factor, basis.T)
-        posterior = xp.sum(left * left, axis=0) + as_type(statistics.residual, precision.factors)
+        posterior = xp.sum(left * left, axis=0) + as_type(wanted.residual, precision.factors)
     posterior = xp.clip(posterior, 1e-12, None)  # not 0, where the root has no gradient
     total = float(xp.sum(prior))
     decoder = Decoder(
@@ -240,8 +246,8 @@ def prepare_decoder(
         estimator=as_type(estimator, precision.products) / deviation,
         noise=variance,
         response=reduced,
-        mean=statistics.mean,
-        basis=statistics.basis,
+        mean=wanted.mean,
+        basis=wanted.basis,
         deviation=xp.reshape(as_type(xp.sqrt(posterior), precision.products), scene.shape),
         remaining=float(xp.sum(detached(posterior))) / total if total > 0 else 0.0,
     )

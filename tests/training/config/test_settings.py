@@ -190,6 +190,10 @@ def test_without_a_file() -> None:
             "[recipe]\nnormalisation = 'white'\nprecision = 'mixed'",
             r"settings\.toml: normalisation 'white' tells apart .*: use precision 'full'",
         ),
+        (
+            "[recipe]\nnormalisation = 'white'\naveraging = 0.9",
+            r"settings\.toml: normalisation 'white' changes its coordinates .*: use averaging 0",
+        ),
         ("[recipe]\nbase = 'none'", "recipe 'none' is unknown"),
         ("recipe = 3", "use a name or a table"),
         ("change = 'twist'", "change is not valid"),

@@ -22,7 +22,7 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
 from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import Settings
+from veilcam_training.config.settings import LATER, Settings
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
 from veilcam_training.encoders import Exposures, FixedMask, LearnedMask, Mask, Setup
@@ -269,6 +269,15 @@ def test_fingerprints_stay_what_they_are(
     assert chosen.model_copy(update={"exposures": 2}).fingerprint(FILES) != digest
     monkeypatch.setattr(torch, "__version__", "2.13.1")
     assert chosen.fingerprint(FILES) != digest
+
+
+@pytest.mark.parametrize("later", LATER)
+def test_settings_that_came_later_count_where_they_are_used(later: str) -> None:
+    known = Settings().fingerprint(FILES)
+    values = {"mixup": 0.5, "averaging": 0.5, "pooling": 2, "rank": 10}
+    recipes = [Recipe(**{later: values[later]}), Recipe(**values)]
+    others = {Settings(recipe=recipe).fingerprint(FILES) for recipe in recipes}
+    assert len(others | {known}) == 3
 
 
 def test_of_a_psf_the_content_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

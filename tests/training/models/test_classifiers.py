@@ -12,7 +12,15 @@ from pydantic import TypeAdapter
 from veilcam_optics.camera.geometry import Camera
 from veilcam_training.bundle import LayerRecord
 from veilcam_training.bundle.classifier import output_shape
-from veilcam_training.bundle.layers import Affine, BatchNorm, Conv2d, Dropout, Linear, ReLU
+from veilcam_training.bundle.layers import (
+    Affine,
+    BatchNorm,
+    Conv2d,
+    Dropout,
+    Linear,
+    ReLU,
+    Residual,
+)
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source
@@ -136,6 +144,20 @@ def test_what_is_refused() -> None:
             make_layers(name, task())
     with pytest.raises(TrainingError, match="use dropout 0"):
         make_layers("LR", task(), dropout=0.5)
+
+
+def test_of_estimated_scenes() -> None:
+    scene = SceneTask(2, 32, 26, 2, centred=True)
+    behind = dataclasses.replace(task(), scene=scene, classes=2)
+    first, *others = make_layers("ResNet16", behind, dropout=0.2)
+    assert first == Linear(inputs=24 * 32, outputs=2 * 32 * 26)
+    assert tuple(others) == make_layers("ResNet16", scene, dropout=0.2)
+    # Two stages, 13 and 7 pixels wide, of two blocks each, where a CNN has one.
+    assert [r.outputs for r in others if isinstance(r, Conv2d)] == [16, 32]
+    assert sum(isinstance(r, Residual) for r in others) == 4
+    assert sum(isinstance(r, Residual) for r in make_layers("CNN16", scene)) == 2
+    with pytest.raises(TrainingError, match="reads the estimated scene"):
+        make_layers("ResNet16", task())
 
 
 def test_of_decoded_scenes() -> None:

@@ -63,9 +63,8 @@ def run(source: Source, chosen: Settings | FreshSettings, **options: Any) -> Fit
         return fit(model, parts, chosen.recipe, chosen.seed, **options)
     statistics = fresh_statistics(chosen, WINDOW, source.scene, parts.training)
     model = make_fresh_model(chosen, source, WINDOW, statistics)
-    average = MovingAverage(model, chosen.averaging)
     masks = chosen.validation_masks
-    return fit(model, parts, chosen, chosen.seed, average=average, masks=masks, **options)
+    return fit(model, parts, chosen, chosen.seed, masks=masks, **options)
 
 
 def weights_of(result: Fit) -> torch.Tensor:
@@ -137,6 +136,8 @@ def test_a_fit_leaves_global_random_numbers_alone(source: Source) -> None:
         {"schedule": "constant"},
         {"warm_up": 0.5},
         {"label_smoothing": 0.2},
+        {"mixup": 0.5},
+        {"averaging": 0.9},
         {"precision": "mixed"},
         {"jitter": Augmentation(rotation=5.0)},
         {"jitter": Augmentation(scale=0.1)},
@@ -194,6 +195,7 @@ def test_every_setting_changes_the_result(
         {"rate": 2e-3},
         {"weight_decay": 0.5},
         {"label_smoothing": 0.3},
+        {"mixup": 0.5},
         {"averaging": 0.0},
         {"bfloat16": False},
         {"spread": 0.4},

@@ -66,7 +66,10 @@ Dataset = Annotated[
     ),
 ]
 Classifier = Annotated[
-    str | None, typer.Option("--classifier", help="LR, FC<width>, MLP<width>, CNN<width>, VGG11.")
+    str | None,
+    typer.Option(
+        "--classifier", help="LR, FC<width>, MLP<width>, CNN<width>, ResNet<width>, VGG11."
+    ),
 ]
 EncoderName = Annotated[
     str | None, typer.Option("--encoder", help=f"One of {', '.join(ENCODERS)}.")

@@ -12,6 +12,7 @@ from veilcam_training.errors import require
 from veilcam_training.models.classifiers import Exposure, Normalisation
 from veilcam_training.transforms.augmentation import Augmentation
 
+Mixup = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 Rate = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 
 
@@ -38,10 +39,12 @@ class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
     optimiser: Literal["adam", "sgd"] = "adam"
     rate: Rate = 3e-3
     """Learning rate of the classifier, at its highest."""
-    mask_rate: Rate = 3e-2
-    """Learning rate of the encoder, at its highest: mask weights have a range of 1."""
-    mask_start: Literal["random", "pinhole"] = "random"
-    """What a learned mask starts from: random weights, or one open pixel before a dim ground."""
+    mask_rate: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 3e-2
+    """Learning rate of the encoder, at its highest: mask weights have a range of 1. With 0 a
+    learned mask stays what it starts from."""
+    mask_start: Literal["random", "pinhole", "sharp"] = "random"
+    """What a learned mask starts from: random weights, one open pixel before a dim ground, or the
+    mask behind which scenes are estimated best, for classifiers that read the estimate."""
     weight_decay: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Decoupled weight decay of the classifier (AdamW); the encoder has none."""
     schedule: Literal["one_cycle", "steps", "constant"] = "one_cycle"
@@ -55,6 +58,16 @@ class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
     exposure: Exposure = "fixed"
     """Of a measurement, see :data:`veilcam_training.models.classifiers.Exposure`."""
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    mixup: Mixup = 0.0
+    """Both parameters of a beta distribution that says how much of a second image is laid over
+    each (Zhang et al., "mixup: Beyond Empirical Risk Minimization", ICLR 2018); 0 lays none."""
+    averaging: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Decay per step of the running mean of the classifier's weights, which takes their place in
+    validation and after the fit; 0 keeps the weights themselves."""
+    pooling: Annotated[int, Field(ge=1, le=16)] = 1
+    """Side, in scene pixels, of a pixel of the estimated scene, for classifiers that read one."""
+    rank: Annotated[int, Field(ge=1, le=2**12)] = 384
+    """Principal components of the scene that its estimate uses."""
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Of the classifier's hidden layers."""
     patience: Annotated[int, Field(ge=1)] | None = None
@@ -73,6 +86,11 @@ class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
         if self.normalisation == "white" and self.precision == "mixed":
             raise ValueError(
                 "normalisation 'white' tells apart what bfloat16 rounds away: use precision 'full'"
+            )
+        if self.normalisation == "white" and self.averaging:
+            raise ValueError(
+                "normalisation 'white' changes its coordinates in a fit, and weights in different "
+                "coordinates have no mean: use averaging 0"
             )
         return self
 
@@ -134,12 +152,27 @@ where one cycle of 15 epochs without jitter reads 80.6 %.
 """
 
 
+SCENES = Recipe(
+    epochs=12,
+    batch=128,
+    rate=2e-3,
+    mask_rate=0.1,
+    weight_decay=0.05,
+    label_smoothing=0.05,
+    averaging=0.99,
+    dropout=0.2,
+)
+"""``ResNet<width>``, which reads the estimated scene."""
+
+
 def _default(situation: Situation) -> Recipe:
     """Large batches and one cycle. A linear classifier stands, and needs, a higher rate."""
     if situation.data == "image-folder" and situation.classifier.startswith("FC"):
         return OWN
     if situation.classifier == "LR":
         return Recipe(epochs=15, batch=256, rate=4e-2, mask_rate=5e-2)
+    if situation.classifier.startswith("ResNet"):
+        return SCENES
     if situation.classifier in ("VGG11",) or situation.classifier.startswith("CNN"):
         return Recipe(epochs=15, batch=128, rate=2e-3, mask_rate=5e-2, weight_decay=0.05)
     return Recipe(epochs=15, batch=256, rate=3e-3, mask_rate=5e-2)

@@ -29,6 +29,7 @@ from veilcam_optics.camera.geometry import Embedding
 from veilcam_training.config.recipes import (
     OWN_CLASSIFIER,
     TASKS,
+    Mixup,
     Recipe,
     Situation,
     find_recipe,
@@ -39,6 +40,10 @@ from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
+
+LATER = ("mixup", "averaging", "pooling", "rank")
+"""Settings of a recipe that came after others were fitted."""
+PLAIN = Recipe()
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -91,7 +96,9 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         fields = type(self).model_fields
         left_out = {name for name in later if getattr(self, name) == fields[name].default}
         same = self.model_copy(update={"psf": None})
-        return _digest(same.model_dump_json(exclude=left_out), files)
+        recipe = {name for name in LATER if getattr(self.recipe, name) == getattr(PLAIN, name)}
+        excluded = {"recipe": recipe} | dict.fromkeys(left_out, True)
+        return _digest(same.model_dump_json(exclude=excluded), files)
 
     @property
     def psf_file(self) -> PsfFile | None:
@@ -146,6 +153,8 @@ class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
     """Highest learning rate."""
     weight_decay: NotNegative = 1e-2
     label_smoothing: Annotated[float, Field(ge=0, lt=1)] = 0.05
+    mixup: Mixup = 0.0
+    """As in a :class:`Recipe`."""
     averaging: Annotated[float, Field(ge=0, lt=1)] = 0.998
     """Decay per step of the running mean of the weights; the mean is what is used."""
     bfloat16: bool = True

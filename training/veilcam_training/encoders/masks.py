@@ -96,10 +96,15 @@ class LearnedMask(Mask):
     def transfer(self, part: Region | None = None, grid: int = 0) -> Tensor:
         """T of the mask as the panel shows it, differentiable in the weights."""
         shown = quantise(self.weights, self.setup.camera.panel)
-        if self.training:
+        if self.training and not self.constant:
             # Lifted without touching the gradient, which a plain clamp would cut.
             shown = shown + (self.closed - shown).clamp_min(0).detach()
         return self._transfer(shown, part, grid)
+
+    def hold(self) -> None:
+        """Keep the mask as it is now: what follows learns to read behind it."""
+        self.weights.requires_grad_(False)
+        self.constant = not self.errors.any
 
     def project(self) -> None:
         """Bring the weights back into [closed, 1]."""

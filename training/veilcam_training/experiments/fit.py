@@ -24,9 +24,14 @@ from veilcam_training.data import Images, Source, Split, split
 from veilcam_training.encoders import Exposures, Mask
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.errors import require
-from veilcam_training.experiments.model import fresh_statistics, make_fresh_model, make_model
+from veilcam_training.experiments.model import (
+    fresh_statistics,
+    make_fresh_model,
+    make_model,
+    prepare,
+)
 from veilcam_training.files import read_private, write_private
-from veilcam_training.trainer.callbacks import Callback, MovingAverage
+from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
 from veilcam_training.trainer.distributed import ALONE, Ranks
 from veilcam_training.trainer.evaluation import confusion, evaluate
@@ -103,6 +108,7 @@ def run_fit(
     """
     model = make_model(settings, source, camera).to(device)
     parts, test = _read(source, device, training)
+    prepare(model, settings, parts.training)
     fitted = fit(
         model,
         parts,
@@ -203,7 +209,6 @@ def run_fresh(
         parts,
         settings,
         settings.seed,
-        average=MovingAverage(model, settings.averaging),
         masks=settings.validation_masks,
         checkpoint=None if work is None else work / "fit.checkpoint",
         fingerprint=fingerprint,

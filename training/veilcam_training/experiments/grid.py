@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 from veilcam_training.config.settings import Settings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.errors import require
-from veilcam_training.models.classifiers import Task, make_layers
+from veilcam_training.models.classifiers import SceneTask, Task, make_layers
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,11 @@ class Table:
         if wanted is None:
             return self.classifiers
         for name in wanted:  # an unknown one is refused before anything is run
-            make_layers(name, Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel"))
+            scene = SceneTask(2, 28, 28, 10, centred=True)
+            make_layers(
+                name,
+                Task(1, 24, 32, 10, rectified=False, normalisation="per_pixel", scene=scene),
+            )
         return tuple(dict.fromkeys(wanted))
 
 

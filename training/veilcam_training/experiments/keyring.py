@@ -20,7 +20,6 @@ from veilcam_training.experiments.model import make_model
 from veilcam_training.experiments.records import provenance
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.network import weights_of
-from veilcam_training.models.whitening import plain
 from veilcam_training.seeding import derive
 from veilcam_training.trainer.callbacks import Callback
 
@@ -145,7 +144,7 @@ def as_pair(model: LenslessClassifier, error: TransferError | None = None) -> Pa
             "this encoder has no mask that a panel can show: "
             "use 'learned' or 'fixed_simulated', or leave out --out"
         )
-    return Pair(encoder.levels(), model.layers, weights_of(plain(model.classifier)), error)
+    return Pair(encoder.levels(), model.layers, weights_of(model.reader()), error)
 
 
 def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> Bundle:
@@ -209,7 +208,7 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
             statistics=frame.statistics.in_numpy(),
             noise=frame.noise,
             layers=model.layers,
-            weights=weights_of(plain(model.classifier)),
+            weights=weights_of(model.reader()),
         ),
         provenance=record,
         accuracy=result.accuracy,

@@ -8,7 +8,8 @@ from veilcam_optics.keys.masks import MaskDistribution
 from veilcam_training.bundle.fresh import FEATURES
 from veilcam_training.config.settings import FreshSettings, Settings, parse_embedding
 from veilcam_training.data import Images, Source
-from veilcam_training.encoders import LinearEncoder, Setup, make_encoder
+from veilcam_training.encoders import LearnedMask, LinearEncoder, Setup, make_encoder
+from veilcam_training.encoders.estimate import SceneEstimate
 from veilcam_training.encoders.fresh import (
     FreshCamera,
     LearnedRange,
@@ -16,7 +17,8 @@ from veilcam_training.encoders.fresh import (
     pooled,
     scene_statistics,
 )
-from veilcam_training.models.classifiers import SceneTask, Task, make_layers
+from veilcam_training.errors import require
+from veilcam_training.models.classifiers import SceneTask, Task, make_layers, reads_scenes
 from veilcam_training.models.lensless import FreshClassifier, LenslessClassifier
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.transforms.scene import Anywhere, Identity, Transform, make_transform
@@ -27,6 +29,8 @@ FRESH_DROPOUT = 0.2
 
 def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
     """The model that ``settings`` describe, not fitted yet.
+
+    One that reads the estimated scene knows nothing of scenes yet, see :func:`prepare`.
 
     Raises:
         TrainingError: an unknown encoder or classifier, or an embedding that is none.
@@ -50,6 +54,9 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         errors=settings.recipe.panel_errors,
         pinhole=settings.recipe.mask_start == "pinhole",
     )
+    recipe, estimate = settings.recipe, None
+    if reads_scenes(settings.classifier) and not setup.colour and not setup.finer:
+        estimate = SceneEstimate(encoder, recipe.snr_db, recipe.pooling)
     task = Task(
         channels=setup.channels * setup.exposures,
         rows=embedding.rows,
@@ -59,6 +66,11 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         normalisation=settings.recipe.normalisation,
         gain=white_gain(encoder),
         exposure=settings.recipe.exposure,
+        scene=None if estimate is None else _scene_task(estimate.scene, len(source.labels)),
+    )
+    require(
+        recipe.mask_start != "sharp" or estimate is not None,
+        "mask_start 'sharp' is for classifiers that read the estimated scene: use ResNet<width>",
     )
     layers = make_layers(settings.classifier, task, dropout=settings.recipe.dropout)
     with seeded(settings.seed, "classifier"):
@@ -69,7 +81,34 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
             change=change,
             mixed_precision=settings.recipe.precision == "mixed",
             whitened=settings.recipe.normalisation == "white",
+            estimate=estimate,
         )
+
+
+def prepare(model: LenslessClassifier, settings: Settings, training: Images) -> None:
+    """What comes before a fit: its model is told what scenes there are, if it reads their estimate.
+
+    Then its mask is sharpened where it is to start so, and held where it is to stay.
+
+    Args:
+        model: of :func:`make_model`.
+        settings: of its fit.
+        training: images to fit it to.
+    """
+    recipe, encoder = settings.recipe, model.encoder
+    if model.estimate is not None:
+        statistics = scene_statistics(
+            training, model.change, pooling=1, rank=recipe.rank, seed=settings.seed
+        )
+        model.estimate.learn(statistics)
+        if recipe.mask_start == "sharp":
+            model.estimate.sharpen()
+    if recipe.mask_rate == 0 and isinstance(encoder, LearnedMask):
+        encoder.hold()
+
+
+def _scene_task(scene: Scene, classes: int, *, centred: bool = True) -> SceneTask:
+    return SceneTask(len(FEATURES), scene.rows, scene.columns, classes, centred)
 
 
 def white_gain(encoder: LinearEncoder) -> float:
@@ -119,14 +158,8 @@ def make_fresh_model(
         TrainingError: an unknown classifier, or an embedding that is none.
     """
     encoder = make_fresh_camera(settings, camera, source.scene, statistics)
-    scene = encoder.frame.scene
-    task = SceneTask(
-        channels=len(FEATURES),
-        rows=scene.rows,
-        columns=scene.columns,
-        classes=len(source.labels),
-        centred=settings.placement == "centred",
-    )
+    centred = settings.placement == "centred"
+    task = _scene_task(encoder.frame.scene, len(source.labels), centred=centred)
     layers = make_layers(settings.classifier, task, dropout=FRESH_DROPOUT)
     with seeded(settings.seed, "classifier"):
         return FreshClassifier(

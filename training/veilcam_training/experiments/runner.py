@@ -98,7 +98,7 @@ class CellRunner:
             confusion=tuple(map(tuple, fitted.confusion.tolist())),
             seconds=seconds,
             clock=clock,
-            inference_seconds=time_label(model.classifier, model.encoder.setup.outputs),
+            inference_seconds=time_label(model.reader(), model.encoder.setup.outputs),
             device=self.device.type,
             origin=Origin.here(),
             provenance=provenance(settings.model_dump(mode="json"), source.digests()),

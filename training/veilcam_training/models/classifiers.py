@@ -1,7 +1,9 @@
 """Classifiers by name, as the layer records that a bundle holds.
 
-``LR``, ``FC<width>`` and ``VGG11`` are the paper's (``FC800`` has 800 hidden units); ``MLP<width>``
-and ``CNN<width>`` are ours. Of scenes that were decoded there is a ``CNN<width>`` of its own.
+``LR``, ``FC<width>`` and ``VGG11`` are the paper's (``FC800`` has 800 hidden units); the others,
+``MLP<width>``, ``CNN<width>`` and ``ResNet<width>``, are ours. A ``ResNet<width>`` reads the scene
+that is estimated from a measurement, behind one mask as behind fresh ones; of decoded scenes there
+is a ``CNN<width>``, too.
 """
 
 import math
@@ -29,7 +31,7 @@ from veilcam_training.bundle.layers import (
     Residual,
     Resize,
 )
-from veilcam_training.errors import require
+from veilcam_training.errors import TrainingError, require
 
 Layers = tuple[LayerRecord, ...]
 PlainLayers = tuple[PlainLayer, ...]
@@ -76,6 +78,8 @@ class Task:
     Batch normalisation is not free of units: it adds 1e-5 to every variance.
     """
     exposure: Exposure = "fixed"
+    scene: "SceneTask | None" = None
+    """What the scene is estimated as, for classifiers that read that; None if it cannot be."""
 
     @property
     def inputs(self) -> int:
@@ -99,6 +103,11 @@ class SceneTask:
     classes: int
     centred: bool
     """False averages over all places before the last layers, for objects anywhere."""
+
+
+def reads_scenes(name: str) -> bool:
+    """True if a classifier of measurements begins with the estimate of the scene."""
+    return name.startswith("ResNet")
 
 
 def make_layers(name: str, task: Task | SceneTask, *, dropout: float = 0.0) -> Layers:
@@ -262,18 +271,18 @@ def _vgg11(task: Task, _: int, dropout: float) -> Layers:
     )
 
 
-def _scene_convolutional(task: SceneTask, width: int, dropout: float) -> Layers:
-    """A small residual network.
+def _of_stages(task: SceneTask, width: int, dropout: float, blocks: int) -> Layers:
+    """A residual network of stages.
 
-    A convolution halves the image at the start of every stage, and one residual block follows. The
-    first stage has ``width`` channels and each next one twice as many.
+    A convolution halves the image at the start of every stage, and ``blocks`` residual blocks
+    follow. The first stage has ``width`` channels and each next one twice as many.
     """
     layers: list[LayerRecord] = [Reshape(shape=(task.channels, task.rows, task.columns))]
     inputs, kernel, side = task.channels, 5, min(task.rows, task.columns)
     while True:
         layers += _convolution(inputs, width, kernel=kernel, stride=2)
         block = (*_convolution(width, width), *_convolution(width, width)[:2])
-        layers += [Residual(layers=block), ReLU()]
+        layers += [Residual(layers=block), ReLU()] * blocks
         side = math.ceil(side / 2)
         if side < LEAST_SCENE_SIDE:
             break
@@ -292,15 +301,43 @@ def _scene_convolutional(task: SceneTask, width: int, dropout: float) -> Layers:
     )
 
 
+def _scene_convolutional(task: SceneTask, width: int, dropout: float) -> Layers:
+    """One residual block a stage."""
+    return _of_stages(task, width, dropout, blocks=1)
+
+
+def _scene_residual(task: SceneTask, width: int, dropout: float) -> Layers:
+    """Two residual blocks a stage: deeper, for what is told apart by a few pixels of a scene."""
+    return _of_stages(task, width, dropout, blocks=2)
+
+
+def _estimated(task: Task, width: int, dropout: float) -> Layers:
+    """The same behind a first layer that estimates the scene, and is computed, never fitted."""
+    scene = task.scene
+    if scene is None:
+        raise TrainingError(
+            "a ResNet reads the estimated scene, which is gray and as it is: use it without "
+            "colour and change, or use CNN<width> instead"
+        )
+    require(
+        task.exposure == "fixed",
+        "exposure 'automatic' would take from a ResNet what its estimate is made of: use 'fixed'",
+    )
+    outputs = scene.channels * scene.rows * scene.columns
+    return (Linear(inputs=task.inputs, outputs=outputs), *_scene_residual(scene, width, dropout))
+
+
 OF_MEASUREMENTS: Mapping[str, Callable[[Task, int, float], Layers]] = {
     "LR": _linear,
     "FC<width>": _fully_connected,
     "MLP<width>": _residual_mlp,
     "CNN<width>": _convolutional,
     "VGG11": _vgg11,
+    "ResNet<width>": _estimated,
 }
 """Classifiers of measurements, by name."""
 OF_SCENES: Mapping[str, Callable[[SceneTask, int, float], Layers]] = {
-    "CNN<width>": _scene_convolutional
+    "CNN<width>": _scene_convolutional,
+    "ResNet<width>": _scene_residual,
 }
 """Classifiers of decoded scenes."""

@@ -8,9 +8,10 @@ from torch import Tensor, nn
 
 from veilcam_training.bundle import LayerRecord
 from veilcam_training.encoders import Encoder
+from veilcam_training.encoders.estimate import SceneEstimate
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.models.network import build_untrained
-from veilcam_training.models.whitening import whiten
+from veilcam_training.models.whitening import plain, whiten
 from veilcam_training.seeding import stream
 from veilcam_training.transforms.scene import Identity, Transform
 
@@ -36,6 +37,7 @@ class LenslessClassifier(nn.Module):
             the noise stay in float32.
         whitened: True has the classifier's first fully connected layer fitted in coordinates in
             which what it is given is white.
+        estimate: of the scene, computed in the place of the first of ``layers``.
     """
 
     def __init__(
@@ -47,26 +49,39 @@ class LenslessClassifier(nn.Module):
         change: Transform | None = None,
         mixed_precision: bool = False,
         whitened: bool = False,
+        estimate: SceneEstimate | None = None,
     ) -> None:
         super().__init__()
         self.encoder, self.layers, self.snr_db = encoder, tuple(layers), snr_db
         self.change = Identity(encoder.setup.scene) if change is None else change
         self.mixed_precision = mixed_precision
-        self.classifier = build_untrained(self.layers)
+        self.estimate = estimate
+        self.classifier = build_untrained(self.layers if estimate is None else self.layers[1:])
         if whitened:
             whiten(self.classifier)
+        if estimate is not None:  # all that follows are convolutions
+            self.classifier.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def read(self, embeddings: Tensor, noise: torch.Generator) -> Tensor:
         """Logits for noiseless embeddings (batch, encoder.outputs), after fresh sensor noise."""
         if self.snr_db is not None:
             embeddings = self.encoder.add_noise(embeddings, self.snr_db, noise)
         inputs = self.encoder.decode(embeddings)
+        if self.estimate is not None:
+            inputs = self.estimate(inputs)
         if not self.is_mixed:
             logits: Tensor = self.classifier(inputs)
             return logits
         with torch.autocast(inputs.device.type, dtype=torch.bfloat16):
             logits = self.classifier(inputs)
         return logits.float()
+
+    def reader(self) -> nn.Module:
+        """A copy of what reads an encoder's measurements: a module of ``layers``, all plain."""
+        copied = plain(self.classifier)
+        if self.estimate is None:
+            return copied
+        return nn.Sequential(self.estimate.as_linear(), *copied.children()).train(copied.training)
 
     @property
     def is_mixed(self) -> bool:

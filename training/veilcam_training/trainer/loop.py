@@ -37,7 +37,6 @@ def fit(
     recipe: Hyperparameters,
     seed: int,
     *,
-    average: MovingAverage | None = None,
     masks: int | None = None,
     checkpoint: Path | None = None,
     fingerprint: str = "",
@@ -55,7 +54,6 @@ def fit(
         split: images to fit to and to select with.
         recipe: how.
         seed: of the order of the images, the noise and dropout.
-        average: of the model's weights, to validate and to return in their place.
         masks: how many a validation is spread over, at most; see
             :func:`veilcam_training.trainer.evaluation.evaluate`.
         checkpoint: written after every epoch, and read first if it is there.
@@ -68,12 +66,13 @@ def fit(
         TrainingError: a checkpoint of another fit, a loss that is no number, or a batch that the
             ranks cannot share evenly.
     """
+    average = MovingAverage(model, recipe.averaging) if recipe.averaging else None
     state = _State(model, recipe, average)
     if checkpoint is not None:
         saved = ranks.from_first(lambda: load_checkpoint(checkpoint, fingerprint))
         if saved is not None:
             state.load(saved)
-    inputs = Inputs(model, split.training, recipe.transform)
+    inputs = Inputs(model, split.training, recipe.transform, mixup=recipe.mixup)
     network = ranks.wrap(inputs)
     batches = None if masks is None else min(masks, len(split.validation))
     watched = callbacks if average is None else (average, *callbacks)
