@@ -229,7 +229,9 @@ class Checks:
     def _camera(self) -> Camera:
         assert self._supervisor is not None
         patience = READ_TIMEOUT * self.patience
-        return Camera(self._supervisor.url, token=self._token, read_timeout=patience)
+        return Camera(
+            self._supervisor.url, token=self._token, timeout=patience, read_timeout=patience
+        )
 
     def _status(self) -> Status:
         with self._camera() as camera:
