@@ -64,7 +64,8 @@ def make(root: Path, target: str) -> int:
     """Run make in the checkout; return its exit status."""
     inside = (
         'mount -t proc proc "$0/proc" && mount --rbind /dev "$0/dev" && '
-        f'exec chroot --userspec={USER} "$0" sh -c "cd {HOME}/veilcam && exec make $1"'
+        f'exec {shutil.which("chroot")} --userspec={USER} "$0" '
+        f'sh -c "cd {HOME}/veilcam && exec make $1"'
     )
     command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "sh", "-c", inside]
     return subprocess.call([*command, str(root), target], env=ENVIRONMENT)
