@@ -7,8 +7,8 @@
 NumPy and with torch in turn, and takes the median of its rounds: all on one core. Then it compares,
 mask by mask, what both libraries make of simulated measurements: what leaves white, and the label.
 ``simulate`` lets simulated daemons take captures, and says how much memory they had at most, their
-start and all that a capture takes meanwhile included. It records that every now and then: a run that
-ends early has said how far it came.
+start and all that a capture takes meanwhile included. It records that every now and then: a run
+that ends early has said how far it came.
 """
 
 from __future__ import annotations
