@@ -47,7 +47,9 @@ help:
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
 	@echo "make deb      Debian packages in build/debian, for arm64 and amd64; see deploy/README.md"
 	@echo "make test-deb  the package in a root of Debian 12; needs root, see deploy/README.md"
-	@echo "make test-arm64  the same on an emulated processor of a Raspberry Pi"
+	@echo "make test-arm64  the same on an emulated processor, in Debian 12 and 13: an hour"
+	@echo "make test-container   the container of a simulated daemon: builds, starts and asks it; needs root"
+	@echo "make test-clean-root  make demo in a root of Debian 13 with Python, git and make alone; needs root"
 	@echo "make public-types   how much of the SDK's surface has known types, as pyright counts it"
 	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
 	@echo "make docs     the documentation as a site in build/site"
@@ -166,10 +168,19 @@ deb: $(INSTALLED)
 test-deb: $(INSTALLED)
 	$(BIN)/python -m tests.system.debian_package
 
-# The same on an emulated processor: wants qemu-user-static and arch-test, and hours.
+# The same on an emulated processor, in Debian 12 and 13: wants qemu-user-static and arch-test.
 .PHONY: test-arm64
 test-arm64: $(INSTALLED)
 	$(BIN)/python -m tests.system.debian_package --architecture arm64
+	$(BIN)/python -m tests.system.debian_package --architecture arm64 --suite trixie
+
+# Not part of test: both download torch anew, for roots of Debian, and want root.
+.PHONY: test-container test-clean-root
+test-container: $(INSTALLED)
+	$(BIN)/python -m tests.system.container
+
+test-clean-root: $(INSTALLED)
+	$(BIN)/python -m tests.system.clean_root demo
 
 # Not part of test: it runs tests a hundred times.
 mutants: $(INSTALLED)

@@ -6,8 +6,9 @@
 ``device`` runs :mod:`benchmarks.deploy.device_path` for both bundles of the demonstration, with
 NumPy and with torch in turn, and takes the median of its rounds: all on one core. Then it compares,
 mask by mask, what both libraries make of simulated measurements: what leaves white, and the label.
-``simulate`` lets simulated daemons take captures, and says how much memory they had in the end at
-most; what they start with is a plan of the light, which takes more for a second.
+``simulate`` lets simulated daemons take captures, and says how much memory they had at most, their
+start and all that a capture takes meanwhile included. It records that every now and then: a run
+that ends early has said how far it came.
 """
 
 from __future__ import annotations
@@ -177,10 +178,11 @@ def device(
     record(figures, values)
 
 
-def memory_mb(process: int) -> float:
-    """Resident memory of a process [MB]."""
-    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+def peak_mb(process: int) -> float:
+    """Resident memory of a process when it had most [MB]."""
+    status = Path(f"/proc/{process}/status").read_text().splitlines()
+    [peak] = [int(line.split()[1]) for line in status if line.startswith("VmHWM")]
+    return peak * 1024 / 1e6
 
 
 @app.command()
@@ -189,25 +191,24 @@ def simulate(
     captures: Annotated[int, typer.Option(min=1, help="Of each mode.")] = 5000,
     figures: FiguresOption = None,
 ) -> None:
-    """Let simulated daemons take captures, and look at their memory after each."""
-    worst = 0.0
-    for bundle in (BUNDLE, FRESH):
+    """Let simulated daemons take captures, and ask for their memory at its peak."""
+    peaks: list[float] = []
+    for mode, bundle in (("fresh", FRESH), ("pairs", BUNDLE)):
         with work_folder() as folder:
             scene = folder / "scene.npy"
             write_scene(scene, load_digits().images[0])
             prompt = ("--settle", "0", "--exposure", "0")
             with running(bundle, scene, folder, *prompt) as url, Camera(url) as camera:
                 process = _child()
-                most = memory_mb(process)
                 for number in range(1, captures + 1):
                     camera.classify()
-                    most = max(most, memory_mb(process))
-                    if number % max(1, captures // 10) == 0:
-                        print(
-                            f"{bundle.stem}, {number} captures: at most {most:.0f} MB", flush=True
-                        )
-        worst = max(worst, most)
-    record(figures, {"simulate_rss_mb": worst, "simulate_captures": captures})
+                    if number % max(1, captures // 50) == 0 or number == captures:
+                        peak = peak_mb(process)
+                        print(f"{mode}, {number} captures: at most {peak:.0f} MB", flush=True)
+                        values = {f"simulate_{mode}_mb": peak, f"simulate_{mode}_captures": number}
+                        record(figures, values)
+                peaks.append(peak_mb(process))
+    record(figures, {"simulate_rss_mb": max(peaks)})
 
 
 def _child() -> int:

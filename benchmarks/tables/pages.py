@@ -7,6 +7,7 @@ from collections.abc import Callable
 from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR, LEGACY
 from benchmarks.tables.camera import CALIBRATED, DISTANCE, SERVED
 from benchmarks.tables.checks import CHECKS
+from benchmarks.tables.deploy import DEPLOYED, SIMULATED
 from benchmarks.tables.heads import HEADS
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
@@ -20,6 +21,7 @@ BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->"
 PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "CONTRIBUTING.md": [CHECKS],
     "README.md": [HEADLINES],
+    "deploy/README.md": [DEPLOYED, SIMULATED],
     "docs/figures.md": [TRAINED, LIGHT, UNUSED, KEYS, DAEMON],
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],

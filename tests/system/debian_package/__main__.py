@@ -95,8 +95,7 @@ def main(
         return
     root = Root.unpack(archive(folder, suite, architecture.value), folder / "root")
     digits = folder / "measured.npz"
-    if not digits.exists():
-        measured(digits)
+    measured(digits)
     patience = EMULATED if emulated else 1.0
     checks = Checks(root, package, recording(folder), digits, folder, patience)
 
@@ -106,7 +105,9 @@ def main(
         console.print(result.detail, markup=False, soft_wrap=True)
 
     passed = checks.run(report)
-    values: dict[str, float] = {f"{architecture.value}_{suite}": int(passed)}
+    name = f"{architecture.value}_{suite}"
+    values: dict[str, float] = {name: int(passed)}
+    values |= {f"{name}_accuracy_{mode}": value for mode, value in checks.accuracies.items()}
     if passed and not emulated and suite == SUITE:
         values |= checks.figures
     record(figures, values)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+import ssl
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = ("systemd", "udev", "python3-numpy", "python3-spidev")
 """What apt has to bring, as the package depends on it."""
+CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 DEVICES = {"null": (1, 3), "zero": (1, 5), "full": (1, 7), "random": (1, 8), "urandom": (1, 9)}
 ENVIRONMENT: Mapping[str, str] = {
     "PATH": "/usr/sbin:/usr/bin:/sbin:/bin",
@@ -22,15 +24,25 @@ OF_APT = ("var/cache", "var/lib/apt", "var/lib/dpkg", "var/log", "proc", "dev", 
 """What apt and dpkg keep for themselves, and what is no file."""
 
 
-def archive(build: Path, suite: str, architecture: str) -> Path:
-    """Return the archive of a root with what the package depends on; made if it is not there."""
+def archive(build: Path, suite: str, architecture: str, packages: Sequence[str] = PACKAGES) -> Path:
+    """Return the archive of a root; made if it is not there.
+
+    Args:
+        build: where archives are kept, of one choice of packages.
+        suite: of Debian.
+        architecture: Debian's name of it.
+        packages: in it; with ``ca-certificates`` it trusts whom this machine trusts.
+    """
     file = build / f"{suite}-{architecture}.tar"
     if not file.exists():
         part = file.with_suffix(".part.tar")
+        trusted = ssl.get_default_verify_paths().cafile
+        upload = f"--customize-hook=upload {trusted} {CERTIFICATES}"
         subprocess.run(
             [
                 *("mmdebstrap", "--quiet", f"--arch={architecture}", "--variant=apt"),
-                *(f"--include={','.join(PACKAGES)}", suite, str(part), MIRROR),
+                *([upload] if trusted and "ca-certificates" in packages else []),
+                *(f"--include={','.join(packages)}", suite, str(part), MIRROR),
             ],
             check=True,
         )

@@ -36,7 +36,7 @@ from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
-from veilcam_server.system.memory import give_back_free_memory
+from veilcam_server.system.memory import give_back_large_blocks
 
 _CACHED_MASKS = 2
 """Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway, and a
@@ -62,6 +62,7 @@ def use_torch_sparingly() -> None:
     # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
     # Torch's own are as fast for one scene at a time (deploy/README.md).
     torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
+    give_back_large_blocks()
 
 
 class Light(Protocol):
@@ -108,9 +109,7 @@ def planned_light(
     # Decoders take the scene for paraxial, and so does what is simulated for them.
     conditions = replace(optical.PARAXIAL, imperfections=imperfections)
     chosen = plan(camera, scene, embedding, TOLERANCE, conditions, batch=1, method="grid")
-    light = LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
-    give_back_free_memory()
-    return light
+    return LightOperator(replace(chosen.model, embedding=Embedding(*raw_shape(embedding))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +209,6 @@ class SimulatedLight:
         for instant in np.linspace(begin, end, _INSTANTS):
             weights = torch.from_numpy(self._window(self._panel.visible(float(instant)))) / top
             seen.append(self._light.collect(scene, self._light.response(weights)))
-        give_back_free_memory()
         return torch.stack(seen).mean(0)
 
     def _window(self, shown: npt.NDArray[Number]) -> npt.NDArray[Number]:
@@ -231,18 +229,13 @@ class _Responses:
     def collect(self, scene: torch.Tensor, levels: Levels) -> torch.Tensor:
         """Return the light of a scene behind a mask."""
         key = hashlib.sha256(levels.tobytes()).digest()
-        new = key not in self.kept
-        if new:
+        if key not in self.kept:
             while len(self.kept) >= _CACHED_MASKS:
                 self.kept.popitem(last=False)
             weights = torch.from_numpy(to_weights(levels, self.camera.panel))
             self.kept[key] = self.light.response(weights)
         self.kept.move_to_end(key)
-        collected = self.light.collect(scene, self.kept[key])
-        if new:
-            # Behind everything that a new mask takes, so that the next one finds it all given back.
-            give_back_free_memory()
-        return collected
+        return self.light.collect(scene, self.kept[key])
 
 
 def simulated_device(
@@ -293,7 +286,6 @@ def simulated_device(
             white = light.collect(torch.ones((1, *scenes.shape)), opened)
         full_scale = _HEADROOM * float(white.max())
         del opened, white
-        give_back_free_memory()
     display.check(camera)
     open_display, emulated = display.emulate(
         camera,

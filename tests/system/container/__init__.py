@@ -1,0 +1,1 @@
+"""The container of a simulated daemon: built, started and asked."""
