@@ -11,14 +11,14 @@ Verdict = Literal["seen", "not seen", "undecided"]
 Alternative = Literal["before", "inverted", "transparent", "another"]
 
 FOR = 3.3
-"""Score that a mask has to reach to be seen: those of masks that are not there are as normal
-numbers, of which 1 in 2,000 reaches it."""
+"""Score that a mask has to reach to be seen: 1 in 800 that was not there did."""
 CLEAR = 1.5
 """By which it has to be ahead of every rival (eq. 9)."""
 CLEAR_OF_INVERTED = 3.0
 """The same of the inverted mask, most of whose picture is its own."""
 AGAINST = 5.0
-"""Score that a rival has to reach for the named mask not to be seen: 1 in 3,500,000."""
+"""Score that a rival has to reach for the named mask not to be seen: of 111,552 masks
+that were not there none was above 4.4."""
 OPEN = 3.5
 """The same of an open window: masks have less of its mark than chance has."""
 BARE = 0.2

@@ -220,7 +220,7 @@ def _lags(count: int) -> Array:
 def even_light(camera: Camera, bins: Embedding) -> npt.NDArray[np.float32]:
     """Light of an evenly bright half space behind the window, of shape ``bins``, 1 in the mean.
 
-    What falls obliquely fades with the fourth power of the cosine (eq. 6).
+    What falls obliquely fades with the fourth power of the cosine.
     """
     slopes_y, slopes_x = (
         np.subtract.outer(_middles(count, side), np.array(centres)) / camera.distance

@@ -28,9 +28,9 @@ class Scores:
 
     Attributes:
         score: of each mask, by spectrum and picture (eq. 8), (masks, captures).
-        ahead: by how much the first mask is ahead of each (eq. 8), (masks, captures).
+        ahead: by how much the first mask is ahead of each (eq. 9), (masks, captures).
         share: of its mark that the first mask left, (captures,).
-        window: score of the open window (eq. 9), (captures,).
+        window: score of the open window (eq. 10), (captures,).
     """
 
     score: Single
@@ -112,7 +112,7 @@ def _rows(textures: Sequence[Single]) -> Single:
 
 
 def _raw(trace: Trace, weights: Single, squares: Single) -> Single:
-    """How well spectra fit (eq. 4), (masks, captures)."""
+    """How well spectra fit (eq. 5), (masks, captures)."""
     root = np.sqrt(np.maximum(squares @ trace.power.T, _LEAST))
     raw: Single = weights @ trace.power.T / root
     return raw
