@@ -64,17 +64,18 @@ class Strangers:
                 spectrum.
         """
         by_spectrum, ahead, share = self._spectra(trace, marks)
-        by_picture, ahead_in_pictures, skew = self._pictures(trace, marks, window)
+        pictures, ahead_in_pictures = self._pictures(trace, marks, window)
         texture = window.texture.reshape(1, -1)
         raw = _raw(trace, texture, np.square(texture))
         chance = _raw(trace, self._textures, self._texture_squares)
         by_texture = as_normal(_standardised(raw, chance), PICTURED)[0]
+        skews, by_picture = as_normal(pictures, PICTURED)
         return Scores(
-            combined(as_normal(by_spectrum, STRANGERS), as_normal(by_picture, PICTURED)),
+            combined(as_normal(by_spectrum, STRANGERS), by_picture[:-1]),
             (ahead + ahead_in_pictures) / np.float32(2**0.5),
             share,
             # Where something dark is in front of light, skewness is no sign of a window.
-            np.maximum(by_texture, (by_texture + as_normal(skew, PICTURED)) / np.float32(2**0.5)),
+            np.maximum(by_texture, (by_texture + skews[-1]) / np.float32(2**0.5)),
         )
 
     def _spectra(self, trace: Trace, marks: Sequence[Mark]) -> tuple[Single, Single, Single]:
@@ -88,15 +89,17 @@ class Strangers:
         apart = np.sqrt(np.maximum(2 - 2 * alike, _LEAST))
         return scores, (scores[0] - scores) / apart, (raw[0] - chance.mean(0)) / root[0]
 
-    def _pictures(
-        self, trace: Trace, marks: Sequence[Mark], window: Mark
-    ) -> tuple[Single, Single, Single]:
-        """Scores by pictures (eq. 6), by how much the first is ahead, and the window's skewness."""
+    def _pictures(self, trace: Trace, marks: Sequence[Mark], window: Mark) -> tuple[Single, Single]:
+        """Scores of third and fourth moments (eq. 6), and by how much the first mask is ahead.
+
+        Returns:
+            (2, masks and the window, captures), and (masks, captures).
+        """
         phases = np.stack([mark.phases for mark in (*marks, window)])
         every = np.concatenate([phases, self._phases])
         moments = np.stack([_moments(picture, every) for picture in trace.picture], 2)
-        skews, peaks = _standardised(moments[:, : len(phases)], moments[:, len(phases) :])
-        scores, skew = peaks[:-1], skews[-1]
+        pictures = _standardised(moments[:, : len(phases)], moments[:, len(phases) :])
+        scores = pictures[1, :-1]
         power = np.square(trace.picture.real) + np.square(trace.picture.imag)
         turned = (phases[0] * phases[:-1].conj()).real
         alike = np.einsum("myx,cyx->mc", turned, power) / np.maximum(power.sum((1, 2)), _LEAST)
@@ -104,7 +107,7 @@ class Strangers:
         alike = np.square(np.square(alike))
         off = _INEXACT * np.maximum(scores, scores[0])
         apart = np.sqrt(np.maximum(2 - 2 * alike, 0) + np.square(off) + _LEAST)
-        return scores, (scores[0] - scores) / apart, skew
+        return pictures, (scores[0] - scores) / apart
 
 
 def _rows(textures: Sequence[Single]) -> Single:
@@ -145,8 +148,11 @@ def _standardised(values: Single, chance: Single) -> Single:
         values: (..., masks, captures).
         chance: of the others, (..., strangers, captures).
     """
-    mean = chance.sum(-2, keepdims=True) / chance.shape[-2]
-    variance = np.square(chance - mean).sum(-2, keepdims=True) / (chance.shape[-2] - 1)
+    several = chance.shape[-2]
+    # Sums as products, which are faster where there are so few.
+    ones = np.ones((1, several), np.float32)
+    mean = ones @ chance / several
+    variance = ones @ np.square(chance - mean) / (several - 1)
     scores: Single = (values - mean) / np.sqrt(np.maximum(variance, _LEAST))
     return scores
 
