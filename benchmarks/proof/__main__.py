@@ -161,12 +161,13 @@ def bound(
     bundle: Annotated[str, typer.Option(help="Name of a shipped bundle.")] = "fresh",
     seed: SeedOption = 1,
 ) -> None:
-    """Show what of a capture no smooth scene behind another mask explains."""
+    """Show what of a capture no such scene behind another mask explains."""
     for each in unexplained(
         read_bundle(BUNDLES[bundle]), load_digits(), cameras=cameras, electrons=SENSORS, seed=seed
     ):
         where = "half space" if each.outdoors else "room"
-        print(f"{each.kind:20} {where:10} {each.excess:9.2g} chi-square per bin")
+        numbers = f"smooth {each.excess:9.2g}  copies {each.copied:9.2g}"
+        print(f"{each.kind:20} {where:10} {numbers} chi-square per bin")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.proof.bound import DEGREE, excess, polynomials, unexplained
+from benchmarks.proof.bound import DEGREE, LIT, MOVES, copies, excess, polynomials, unexplained
 
 from veilcam_server.demo_data import FRESH, load_digits
 from veilcam_training.bundle import read_bundle
@@ -18,6 +18,22 @@ def test_polynomials_are_all_of_their_degree() -> None:
     light = np.ones_like(x)
     assert excess(light + 1e-3 * y**3 * x**5, scenes, 1e12) < 1e-2
     assert excess(light + 1e-3 * y**9, scenes, 1e12) > 1
+
+
+def test_copies_of_a_scene_are_moved_and_lit() -> None:
+    scene = np.random.default_rng(0).random((3, 30, 30)).astype(np.float32)
+    every = copies(scene)
+    lights = (LIT + 1) * (LIT + 2) // 2
+    assert every.shape == (lights * (1 + 2 * len(MOVES)), 3, 30, 30)
+    np.testing.assert_array_equal(every[0], scene)
+    # A wave that is moved by less than its length is one of its copies' sums, however it is lit.
+    y, x = np.meshgrid(*[np.linspace(-1, 1, 30)] * 2, indexing="ij")
+    wave = np.repeat((1 + np.sin(9 * x))[None], 3, 0).astype(np.float32)
+    other = 1 + 0.01 * y * np.sin(9 * x + 1)
+    inner = (slice(None), slice(8, -8), slice(8, -8))
+    explained = excess(other[inner[1:]], copies(wave)[:, 0][inner], 1e8)
+    alone = excess(other[inner[1:]], polynomials(30, LIT)[:, 0][inner], 1e8)
+    assert explained < 1e-2 * alone
 
 
 def test_what_is_left_over_is_counted_in_noise() -> None:

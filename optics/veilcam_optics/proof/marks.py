@@ -13,7 +13,7 @@ import numpy.typing as npt
 from veilcam_optics.arrays import overwrite
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding
 from veilcam_optics.camera.imperfections import Imperfections
-from veilcam_optics.proof.traces import lower_half
+from veilcam_optics.proof.traces import lowest
 
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.complex128]
@@ -40,15 +40,15 @@ class Mark:
     Attributes:
         texture: by how much its spectrum is above its own level at each frequency (eq. 2),
             (2 x rows, columns + 1) of the bins, as :func:`numpy.fft.rfft2` orders them.
-        phases: conjugate, of modulus 1, at the lower half of the frequencies along each axis,
-            (rows, columns // 2 + 1).
+        phases: conjugate, of modulus 1, at the lowest frequencies, (rows, columns * 3 / 8 + 1):
+            half of them along y, three eighths along x.
     """
 
     texture: npt.NDArray[np.float32] = field(repr=False)
     phases: npt.NDArray[np.complex64] = field(repr=False)
 
     def weighed(self) -> Self:
-        """The same with what power at each frequency says for the mask as its texture (eq. 4)."""
+        """The same with what power at each frequency says for the mask as its texture (eq. 5)."""
         return replace(self, texture=self.texture / (1 + _BORNE * self.texture))
 
     def erase(self) -> None:
@@ -126,7 +126,7 @@ class Marks:
         light = self._light(transmittance)
         relative = self._folded(np.square(np.abs(light))) / self._usual
         level = np.fft.rfft2(np.fft.irfft2(relative, self._smoothing.shape) * self._smoothing).real
-        plain = lower_half(light[_NOT_FOLDED, :, _NOT_FOLDED])
+        plain = lowest(light[_NOT_FOLDED, :, _NOT_FOLDED])
         phases = plain.conj() / np.maximum(np.abs(plain), _LEAST)
         return Mark(
             (relative / level - 1).astype(np.float32), phases.astype(np.complex64, order="C")
@@ -220,7 +220,7 @@ def _lags(count: int) -> Array:
 def even_light(camera: Camera, bins: Embedding) -> npt.NDArray[np.float32]:
     """Light of an evenly bright half space behind the window, of shape ``bins``, 1 in the mean.
 
-    What falls obliquely fades with the fourth power of the cosine (eq. 6).
+    What falls obliquely fades with the fourth power of the cosine.
     """
     slopes_y, slopes_x = (
         np.subtract.outer(_middles(count, side), np.array(centres)) / camera.distance

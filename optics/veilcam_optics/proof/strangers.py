@@ -11,14 +11,12 @@ import numpy as np
 from veilcam_optics.proof.marks import Mark
 from veilcam_optics.proof.traces import Complex, Single, Trace
 
-STRANGERS = 64
+STRANGERS = 48
 """Masks that are not there, the same ones always: they say what chance scores in a capture."""
 PICTURED = 12
 """So many of them say what chance makes of pictures, and what it scores of an open window."""
 _SHARED = 0.3
 """Correlation of both scores of a mask that is not there."""
-_RARER = 2**0.5
-"""Times as high as by spectrum chance scores by both: fourth moments have longer tails."""
 _INEXACT = 0.1
 """Share of a picture's score by which it may be off, as a camera is off its drawing."""
 _LEAST = float(np.finfo(np.float32).tiny)
@@ -29,10 +27,10 @@ class Scores:
     """What is in captures.
 
     Attributes:
-        score: of each mask, by spectrum and picture (eq. 7), (masks, captures).
-        ahead: by how much the first mask is ahead of each (eq. 8), (masks, captures).
+        score: of each mask, by spectrum and picture (eq. 8), (masks, captures).
+        ahead: by how much the first mask is ahead of each (eq. 9), (masks, captures).
         share: of its mark that the first mask left, (captures,).
-        window: score of the open window (eq. 9), (captures,).
+        window: score of the open window (eq. 10), (captures,).
     """
 
     score: Single
@@ -66,18 +64,18 @@ class Strangers:
                 spectrum.
         """
         by_spectrum, ahead, share = self._spectra(trace, marks)
-        by_picture, ahead_in_pictures, skew = self._pictures(trace, marks, window)
+        pictures, ahead_in_pictures = self._pictures(trace, marks, window)
         texture = window.texture.reshape(1, -1)
         raw = _raw(trace, texture, np.square(texture))
-        by_texture = _standardised(raw, _raw(trace, self._textures, self._texture_squares))[0]
-        both = (by_spectrum + by_picture) / np.float32((2 + 2 * _SHARED) ** 0.5)
+        chance = _raw(trace, self._textures, self._texture_squares)
+        by_texture = as_normal(_standardised(raw, chance), PICTURED)[0]
+        skews, by_picture = as_normal(pictures, PICTURED)
         return Scores(
-            # A scene that is dense even as its edges has a spectrum alone.
-            np.maximum(both, np.float32(_RARER) * by_spectrum),
+            combined(as_normal(by_spectrum, STRANGERS), by_picture[:-1]),
             (ahead + ahead_in_pictures) / np.float32(2**0.5),
             share,
             # Where something dark is in front of light, skewness is no sign of a window.
-            np.maximum(by_texture, (by_texture + skew) / np.float32(2**0.5)),
+            np.maximum(by_texture, (by_texture + skews[-1]) / np.float32(2**0.5)),
         )
 
     def _spectra(self, trace: Trace, marks: Sequence[Mark]) -> tuple[Single, Single, Single]:
@@ -91,24 +89,25 @@ class Strangers:
         apart = np.sqrt(np.maximum(2 - 2 * alike, _LEAST))
         return scores, (scores[0] - scores) / apart, (raw[0] - chance.mean(0)) / root[0]
 
-    def _pictures(
-        self, trace: Trace, marks: Sequence[Mark], window: Mark
-    ) -> tuple[Single, Single, Single]:
-        """Scores by pictures (eq. 6), by how much the first is ahead, and the window's skewness."""
+    def _pictures(self, trace: Trace, marks: Sequence[Mark], window: Mark) -> tuple[Single, Single]:
+        """Scores of third and fourth moments (eq. 6), and by how much the first mask is ahead.
+
+        Returns:
+            (2, masks and the window, captures), and (masks, captures).
+        """
         phases = np.stack([mark.phases for mark in (*marks, window)])
         every = np.concatenate([phases, self._phases])
-        moments = [_moments(picture, every) for picture in trace.picture]
-        skews, peaks = (np.stack(each, 1) for each in zip(*moments, strict=True))
-        skew = _standardised(skews[len(marks) : len(phases)], skews[len(phases) :])[0]
-        scores = _standardised(peaks[: len(marks)], peaks[len(phases) :])
+        moments = np.stack([_moments(picture, every) for picture in trace.picture], 2)
+        pictures = _standardised(moments[:, : len(phases)], moments[:, len(phases) :])
+        scores = pictures[1, :-1]
         power = np.square(trace.picture.real) + np.square(trace.picture.imag)
-        turned = (phases[0] * phases[: len(marks)].conj()).real
+        turned = (phases[0] * phases[:-1].conj()).real
         alike = np.einsum("myx,cyx->mc", turned, power) / np.maximum(power.sum((1, 2)), _LEAST)
         # Fourth powers of Gaussian numbers, apart from their squares, are correlated by this.
         alike = np.square(np.square(alike))
         off = _INEXACT * np.maximum(scores, scores[0])
         apart = np.sqrt(np.maximum(2 - 2 * alike, 0) + np.square(off) + _LEAST)
-        return scores, (scores[0] - scores) / apart, skew
+        return pictures, (scores[0] - scores) / apart
 
 
 def _rows(textures: Sequence[Single]) -> Single:
@@ -116,33 +115,71 @@ def _rows(textures: Sequence[Single]) -> Single:
 
 
 def _raw(trace: Trace, weights: Single, squares: Single) -> Single:
-    """How well spectra fit (eq. 4), (masks, captures)."""
+    """How well spectra fit (eq. 5), (masks, captures)."""
     root = np.sqrt(np.maximum(squares @ trace.power.T, _LEAST))
     raw: Single = weights @ trace.power.T / root
     return raw
 
 
-def _moments(picture: Complex, phases: Complex) -> tuple[Single, Single]:
-    """Third and fourth moment of a capture's pictures, (masks,) each.
+def _moments(picture: Complex, phases: Complex) -> Single:
+    """Third and fourth moment of a capture's pictures, (2, masks).
 
     Args:
         picture: amplitudes of the capture.
         phases: of masks, (masks, *frequencies).
     """
     scenes = np.fft.irfft2(picture * phases).reshape(len(phases), -1)
-    # All of one power, as phases leave it.
-    scenes /= max(float(np.square(scenes[-1]).mean()) ** 0.5, _LEAST)
     squares = np.square(scenes)
-    third, fourth = (
-        (squares[:, None] @ each[..., None]).ravel() / squares.shape[1]
-        for each in (scenes, squares)
+    # All of one power, as phases leave it.
+    power = max(float(squares[-1].mean()), _LEAST**0.5)
+    both: Single = np.stack(
+        [
+            (squares[:, None] @ each[..., None]).ravel() / (squares.shape[1] * power**order)
+            for each, order in ((scenes, 1.5), (squares, 2))
+        ]
     )
-    return third, fourth
+    return both
 
 
 def _standardised(values: Single, chance: Single) -> Single:
-    """How far values are from the mean of others, in standard deviations of these."""
-    mean = chance.sum(0) / len(chance)
-    variance = np.square(chance - mean).sum(0) / (len(chance) - 1)
+    """How far values are from the mean of others, in standard deviations of these.
+
+    Args:
+        values: (..., masks, captures).
+        chance: of the others, (..., strangers, captures).
+    """
+    several = chance.shape[-2]
+    # Sums as products, which are faster where there are so few.
+    ones = np.ones((1, several), np.float32)
+    mean = ones @ chance / several
+    variance = ones @ np.square(chance - mean) / (several - 1)
     scores: Single = (values - mean) / np.sqrt(np.maximum(variance, _LEAST))
     return scores
+
+
+def as_normal(scores: Single, strangers: int) -> Single:
+    """What a normal number would have to be to be as rare as scores are (eq. 7).
+
+    Of few strangers, mean and deviation are known badly: what one more of them scores is
+    distributed as Student's t. Wallace's approximation (Annals of Mathematical Statistics 30,
+    1959), whose error is below 0.05 up to 6 for 12 strangers.
+
+    Args:
+        scores: in standard deviations of the strangers.
+        strangers: how many gave their mean and deviation.
+    """
+    free = strangers - 1
+    scale = ((8 * free + 1) / (8 * free + 3)) ** 2 * free
+    logarithms = np.log1p(np.square(scores) * np.float32(1 / (free * (1 + 1 / strangers))))
+    return np.copysign(np.sqrt(np.float32(scale) * logarithms), scores)
+
+
+def combined(by_spectrum: Single, by_picture: Single) -> Single:
+    """Both scores together (eq. 8), as normal numbers; where a picture says nothing, the spectrum.
+
+    Their sum is the most powerful of what adds up if both tell equally well. The larger of sum and
+    spectrum is as rare as either, since both are high in the same captures.
+    """
+    both = (by_spectrum + by_picture) / np.float32((2 + 2 * _SHARED) ** 0.5)
+    larger: Single = np.maximum(both, by_spectrum)
+    return larger

@@ -23,8 +23,9 @@ _BEYOND = (0.5, 0.9)
 _REACH = 1.0
 """Distance over which what surrounds a clipped bin counts e times less [bins]."""
 _LEAST = float(np.finfo(np.float32).tiny)
-_PROFILE = slice(1, 7)
-"""Cosines of the profile along x."""
+_SMOOTH = slice(0, 3), slice(1, 7)
+"""Cosines along y and x that tell how even light is. Flicker is in none of even light's: all of a
+row is read at the same time."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,9 @@ class Trace:
     Attributes:
         power: at each frequency, ordered as a mark, and as often as the whole plane has it:
             (captures, frequencies).
-        picture: amplitude at the lower half of the frequencies along each axis,
-            (captures, rows, columns // 2 + 1).
-        unevenness: of the light along x, over its mean (eq. 7), (captures,).
+        picture: amplitude at the lowest frequencies, (captures, rows, columns * 3 / 8 + 1): half of
+            them along y, three eighths along x, where little passes apertures beyond.
+        unevenness: of the light, over its mean (eq. 11), (captures,).
         mean: of the measurements, (captures,).
     """
 
@@ -58,13 +59,11 @@ class Traces:
         self._y, self._x = _cosines(bins.rows), _cosines(bins.columns)
         self._mean_y, self._mean_x = _means(bins.rows), _means(bins.columns)
         self._near_y, self._near_x = _near(bins.rows), _near(bins.columns)
+        self._spectra = _Spectra(bins)
         row, column = np.arange(bins.rows)[:, None], np.arange(bins.columns)
         self._kept = np.float32((row >= _LOWEST) & (column >= _LOWEST))
         beyond = (row > _BEYOND[0] * bins.rows) & (column > _BEYOND[1] * bins.columns)
         self._beyond = np.float32(beyond.ravel() / beyond.sum())
-        # How often each column of a half plane of frequencies is in the whole one.
-        self._weights = np.full(bins.columns + 1, 2, np.float32)
-        self._weights[[0, -1]] = 1
 
     def take(self, measurement: Single, clipped: Bools) -> Trace:
         """The traces in captures.
@@ -81,18 +80,13 @@ class Traces:
         # Nothing is divided by zero where there is no light at all.
         level = np.maximum(level, _LEAST)
         signal = np.maximum(1 - noise / level, 0) * self._kept
-        white = self._y.T @ (signal * cosines / np.sqrt(level)) @ self._x
-        spectrum = np.fft.rfft2(white, (2 * self._bins.rows, 2 * self._bins.columns))
-        squares = np.square(spectrum.real) + np.square(spectrum.imag)
-        # The first row of cosines are those of the profile along x.
-        first, profile = cosines[:, 0, 0], np.square(cosines[:, 0, _PROFILE]).sum(1)
-        unevenness: Single = np.sqrt(
-            profile / np.maximum(np.square(first), np.float32(_LEAST))
-        ).astype(np.float32)
+        power, picture = self._spectra.of(signal * cosines / np.sqrt(level))
+        first, smooth = cosines[:, 0, 0], cosines[:, *_SMOOTH]
+        uneven = np.square(smooth).sum((1, 2)) / np.maximum(np.square(first), np.float32(_LEAST))
         return Trace(
-            (squares * self._weights).reshape(len(whole), -1),
-            lower_half(spectrum).astype(np.complex64),
-            unevenness,
+            power,
+            picture,
+            np.sqrt(uneven).astype(np.float32),
             (first / (self._bins.rows * self._bins.columns) ** 0.5).astype(np.float32),
         )
 
@@ -105,14 +99,70 @@ class Traces:
         return filled
 
 
-def lower_half(spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    """The lower half of the frequencies along each axis.
+class _Spectra:
+    """Spectra of pictures given by their cosines, on twice as fine a grid of frequencies (eq. 3).
+
+    A cosine's own spectrum is known, so that two products of matrices are all of it; that is
+    faster than to transform back and forth.
+
+    Args:
+        bins: of the sensor.
+    """
+
+    def __init__(self, bins: Embedding) -> None:
+        self._bins = bins
+        down, across = (_cosines(count) @ _turns(count) for count in bins.shape)
+        self._down: Single = np.concatenate([down.T.real, down.T.imag]).astype(np.float32)
+        # How often each column of a half plane of frequencies is in the whole one.
+        often = np.full(bins.columns + 1, 2.0)
+        often[[0, -1]] = 1
+        across = across * np.sqrt(often)
+        self._across: Single = np.hstack([across.real, across.imag]).astype(np.float32)
+        self._lowest = _lowest(2 * bins.rows, bins.columns + 1)
+        self._once: Single = np.sqrt(1 / often[: self._lowest[1]]).astype(np.float32)
+
+    def of(self, cosines: Single) -> tuple[Single, Complex]:
+        """Power and lowest amplitudes, as a trace has them.
+
+        Args:
+            cosines: (captures, *shape of the bins).
+        """
+        rows, columns = self._bins.rows + 1, self._bins.columns + 1
+        product: Single = self._down @ (cosines @ self._across)
+        # Real and imaginary, along y first.
+        (rr, ri), (ir, ii) = (
+            (half[..., :columns], half[..., columns:])
+            for half in (product[:, :rows], product[:, rows:])
+        )
+        even = np.square(rr) + np.square(ii) + np.square(ri) + np.square(ir)
+        odd = 2 * (ri * ir - rr * ii)
+        # Of frequencies below zero along y, whose turns are the other way round, after all others.
+        power = np.concatenate([even + odd, (even - odd)[:, -2:0:-1]], 1)
+        return power.reshape(len(cosines), -1), self._lower(rr, ri, ir, ii)
+
+    def _lower(self, rr: Single, ri: Single, ir: Single, ii: Single) -> Complex:
+        rows, columns = self._lowest
+        rr, ri, ir, ii = (each[:, : rows + 1, :columns] for each in (rr, ri, ir, ii))
+        lower = np.empty((len(rr), 2 * rows, columns), np.complex64)
+        lower.real[:, :rows], lower.imag[:, :rows] = (rr - ii)[:, :-1], (ri + ir)[:, :-1]
+        lower.real[:, rows:], lower.imag[:, rows:] = (rr + ii)[:, :0:-1], (ri - ir)[:, :0:-1]
+        lower *= self._once
+        return lower
+
+
+def lowest(spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """The lowest frequencies along each axis, as a trace's picture has them.
 
     Args:
         spectrum: (..., rows, columns), as :func:`numpy.fft.rfft2` orders frequencies.
     """
-    rows, columns = spectrum.shape[-2] // 4, spectrum.shape[-1] // 2 + 1
+    rows, columns = _lowest(*spectrum.shape[-2:])
     return np.concatenate([spectrum[..., :rows, :columns], spectrum[..., -rows:, :columns]], -2)
+
+
+def _lowest(rows: int, columns: int) -> tuple[int, int]:
+    """Frequencies to each side of zero along y, and from zero on along x, that pictures have."""
+    return rows // 4, (columns - 1) * 3 // 8 + 1
 
 
 def _cosines(count: int) -> Single:
@@ -122,6 +172,13 @@ def _cosines(count: int) -> Single:
     matrix[0] /= np.sqrt(2)
     cosines: Single = matrix.astype(np.float32)
     return cosines
+
+
+def _turns(count: int) -> npt.NDArray[np.complex128]:
+    """The Fourier transform at frequencies from 0 on, twice as dense: (count, count + 1)."""
+    cycles = np.outer(np.arange(count), np.arange(count + 1)) / (2 * count)
+    turns: npt.NDArray[np.complex128] = np.exp(-2j * np.pi * cycles)
+    return turns
 
 
 def _means(count: int) -> Single:

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.optics.proof.rig import CAMERA, UNCLIPPED, Room, figure, mask, measured, natural, opened
 
 from veilcam_optics.camera.imperfections import NOMINAL
 from veilcam_optics.proof import PROOF
 from veilcam_optics.proof.marks import Mark, Marks
-from veilcam_optics.proof.strangers import STRANGERS, Scores, Strangers
+from veilcam_optics.proof.strangers import (
+    PICTURED,
+    STRANGERS,
+    Scores,
+    Strangers,
+    as_normal,
+    combined,
+)
 from veilcam_optics.proof.traces import Trace, Traces
 
 MARKS = Marks(CAMERA, NOMINAL, PROOF)
@@ -50,10 +58,10 @@ def test_the_mask_that_is_there_scores_and_others_are_behind(
 
 
 def test_a_picture_adds_what_a_spectrum_does_not_tell(strangers: Strangers) -> None:
-    mark = _mark(1)
-    other = Mark(mark.texture, _mark(2).phases)
-    right, wrong = _scores(strangers, _trace(figure(3)), mark, other).score[:, 0]
-    assert right > 3 * wrong
+    right, wrong = _mark(1), _mark(2)
+    half = Mark(wrong.texture, right.phases)
+    neither, picture = _scores(strangers, _trace(figure(3)), wrong, half).score[:, 0]
+    assert picture > neither + 3
 
 
 def test_masks_that_are_not_there_score_as_strangers_do(strangers: Strangers) -> None:
@@ -115,3 +123,38 @@ def test_nothing_at_all_is_no_error(strangers: Strangers) -> None:
     scores = _scores(strangers, trace, _mark(1), _mark(2))
     for values in (scores.score, scores.ahead, scores.share, scores.window):
         assert np.isfinite(values).all()
+
+
+@pytest.mark.parametrize("strangers", [PICTURED, STRANGERS])
+def test_scores_are_as_rare_as_those_of_normal_numbers(strangers: int) -> None:
+    normal = np.linspace(-6, 6, 49)
+    # What one more of so many scores, in their standard deviations.
+    rare = stats.t.ppf(stats.norm.cdf(-np.abs(normal)), strangers - 1) * -np.sign(normal)
+    scores = (rare * (1 + 1 / strangers) ** 0.5).astype(np.float32)
+    # Of Wallace's approximation, 0.033 at 6 for the fewest.
+    np.testing.assert_allclose(as_normal(scores, strangers), normal, atol=0.04)
+
+
+def test_both_scores_are_never_worse_than_the_spectrum_and_hardly_than_the_picture(
+    strangers: Strangers,
+) -> None:
+    rooms = [natural(seed, 0.8 + 0.05 * seed) for seed in range(12)] + [figure(3), figure(4)]
+    right: list[tuple[float, float]] = []
+    together: list[float] = []
+    mark = _mark(1).weighed()
+    for room in rooms:
+        # From what tells next to nothing to what tells most masks.
+        for snr_db in (45.0, 50.0, 55.0, 60.0, 65.0):
+            trace = _trace(room, snr_db=snr_db)
+            spectrum = strangers._spectra(trace, [mark])[0]
+            picture = strangers._pictures(trace, [mark], WINDOW)[0][1, :1]
+            both = as_normal(spectrum, STRANGERS), as_normal(picture, PICTURED)
+            right.append((float(both[0][0, 0]), float(both[1][0, 0])))
+            together.append(float(combined(*both)[0, 0]))
+    for level in (2.5, 3.5, 4.5):
+        found = (np.array(together) >= level).mean()
+        by_spectrum, by_picture = (np.array(right) >= level).mean(0)
+        assert found >= by_spectrum
+        # Where the picture alone is at its level, and the spectrum at none: 3 captures of 70.
+        assert found >= by_picture - 0.05
+    assert 0.2 < (np.array(together) >= 3.5).mean() < 0.95
