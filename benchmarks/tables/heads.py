@@ -12,7 +12,7 @@ HEADS: Figures = {
         ("smiling", "smile"),
     )
     for key, words in (
-        (f"faces_{task}_chance", f"{what}: the commoner answer, always"),
+        (f"faces_{task}_chance", f"{what}: always what is commoner in the training set"),
         (f"faces_{task}_best_24x32", f"{what}, ResNet16 behind a learned mask, 24 x 32"),
         (f"faces_{task}_best_24x32_low", "lower end of its interval"),
         (f"faces_{task}_best_24x32_high", "upper end of its interval"),
