@@ -22,7 +22,7 @@ that were not there none was above 4.4."""
 OPEN = 3.5
 """The same of an open window: masks have less of its mark than chance has."""
 BARE = 0.2
-"""Unevenness (eq. 11), over that of even light behind the window, below which there is no window.
+"""Unevenness (eq. 12), over that of even light behind the window, below which there is no window.
 Of a panel without power it is a fifth of that, in the dimmest light."""
 AROUND = 0.4
 """The same below which light may pass around the window, as where the panel is inverted."""
@@ -56,7 +56,7 @@ class Rival:
     Attributes:
         name: of the state.
         score: of its mark (eq. 8, of an open window eq. 10).
-        behind: by how much the named mask is ahead of it (eq. 9).
+        behind: by how much the named mask is ahead of it (eq. 9, of an open window eq. 11).
     """
 
     name: Alternative

@@ -94,8 +94,8 @@ class MaskTest:
         for place, light in enumerate(trace.mean):
             unevenness = float(trace.unevenness[place]) / self.even
             named, *others = map(float, scores.score[:, place])
-            window = float(scores.window[place])
-            rivals = [Rival("transparent", window, (named - window) / 2**0.5)]
+            window, behind = float(scores.window[place]), float(scores.ahead_of_window[place])
+            rivals = [Rival("transparent", window, behind)]
             rivals += (
                 Rival(name, other, float(ahead))
                 for name, other, ahead in zip(names, others, scores.ahead[1:, place], strict=True)

@@ -31,12 +31,14 @@ class Scores:
         ahead: by how much the first mask is ahead of each (eq. 9), (masks, captures).
         share: of its mark that the first mask left, (captures,).
         window: score of the open window (eq. 10), (captures,).
+        ahead_of_window: by how much the first mask is ahead of it (eq. 11), (captures,).
     """
 
     score: Single
     ahead: Single
     share: Single
     window: Single
+    ahead_of_window: Single
 
 
 class Strangers:
@@ -68,14 +70,15 @@ class Strangers:
         texture = window.texture.reshape(1, -1)
         raw = _raw(trace, texture, np.square(texture))
         chance = _raw(trace, self._textures, self._texture_squares)
-        by_texture = as_normal(_standardised(raw, chance), PICTURED)[0]
-        skews, by_picture = as_normal(pictures, PICTURED)
+        by_texture, rare = _standardised(raw, chance), as_normal(pictures, PICTURED)
+        # How far apart two are that are both there no more by chance, rarity does not tell.
+        apart = combined(by_spectrum[0], pictures[1, 0]) - _opened(by_texture[0], pictures[0, -1])
         return Scores(
-            combined(as_normal(by_spectrum, STRANGERS), by_picture[:-1]),
+            combined(as_normal(by_spectrum, STRANGERS), rare[1, :-1]),
             (ahead + ahead_in_pictures) / np.float32(2**0.5),
             share,
-            # Where something dark is in front of light, skewness is no sign of a window.
-            np.maximum(by_texture, (by_texture + skews[-1]) / np.float32(2**0.5)),
+            _opened(as_normal(by_texture, PICTURED)[0], rare[0, -1]),
+            apart / np.float32(2**0.5),
         )
 
     def _spectra(self, trace: Trace, marks: Sequence[Mark]) -> tuple[Single, Single, Single]:
@@ -172,6 +175,15 @@ def as_normal(scores: Single, strangers: int) -> Single:
     scale = ((8 * free + 1) / (8 * free + 3)) ** 2 * free
     logarithms = np.log1p(np.square(scores) * np.float32(1 / (free * (1 + 1 / strangers))))
     return np.copysign(np.sqrt(np.float32(scale) * logarithms), scores)
+
+
+def _opened(by_texture: Single, skew: Single) -> Single:
+    """Both scores of an open window together (eq. 10).
+
+    Where something dark is in front of light, skewness is no sign of a window.
+    """
+    larger: Single = np.maximum(by_texture, (by_texture + skew) / np.float32(2**0.5))
+    return larger
 
 
 def combined(by_spectrum: Single, by_picture: Single) -> Single:

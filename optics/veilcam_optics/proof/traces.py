@@ -37,7 +37,7 @@ class Trace:
             (captures, frequencies).
         picture: amplitude at the lowest frequencies, (captures, rows, columns * 3 / 8 + 1): half of
             them along y, three eighths along x, where little passes apertures beyond.
-        unevenness: of the light, over its mean (eq. 11), (captures,).
+        unevenness: of the light, over its mean (eq. 12), (captures,).
         mean: of the measurements, (captures,).
     """
 
