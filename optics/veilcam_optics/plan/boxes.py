@@ -104,7 +104,8 @@ def _antiderivative(axis: Axis[Values], at: Values, times: int) -> Values:
     found = np.zeros_like(at)
     for corner, sign in ((-outer, 1), (-inner, -1), (inner, -1), (outer, 1)):
         found += sign * np.maximum(at - corner, 0) ** (times + 1) / math.factorial(times + 1)
-    return axis.scale * found
+    whole: Values = axis.scale * found
+    return whole
 
 
 def integrals(axis: Axis[Values], of: Values, wavelength: float, reach: int) -> Values:

@@ -22,7 +22,7 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.tables import Reach
 from veilcam_training.bundle.layers import BatchNorm, LayerNorm, ReLU
 from veilcam_training.config.recipes import Recipe
-from veilcam_training.config.settings import LATER, Settings
+from veilcam_training.config.settings import LATER_IN_RECIPE, Settings
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
 from veilcam_training.encoders import Exposures, FixedMask, LearnedMask, Mask, Setup
@@ -271,11 +271,11 @@ def test_fingerprints_stay_what_they_are(
     assert chosen.fingerprint(FILES) != digest
 
 
-@pytest.mark.parametrize("later", LATER)
+@pytest.mark.parametrize("later", LATER_IN_RECIPE)
 def test_settings_that_came_later_count_where_they_are_used(later: str) -> None:
     known = Settings().fingerprint(FILES)
     values = {"mixup": 0.5, "averaging": 0.5, "pooling": 2, "rank": 10}
-    recipes = [Recipe(**{later: values[later]}), Recipe(**values)]
+    recipes = [Recipe.model_validate(each) for each in ({later: values[later]}, values)]
     others = {Settings(recipe=recipe).fingerprint(FILES) for recipe in recipes}
     assert len(others | {known}) == 3
 

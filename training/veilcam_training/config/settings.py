@@ -17,7 +17,7 @@ A fit for fresh masks has its settings, beside the name of a ``task``, in one ta
 import hashlib
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -41,9 +41,9 @@ from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
-LATER = ("mixup", "averaging", "pooling", "rank")
-"""Settings of a recipe that came after others were fitted."""
-PLAIN = Recipe()
+LATER = ("psf_pitch", "psf_distance", "exposures")
+LATER_IN_RECIPE = ("mixup", "averaging", "pooling", "rank")
+"""Settings that came after others were fitted, of a fit and of its recipe."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -92,12 +92,10 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
             files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
         # What is in the file counts, not where it lies; and settings that came later are left out
         # as long as they say nothing, so that fits from before them are still the same.
-        later = ("psf_pitch", "psf_distance", "exposures")
-        fields = type(self).model_fields
-        left_out = {name for name in later if getattr(self, name) == fields[name].default}
         same = self.model_copy(update={"psf": None})
-        recipe = {name for name in LATER if getattr(self.recipe, name) == getattr(PLAIN, name)}
-        excluded = {"recipe": recipe} | dict.fromkeys(left_out, True)
+        excluded = {name: True for name in _unsaid(self, LATER)} | {
+            "recipe": _unsaid(self.recipe, LATER_IN_RECIPE)
+        }
         return _digest(same.model_dump_json(exclude=excluded), files)
 
     @property
@@ -185,6 +183,12 @@ class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
         # Without defaults: a setting that is added later does not disown what was fitted before.
         chosen = self.model_dump_json(exclude_defaults=True)
         return _digest(chosen, sorted(source.digests().items()))
+
+
+def _unsaid(model: BaseModel, names: Iterable[str]) -> set[str]:
+    """Those fields of ``names`` that have their default."""
+    fields = type(model).model_fields
+    return {name for name in names if getattr(model, name) == fields[name].default}
 
 
 def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
