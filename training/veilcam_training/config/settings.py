@@ -93,7 +93,7 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         # What is in the file counts, not where it lies; and settings that came later are left out
         # as long as they say nothing, so that fits from before them are still the same.
         same = self.model_copy(update={"psf": None})
-        excluded = {name: True for name in _unsaid(self, LATER)} | {
+        excluded = dict.fromkeys(_unsaid(self, LATER), True) | {
             "recipe": _unsaid(self.recipe, LATER_IN_RECIPE)
         }
         return _digest(same.model_dump_json(exclude=excluded), files)
