@@ -261,7 +261,7 @@ def test_fingerprints_stay_what_they_are(
 @pytest.mark.parametrize("later", LATER)
 def test_settings_that_came_later_count_where_they_are_used(later: str) -> None:
     known = Settings().fingerprint(FILES)
-    values = {"mixup": 0.5, "averaging": 0.5, "pooling": 2, "rank": 10}
+    values: dict[str, Any] = {"mixup": 0.5, "averaging": 0.5, "pooling": 2, "rank": 10}
     recipes = [Recipe(**{later: values[later]}), Recipe(**values)]
     others = {Settings(recipe=recipe).fingerprint(FILES) for recipe in recipes}
     assert len(others | {known}) == 3
