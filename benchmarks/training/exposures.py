@@ -128,7 +128,7 @@ def draw(found: Mapping[Cell, Sequence[Outcome]], path: Path) -> None:
     waiting.set_ylabel("test accuracy [%]")
     waiting.set_title("by the camera's time; beside a point: exposures", fontsize=9)
     fitting.set_title("by the fit's time", fontsize=9)
-    waiting.legend(loc="lower right", frameon=False)
+    waiting.legend(loc="lower left", frameon=False)
     for axes in (waiting, fitting):
         tidy(axes)
     figure.savefig(path, dpi=150)

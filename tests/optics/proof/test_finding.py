@@ -53,6 +53,9 @@ def test_a_rival_that_may_be_ahead_by_a_camera_s_errors_is_not_convicted() -> No
 def test_an_open_window_needs_less() -> None:
     assert _judged(0, _rival(OPEN, -3, "transparent")).verdict == "not seen"
     assert _judged(0, _rival(OPEN, -3)).verdict == "undecided"
+    # Of an open window more is asked than of a mask.
+    assert _judged(0, _rival(OPEN, -2, "transparent")).verdict == "undecided"
+    assert _judged(0, _rival(AGAINST, -2)).verdict == "not seen"
     assert _judged(0, _rival(OPEN - 0.1, -3, "transparent")).verdict == "undecided"
 
 
