@@ -24,6 +24,7 @@ from veilcam_training.cli.options import (
     given,
     prepare,
     show_summary,
+    warn_of_precision,
     watch,
 )
 from veilcam_training.config.recipes import TASKS
@@ -64,6 +65,7 @@ def fit_fresh_command(
     settings = load_fresh_settings(config, overrides, found=recognise(data))
     source, camera = ReadOnce(open_source(settings.data, data)), Camera()
     show_summary(console, source)
+    warn_of_precision(console, place, mixed=settings.bfloat16, instead="bfloat16 = false")
     with join_ranks(place) as (ranks, place):
         settings = settle_seed(settings, work, ranks)
         name = f"{settings.classifier} fresh {settings.embedding}"

@@ -31,6 +31,7 @@ from veilcam_training.cli.options import (
     given,
     prepare,
     show_summary,
+    warn_of_precision,
     watch,
 )
 from veilcam_training.cli.table import report_command, table_command
@@ -172,6 +173,8 @@ def fit_command(
         settings = settle_seed(settings, work, ranks)
         if ranks.is_first:
             show_summary(console, source)
+            mixed = settings.recipe.precision == "mixed"
+            warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
         name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
         with watch(
             console, name, settings.recipe.epochs, ranks, logs=tensorboard, table=csv

@@ -20,7 +20,7 @@ from veilcam_training.trainer.callbacks import (
     TensorBoardLog,
     make_progress,
 )
-from veilcam_training.trainer.distributed import Ranks, choose_device
+from veilcam_training.trainer.distributed import Ranks, choose_device, has_bfloat16
 
 Folder = Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")]
 Config = Annotated[
@@ -80,6 +80,24 @@ def show_summary(console: Console, source: Source) -> None:
     console.print(table)
     for warning in summary.warnings:
         console.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+
+
+def warn_of_precision(console: Console, device: torch.device, *, mixed: bool, instead: str) -> None:
+    """Say that a fit in mixed precision is to run where bfloat16 is emulated.
+
+    Args:
+        console: to print on.
+        device: that fits.
+        mixed: whether the fit is in mixed precision.
+        instead: the setting that takes full precision, as in a file.
+    """
+    if mixed and not has_bfloat16(device):
+        console.print(
+            f"warning: this processor emulates bfloat16, which is slow: use {instead}, unless "
+            "the numbers of another machine are to come out",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 @contextmanager

@@ -35,6 +35,17 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
+def has_bfloat16(device: torch.device) -> bool:
+    """True if ``device`` has instructions for bfloat16; torch emulates them elsewhere.
+
+    Every CUDA device is taken to have them: those before compute capability 8.0 do not.
+    """
+    capabilities = torch.cpu.get_capabilities()
+    return device.type != "cpu" or any(
+        present for name, present in capabilities.items() if "bf16" in name
+    )
+
+
 ValueT = TypeVar("ValueT")
 
 
