@@ -46,6 +46,12 @@ def test_what_has_no_type_is_counted_and_named(capsys: pytest.CaptureFixture[str
         {"name": "veilcam_client.unknown", "isExported": True, "isTypeKnown": False},
         {"name": "numpy.other", "isExported": False, "isTypeKnown": False},
     ]
-    report = {"typeCompleteness": {"completenessScore": 0.5, "symbols": symbols}}
-    assert types.completeness(json.dumps(report)) == 50
+    found = {"modules": [{"name": "veilcam_client"}], "completenessScore": 0.5, "symbols": symbols}
+    assert types.completeness(json.dumps({"typeCompleteness": found})) == 50
     assert capsys.readouterr().out == "veilcam_client.unknown\n"
+
+
+def test_an_sdk_that_is_not_there_is_no_zero() -> None:
+    found = {"modules": [], "completenessScore": 0, "symbols": []}
+    with pytest.raises(SystemExit, match="found no veilcam_client"):
+        types.completeness(json.dumps({"typeCompleteness": found}))
