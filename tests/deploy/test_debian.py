@@ -46,7 +46,7 @@ def test_everything_of_this_folder_is_in_the_package() -> None:
         for path in DEPLOY.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    apart = {"README.md", "config.py", "prometheus/veilcam.rules.yml"}
+    apart = {"README.md", "config.py", "Containerfile", "prometheus/veilcam.rules.yml"}
     apart |= {f"debian/{name}" for name in ("__init__.py", "build.py", "control.in", "manual.in")}
     apart |= {f"debian/{name}" for name in ("postinst", "prerm", "postrm")}
     assert there - apart == {*FILES, *PROGRAMS}
