@@ -9,7 +9,6 @@ and the network. It is kept in ``build/clean-root``.
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -20,9 +19,11 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 from tests.system.debian_package.root import Root, archive
+from tests.system.obstacle import obstacle
 
 ROOT = Path(__file__).resolve().parents[3]
 BUILD = ROOT / "build" / "clean-root"
+TOOLS = {"mmdebstrap": "mmdebstrap"}
 SUITE = "trixie"
 PACKAGES = ("ca-certificates", "git", "make", "python3", "python3-venv")
 HOME, USER = "/home/newcomer", "1000:1000"
@@ -35,15 +36,6 @@ ENVIRONMENT = {
 }
 
 console = Console(highlight=False)
-
-
-def obstacle() -> str | None:
-    """Return why this machine cannot run it, None if it can."""
-    if shutil.which("mmdebstrap") is None:
-        return "a program is missing: apt install mmdebstrap"
-    if os.geteuid() != 0:
-        return "a root of Debian takes root rights: run it with sudo"
-    return None
 
 
 def clean(folder: Path) -> Path:
@@ -78,7 +70,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Make the root, and run the command in it."""
-    reason = obstacle()
+    reason = obstacle(TOOLS)
     if reason is not None:
         console.print(f"NOT RUN: {reason}")
         return

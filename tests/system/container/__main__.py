@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -23,6 +22,7 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from rich.console import Console
 from tests.system.debian_package.root import archive
+from tests.system.obstacle import obstacle
 
 from veilcam_client import Camera
 from veilcam_server.demo_data import load_digits
@@ -39,16 +39,6 @@ SUITE, PACKAGES = "bookworm", ("ca-certificates", "python3", "python3-venv")
 """Of what stands for the image that the file begins with."""
 
 console = Console(highlight=False)
-
-
-def obstacle() -> str | None:
-    """Return why this machine cannot run it, None if it can."""
-    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
-    if missing:
-        return f"programs are missing: apt install {' '.join(missing)}"
-    if os.geteuid() != 0:
-        return "a root of Debian takes root rights: run it with sudo"
-    return None
 
 
 class Buildah:
@@ -133,7 +123,7 @@ def main(
     figures: FiguresOption = None,
 ) -> None:
     """Build, start and ask."""
-    reason = obstacle()
+    reason = obstacle(TOOLS)
     if reason is not None:
         console.print(f"NOT RUN: {reason}")
         return

@@ -8,7 +8,6 @@ Needs root, and the programs of ``TOOLS``. Roots and packages are kept in ``buil
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from benchmarks.figures import FiguresOption, record
 from deploy.debian.build import Architecture, BuildError, build
 from rich.console import Console
 from tests.client.recordings import Daemon
+from tests.system.obstacle import obstacle
 
 from veilcam_client.recording import record as record_captures
 
@@ -40,17 +40,6 @@ SUITE = "bookworm"
 """Of the figures of room and time; the older of the two."""
 
 console = Console(highlight=False)
-
-
-def obstacle(*, emulated: bool) -> str | None:
-    """Return why this machine cannot run the checks, None if it can."""
-    tools = {**TOOLS, **(FOREIGN_TOOLS if emulated else {})}
-    missing = [package for tool, package in tools.items() if shutil.which(tool) is None]
-    if missing:
-        return f"programs are missing: apt install {' '.join(missing)}"
-    if os.geteuid() != 0:
-        return "a root of Debian takes root rights: run it with sudo"
-    return None
 
 
 def native() -> str | None:
@@ -81,7 +70,7 @@ def main(
 ) -> None:
     """Make the root, install the package in it, and make the checks."""
     emulated = architecture.value != native()
-    reason = obstacle(emulated=emulated)
+    reason = obstacle({**TOOLS, **(FOREIGN_TOOLS if emulated else {})})
     if reason is not None:
         console.print(f"NOT RUN: {reason}")
         return

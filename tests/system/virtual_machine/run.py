@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from tests.system.obstacle import obstacle
 
 from veilcam_training.experiments.records import Origin, record_figures
 
@@ -48,16 +48,6 @@ class Result:
     name: str
     passed: bool
     detail: str
-
-
-def obstacle() -> str | None:
-    """Return why this machine cannot run the checks, None if it can."""
-    missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
-    if missing:
-        return f"programs are missing: apt install {' '.join(missing)}"
-    if os.geteuid() != 0:
-        return "building the image takes root rights: run it with sudo"
-    return None
 
 
 def boot(build: Path) -> Iterator[str]:
@@ -108,7 +98,7 @@ def main(
     figures: Annotated[Path | None, typer.Option(help="Record to write the figure into.")] = None,
 ) -> None:
     """Build the image, boot it, and make the checks in it."""
-    reason = obstacle()
+    reason = obstacle(TOOLS)
     if reason is not None:
         console.print(f"NOT RUN: {reason}")
         return
