@@ -122,6 +122,17 @@ class House:
         path = f"veilcam/{NODE}/{topic}"
         until(lambda: self.now.get(path) == payload, f"{topic} {payload}, not {self.now.get(path)}")
 
+    def tells(self, topic: str, document: object) -> None:
+        """Wait until a topic of the camera holds this JSON document."""
+        path = f"veilcam/{NODE}/{topic}"
+        until(lambda: json.loads(self.now.get(path, "null")) == document, f"{topic} {document}")
+
+    @property
+    def events(self) -> list[dict[str, Any]]:
+        """What the camera said happened, in the order in which it came."""
+        path = f"veilcam/{NODE}/event"
+        return [json.loads(message.payload) for message in self.heard if message.topic == path]
+
     def forget(self) -> None:
         self.subscribed = 0
         self.now.clear()

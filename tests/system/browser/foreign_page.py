@@ -23,8 +23,10 @@ from tests.system.browser.asks import Ask
 from veilcam_server.security.audit import DONE, REFUSED
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
-PATIENCE = 120.0
+PATIENCE = 300.0
 """Longest wait for a page to have made all its requests [s]; they take about 20."""
+LONGEST_ANSWER = 60.0
+"""Longest wait for an answer of the daemon [s]."""
 STATE = ("rotation", "bundles", "lease", "calibration", "receivers")
 
 
@@ -49,7 +51,9 @@ class Watched:
 
     def state(self) -> dict[str, Any]:
         """All that a request could change: mask, policy, bundles, lease, receivers, tokens, log."""
-        with httpx.Client(base_url=self.url, headers=self.headers, trust_env=False) as client:
+        with httpx.Client(
+            base_url=self.url, headers=self.headers, trust_env=False, timeout=LONGEST_ANSWER
+        ) as client:
             found = {path: client.get(f"/v1/{path}").json() for path in STATE}
             diagnostics = client.get("/v1/diagnostics").json()
             found["events"] = diagnostics["events"]
@@ -101,6 +105,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self._relay()
         elif self.path == "/asks":
             self._answer(json.dumps(self.server.told()).encode(), "application/json")
+        elif self.path.startswith("/noticed/"):
+            noticed = self.server.noticed(self.path.removeprefix("/noticed/"))
+            self._answer(json.dumps(noticed).encode(), "application/json")
         elif self.path.startswith("/body/"):
             self._answer(self.server.asks[self.path.removeprefix("/body/")].body, "x/x")
         else:
@@ -129,7 +136,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     def _relay(self) -> None:
         """The name of this server leads to the daemon now: what comes goes there as it is."""
         target = urlsplit(self.server.watched.url)
-        connection = http.client.HTTPConnection(target.hostname or "", target.port, timeout=2)
+        connection = http.client.HTTPConnection(
+            target.hostname or "", target.port, timeout=LONGEST_ANSWER
+        )
         content = self.rfile.read(int(self.headers.get("Content-Length", "0")))
         connection.putrequest(self.command, self.path, skip_host=True, skip_accept_encoding=True)
         for name, value in self.headers.items():
@@ -161,6 +170,7 @@ class _Server(http.server.ThreadingHTTPServer):
         self.asks, self.watched, self._target = asks, watched, target
         self.done, self.result = threading.Event(), Result()
         self._before, self._refused = watched.state(), len(watched.refusals())
+        self._refused_so_far = self._refused
 
     def told(self) -> list[dict[str, Any]]:
         # Without a target the page asks its own host, whose name has come to lead to the daemon.
@@ -168,10 +178,16 @@ class _Server(http.server.ThreadingHTTPServer):
 
     def note(self, name: str, learned: str | None) -> None:
         self.result.learned[name] = learned
+        self.noticed(name)
+        self._refused_so_far = len(self.watched.refusals())
+
+    def noticed(self, name: str) -> bool:
+        """Whether the daemon refused this request, the only one under way, or is another by it."""
         now = self.watched.state()
-        if now != self._before:
+        changed, self._before = now != self._before, now
+        if changed:
             self.result.changed.append(name)
-        self._before = now
+        return changed or len(self.watched.refusals()) > self._refused_so_far
 
     def finish(self) -> Result:
         self.result.refused = self.watched.refusals()[self._refused :]
