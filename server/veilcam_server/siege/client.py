@@ -56,17 +56,19 @@ class Reply:
     Attributes:
         status: 0 where there was no answer.
         seconds: from the first packet of the connection to the last byte.
+        question: method and path.
     """
 
     status: int
     body: bytes = b""
     seconds: float = 0.0
     headers: Mapping[str, str] = field(default_factory=dict)
+    question: str = ""
 
     def json(self) -> Any:
         """The body, decoded; raises :class:`ConnectionError` where there was no answer."""
         if self.status == 0:
-            raise ConnectionError(f"no answer within {self.seconds:.1f} s")
+            raise ConnectionError(f"no answer to {self.question} in {self.seconds:.1f} s")
         return json.loads(self.body)
 
 
@@ -114,7 +116,7 @@ async def ask(
             writer.write(head(address, method, path, given) + content)
             while chunk := await reader.read(65_536):
                 received += chunk
-    return _parse(bytes(received), time.monotonic() - began)
+    return _parse(f"{method} {path}", bytes(received), time.monotonic() - began)
 
 
 @asynccontextmanager
@@ -130,16 +132,16 @@ async def _connected(
         writer.transport.abort()
 
 
-def _parse(received: bytes, seconds: float) -> Reply:
+def _parse(question: str, received: bytes, seconds: float) -> Reply:
     start, _, body = received.partition(b"\r\n\r\n")
     first, *lines = start.decode("latin-1").split("\r\n")
     if not first.startswith("HTTP/1."):
-        return Reply(0, seconds=seconds)
+        return Reply(0, seconds=seconds, question=question)
     pairs = (line.partition(": ") for line in lines)
     headers = {name.lower(): value for name, _, value in pairs}
     if len(body) < int(headers.get("content-length", 0)):
-        return Reply(0, seconds=seconds)  # cut off
-    return Reply(int(first.split()[1]), body, seconds, headers)
+        return Reply(0, seconds=seconds, question=question)  # cut off
+    return Reply(int(first.split()[1]), body, seconds, headers, question)
 
 
 @dataclass

@@ -38,8 +38,8 @@ Serve: TypeAlias = Callable[[Settings, Callable[[str], None]], None]
 
 FILES = 1024
 """Files that a process may open unless it asks for more: the soft limit of Debian."""
-START_LIMIT = 60.0
-"""Longest wait for a daemon to listen [s]."""
+START_LIMIT = 300.0
+"""Longest wait for a daemon to listen [s]: ten of work, on a machine that has others to do."""
 DISK = "disk"
 """Folder that a disk of one's own is mounted on, with the state and the log in it."""
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x0002_0000, 0x1000_0000

@@ -14,6 +14,7 @@ import shutil
 import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
@@ -130,7 +131,9 @@ async def _live(
 ) -> Life:
     """Start a daemon, compare it, and change everything at once until it is killed."""
     settings, ledger, life = lineage.settings, lineage.ledger, Life()
-    with ground.start(settings, token) as daemon:
+    with ExitStack() as stack:
+        # A start takes seconds, in which the questions to a twin go on.
+        daemon = await asyncio.to_thread(stack.enter_context, ground.start(settings, token))
         address = daemon.address
         await ledger.compare(address, settings.state_dir / DONE_LOG, life)
         if not killed:
