@@ -5,7 +5,8 @@
 Processor time of fresh interpreters, in turn. The dependencies are imported as a program that uses
 them does: ``import pydantic`` alone loads next to nothing, since its names come when they are asked
 for, and so do the SDK's. So ``from veilcam_client import Camera`` stands against
-``from pydantic import BaseModel, Field`` with httpx and NumPy.
+``from pydantic import BaseModel, Field`` with httpx and NumPy, which the SDK itself loads with the
+first array.
 """
 
 from __future__ import annotations

@@ -10,8 +10,6 @@ from contextlib import asynccontextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
 
-import numpy.typing as npt
-
 from veilcam_client.camera import KeySource, opened, opener_of
 from veilcam_client.discovery import FoundCamera, discover
 from veilcam_client.http import calls
@@ -34,6 +32,8 @@ from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, T
 from veilcam_client.wire.watch import Watch, WatchPolicy
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from veilcam_client.keys.receivers import Receiver
 
 

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Concatenate, Final, Generic, ParamSpec, Self, TypeAlias, TypeVar
 
-import numpy.typing as npt
-
 from veilcam_client.discovery import FoundCamera, discover
 from veilcam_client.http import calls
 from veilcam_client.http.answers import RawResponse, raw_response
@@ -32,6 +30,8 @@ from veilcam_client.wire.tokens import TOKENS_AT_ONCE, NewToken, Scope, Token, T
 from veilcam_client.wire.watch import Watch, WatchPolicy
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from veilcam_client.keys.blocks import Opener
     from veilcam_client.keys.receivers import Receiver, ReceiverKey
 

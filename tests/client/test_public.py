@@ -114,6 +114,18 @@ def test_the_sdk_needs_no_torch_and_loads_no_cryptography_before_it_opens() -> N
     subprocess.run([sys.executable, "-c", script], check=True)
 
 
+def test_a_label_is_read_without_numpy_which_comes_with_the_first_array() -> None:
+    script = (
+        "import sys; from veilcam_client import AsyncCamera, Camera, Embedding\n"
+        "from veilcam_client.wire.status import example_status\n"
+        "example_status()\n"
+        "assert 'numpy' not in sys.modules\n"
+        "Embedding(form='white', shape=(1,), values=(0.5,))\n"
+        "assert 'numpy' in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
 def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
     def leaves(kind: type[VeilcamError]) -> set[type[VeilcamError]]:
         below = kind.__subclasses__()

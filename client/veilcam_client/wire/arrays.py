@@ -1,32 +1,22 @@
-"""Arrays on the wire: lists of numbers in JSON, files of NumPy, and pictures of them."""
+"""Answers that are arrays, and their place in JSON.
+
+NumPy is loaded with the first array: who asks for labels needs none.
+"""
 
 from __future__ import annotations
 
 import base64
-import re
-import struct
-import zlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
-
-import numpy as np
-import numpy.typing as npt
-from pydantic_core import CoreSchema, core_schema
 
 from veilcam_client.wire.base import Answer
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     from pydantic import GetCoreSchemaHandler  # loads what makes JSON schemas
+    from pydantic_core import CoreSchema
 
-Float32: TypeAlias = npt.NDArray[np.float32]
-_NPY = re.compile(
-    rb"\x93NUMPY[\x01-\x03]\x00..(?:..)?\{'descr': '<f4', 'fortran_order': False, "
-    rb"'shape': \(([0-9, ]{1,99})\), \} *\n",
-    re.DOTALL,
-)
-"""The header that NumPy writes; any other one is none of a daemon's."""
-_PICTURE = 256
-"""Rows or columns that a picture has at least, so that its pixels are seen [pixels]."""
+    from veilcam_client.wire.numbers import Float32
 
 
 class _AsList:
@@ -36,58 +26,15 @@ class _AsList:
     def __get_pydantic_core_schema__(
         cls, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        numbers = handler.generate_schema(tuple[float, ...])
-        listed = core_schema.no_info_after_validator_function(_held, numbers)
-        given = core_schema.no_info_after_validator_function(
-            _held, core_schema.is_instance_schema(np.ndarray)
-        )
-        return core_schema.json_or_python_schema(
-            json_schema=listed,
-            python_schema=core_schema.union_schema([given, listed]),
-            serialization=core_schema.plain_serializer_function_ser_schema(
-                _listed, return_schema=numbers
-            ),
-        )
+        from veilcam_client.wire import numbers  # noqa: PLC0415
+
+        return numbers.list_schema(handler.generate_schema(tuple[float, ...]))
 
 
-Float32List: TypeAlias = Annotated[npt.NDArray[np.float32], _AsList]
-
-
-def _held(values: npt.NDArray[Any] | tuple[float, ...]) -> Float32:
-    if isinstance(values, np.ndarray) and values.dtype == np.float32:
-        held = values.copy()
-    else:
-        held = _exactly(np.array(values, np.float64))
-    if held.ndim != 1 or not np.isfinite(held).all():
-        raise ValueError("values are finite float32, one after the other")
-    held.flags.writeable = False
-    return held
-
-
-def _exactly(values: npt.NDArray[np.float64]) -> Float32:
-    """As float32; what is signed or logged is what was written: nothing is rounded on the way."""
-    with np.errstate(over="ignore"):
-        held = values.astype(np.float32)
-    if not (held == values).all():
-        raise ValueError("values are float32: there is a number that no camera sends")
-    return held
-
-
-def _listed(values: Float32) -> tuple[float, ...]:
-    return tuple(values.tolist())
-
-
-def npy_array(content: bytes) -> Float32:
-    """Array in the bytes of a ``.npy`` file, not to be written to.
-
-    Raises:
-        ValueError: it is not one of float32 in the order of C, or not whole.
-    """
-    header = _NPY.match(content)
-    if header is None:
-        raise ValueError("this is no NumPy file of float32")
-    shape = tuple(map(int, header[1].rstrip(b",").split(b",")))
-    return np.frombuffer(content, "<f4", offset=header.end()).reshape(shape)
+if TYPE_CHECKING:
+    Float32List: TypeAlias = Annotated[Float32, _AsList]
+else:
+    Float32List = Annotated[Any, _AsList]
 
 
 class ArrayAnswer(Answer):
@@ -100,12 +47,9 @@ class ArrayAnswer(Answer):
     def __array__(
         self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
     ) -> npt.NDArray[Any]:
-        held = self.array()
-        if copy is False:
-            if dtype is not None and np.dtype(dtype) != held.dtype:
-                raise ValueError(f"float32 cannot become {np.dtype(dtype)} without a copy")
-            return held
-        return np.array(held, dtype)
+        from veilcam_client.wire import numbers  # noqa: PLC0415
+
+        return numbers.converted(self.array(), dtype, copy)
 
     if not TYPE_CHECKING:  # no more than pydantic's own, which would make every name an attribute
 
@@ -130,34 +74,12 @@ class PicturedArray(ArrayAnswer):
 
     def _repr_png_(self) -> bytes:
         """As Jupyter shows it: the smallest value black, the largest white."""
-        return picture(self.array())
+        from veilcam_client.wire import numbers  # noqa: PLC0415
+
+        return numbers.picture(self.array())
 
     def _repr_html_(self) -> str:
         """As Jupyter shows it where it can."""
         shape = " × ".join(str(each) for each in self.array().shape)
         source = base64.b64encode(self._repr_png_()).decode()
         return f'<img alt="embedding, {shape}" src="data:image/png;base64,{source}">'
-
-
-def picture(values: Float32) -> bytes:
-    """PNG of an array: its first axis down, all others across, from black to white."""
-    flat = (values.reshape(len(values), -1) if values.ndim > 1 else values[None]).astype(float)
-    low, high = flat.min(), flat.max()
-    grey = np.rint((flat - low) * (255 / ((high - low) or 1.0))).astype(np.uint8)
-    scale = max(1, _PICTURE // max(grey.shape))
-    return _png(grey.repeat(scale, 0).repeat(scale, 1))
-
-
-def _png(grey: npt.NDArray[np.uint8]) -> bytes:
-    """PNG (ISO/IEC 15948) of 8 bits, without a filter."""
-    rows, columns = grey.shape
-    lines = np.concatenate([np.zeros((rows, 1), np.uint8), grey], axis=1).tobytes()
-    parts = (
-        (b"IHDR", struct.pack(">2I5B", columns, rows, 8, 0, 0, 0, 0)),
-        (b"IDAT", zlib.compress(lines)),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in parts
-    )

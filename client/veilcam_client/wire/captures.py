@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from veilcam_client.errors import SealedError, VeilcamError
-from veilcam_client.wire.arrays import ArrayAnswer, Float32, Float32List, PicturedArray, npy_array
+from veilcam_client.wire.arrays import ArrayAnswer, Float32List, PicturedArray
 from veilcam_client.wire.base import EXAMPLE_EPOCH, EXAMPLE_TIME, Answer, Examples, Question
 from veilcam_client.wire.sealing import Envelope, example_envelope
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from veilcam_client.wire.numbers import Float32
 
 NPY_MEDIA_TYPE = "application/x-npy"
 
@@ -181,6 +185,8 @@ class Capture(ArrayAnswer):
         Raises:
             ValueError: it is none.
         """
+        from veilcam_client.wire.numbers import npy_array  # noqa: PLC0415 - loads NumPy
+
         values, replay = npy_array(content), headers.get("veilcam-replay")
         embedding = {
             "form": headers.get("veilcam-form"),

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import io
+from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from veilcam_client.wire.base import Answer, Examples, Question
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 _BEGINNINGS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\x93NUMPY": NPY_MEDIA_TYPE}
 PICTURE_MEDIA_TYPES = tuple(_BEGINNINGS.values())
@@ -59,9 +60,9 @@ def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
     """Return a picture as it is sent: a file's content as it is, an array as ``.npy``."""
     if isinstance(picture, bytes):
         return picture
-    buffer = io.BytesIO()
-    np.save(buffer, np.asarray(picture), allow_pickle=False)
-    return buffer.getvalue()
+    from veilcam_client.wire.numbers import npy_bytes  # noqa: PLC0415 - loads NumPy
+
+    return npy_bytes(picture)
 
 
 def picture_media_type(picture: bytes) -> str:

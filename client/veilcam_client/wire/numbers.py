@@ -1,0 +1,119 @@
+"""Arrays on the wire in NumPy: checked, listed, as files, and drawn."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zlib
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pydantic_core import CoreSchema, core_schema
+
+Float32: TypeAlias = npt.NDArray[np.float32]
+_NPY = re.compile(
+    rb"\x93NUMPY[\x01-\x03]\x00..(?:..)?\{'descr': '<f4', 'fortran_order': False, "
+    rb"'shape': \(([0-9, ]{1,99})\), \} *\n",
+    re.DOTALL,
+)
+"""The header that NumPy writes; any other one is none of a daemon's."""
+_PICTURE = 256
+"""Rows or columns that a picture has at least, so that its pixels are seen [pixels]."""
+
+
+def npy_bytes(picture: npt.ArrayLike) -> bytes:
+    """A picture as a ``.npy`` file."""
+    buffer = io.BytesIO()
+    np.save(buffer, np.asarray(picture), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def list_schema(numbers: CoreSchema) -> CoreSchema:
+    """Return how pydantic reads and writes a flat array of float32.
+
+    Args:
+        numbers: how it reads and writes a list of numbers, which the array is in JSON.
+    """
+    listed = core_schema.no_info_after_validator_function(_held, numbers)
+    given = core_schema.no_info_after_validator_function(
+        _held, core_schema.is_instance_schema(np.ndarray)
+    )
+    return core_schema.json_or_python_schema(
+        json_schema=listed,
+        python_schema=core_schema.union_schema([given, listed]),
+        serialization=core_schema.plain_serializer_function_ser_schema(
+            _listed, return_schema=numbers
+        ),
+    )
+
+
+def _held(values: npt.NDArray[Any] | tuple[float, ...]) -> Float32:
+    if isinstance(values, np.ndarray) and values.dtype == np.float32:
+        held = values.copy()
+    else:
+        held = _exactly(np.array(values, np.float64))
+    if held.ndim != 1 or not np.isfinite(held).all():
+        raise ValueError("values are finite float32, one after the other")
+    held.flags.writeable = False
+    return held
+
+
+def _exactly(values: npt.NDArray[np.float64]) -> Float32:
+    """As float32; what is signed or logged is what was written: nothing is rounded on the way."""
+    with np.errstate(over="ignore"):
+        held = values.astype(np.float32)
+    if not (held == values).all():
+        raise ValueError("values are float32: there is a number that no camera sends")
+    return held
+
+
+def _listed(values: Float32) -> tuple[float, ...]:
+    return tuple(values.tolist())
+
+
+def npy_array(content: bytes) -> Float32:
+    """Array in the bytes of a ``.npy`` file, not to be written to.
+
+    Raises:
+        ValueError: it is not one of float32 in the order of C, or not whole.
+    """
+    header = _NPY.match(content)
+    if header is None:
+        raise ValueError("this is no NumPy file of float32")
+    shape = tuple(map(int, header[1].rstrip(b",").split(b",")))
+    return np.frombuffer(content, "<f4", offset=header.end()).reshape(shape)
+
+
+def converted(held: Float32, dtype: npt.DTypeLike | None, copy: bool | None) -> npt.NDArray[Any]:
+    """What ``__array__`` gives of an array that is not to be written to."""
+    if copy is False:
+        if dtype is not None and np.dtype(dtype) != held.dtype:
+            raise ValueError(f"float32 cannot become {np.dtype(dtype)} without a copy")
+        return held
+    return np.array(held, dtype)
+
+
+def picture(values: Float32) -> bytes:
+    """PNG of an array: its first axis down, all others across, from black to white."""
+    flat = (values.reshape(len(values), -1) if values.ndim > 1 else values[None]).astype(float)
+    low, high = flat.min(), flat.max()
+    grey = np.rint((flat - low) * (255 / ((high - low) or 1.0))).astype(np.uint8)
+    scale = max(1, _PICTURE // max(grey.shape))
+    return _png(grey.repeat(scale, 0).repeat(scale, 1))
+
+
+def _png(grey: npt.NDArray[np.uint8]) -> bytes:
+    """PNG (ISO/IEC 15948) of 8 bits, without a filter."""
+    rows, columns = grey.shape
+    lines = np.concatenate([np.zeros((rows, 1), np.uint8), grey], axis=1).tobytes()
+    parts = (
+        (b"IHDR", struct.pack(">2I5B", columns, rows, 8, 0, 0, 0, 0)),
+        (b"IDAT", zlib.compress(lines)),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in parts
+    )
