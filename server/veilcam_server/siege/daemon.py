@@ -38,6 +38,8 @@ Serve: TypeAlias = Callable[[Settings, Callable[[str], None]], None]
 
 FILES = 1024
 """Files that a process may open unless it asks for more: the soft limit of Debian."""
+SIMULATION = "veilcam_server.devices.simulated.device"
+"""Module that every daemon of a siege needs, and imports late."""
 START_LIMIT = 300.0
 """Longest wait for a daemon to listen [s]: ten of work, on a machine that has others to do."""
 DISK = "disk"
@@ -115,7 +117,7 @@ class Launcher:
         # A fork of a process that has loaded torch and has no thread: a start takes no seconds.
         self._forks = multiprocessing.get_context("forkserver")
         self._anew = multiprocessing.get_context("spawn")
-        self._forks.set_forkserver_preload([serve.partition(":")[0]])
+        self._forks.set_forkserver_preload([serve.partition(":")[0], SIMULATION])
 
     def clock(self) -> Synchronized[float]:
         """What is added to the wall clock of daemons that are given it [s]."""
