@@ -115,13 +115,17 @@ def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = N
     # An edge sends less light out at an angle than Fresnel's: of what strays by s the share
     # 1 / (1 + s^2) arrives; half of that is the flux's. Where phases are off by more than a turn,
     # their first order may hide it, and it is there all the same.
-    strayed = bright = relative(seen + spread, seen)
+    bright = relative(seen + spread, seen)
+    strayed = [bright, bright / 2]
     if deep:
-        there = _whole(fade * _there(plain, along_y, along_x), parts)
-        bright = relative(seen + spread, probe.scattered(model, there))
+        there = _there(plain, along_y, along_x)
+        strayed = [
+            relative(seen + more, probe.scattered(model, _whole(fade * arriving, parts)))
+            for more, arriving in zip((spread, spread / 2), there, strict=True)
+        ]
     errors = tuple(
         _all_orders(relative(seen + change, seen), most)
-        for change, most in zip(changes, (bright, strayed / 2), strict=True)
+        for change, most in zip(changes, strayed, strict=True)
     )
     return Missing(changes[0], changes[1], (errors[0], errors[1]), channels)
 
@@ -195,16 +199,22 @@ def _deep(
     return found[0], found[1]
 
 
-def _there(light: Tensor, deep_y: Tensor, deep_x: Tensor) -> Tensor:
-    """What arrives of light, by what arrives of it along each axis alone; see :func:`_deep`.
+def _there(light: Tensor, deep_y: Tensor, deep_x: Tensor) -> tuple[Tensor, Tensor]:
+    """What arrives of a factored field's light, and of a grid's; see :func:`_deep`.
 
     What two edges spread along both axes, exact waves make as large; the slanting flux alone makes
-    it fainter, by the cosine.
+    it fainter, by the cosine, as it does all light of a grid.
+
+    Args:
+        light: (masks, offsets y, offsets x).
+        deep_y: what arrives of it, what strays along y alone considered.
+        deep_x: along x.
     """
     lost_y, lost_x = (
         torch.where(deep > 0, light / deep, 1.0).clamp_min(1) for deep in (deep_y, deep_x)
     )
-    return light * torch.minimum(lost_y, lost_x).sqrt() / torch.maximum(lost_y, lost_x)
+    more = torch.maximum(lost_y, lost_x)
+    return light * torch.minimum(lost_y, lost_x).sqrt() / more, light / more.sqrt()
 
 
 def _whole(light: Tensor, parts: int) -> Tensor:

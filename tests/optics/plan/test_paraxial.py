@@ -167,16 +167,23 @@ def test_what_turns_comes_nearer_to_the_axis() -> None:
 
 
 @pytest.mark.parametrize(
-    ("distance", "wavelength", "moved_y", "moved_x", "least"),
+    ("distance", "wavelength", "moved_y", "moved_x", "method", "least"),
     [
-        (15e-6, 0.9e-6, 50e-6, 0.0, 2),
-        (10e-6, 3e-6, 100e-6, 0.0, 30),
-        (10e-6, 12e-6, 100e-6, 100e-6, 4),
+        (15e-6, 0.9e-6, 50e-6, 0.0, "transfer", 2),
+        (10e-6, 3e-6, 100e-6, 0.0, "transfer", 30),
+        (10e-6, 12e-6, 100e-6, 100e-6, "transfer", 4),
+        (10e-6, 12e-6, 100e-6, 100e-6, "grid", 4),
     ],
-    ids=["two distances away", "eight distances away", "eight along both axes"],
+    ids=["two distances away", "eight", "eight along both axes", "eight, on a grid"],
 )
 def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
-    *, distance: float, wavelength: float, moved_y: float, moved_x: float, least: float
+    *,
+    distance: float,
+    wavelength: float,
+    moved_y: float,
+    moved_x: float,
+    method: Method,
+    least: float,
 ) -> None:
     """Beside a shadow Fresnel's flux is that of exact waves several times over, or a thousand.
 
@@ -186,7 +193,7 @@ def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
     shadowed = replace(camera(50e-6, (1, 1), 6e-6, distance, wavelength), panel=panel)
     moved = Conditions(imperfections=Imperfections(shift_y=moved_y, shift_x=moved_x))
     job = Job(shadowed, narrow(distance), Embedding(1, 1), moved, 1e-2, HALF_OPEN)
-    found = judge_job(job, planner=partial(plan, method="transfer"))
+    found = judge_job(job, planner=partial(plan, method=method))
     assert not found.unjudged
     assert found.true > least
     assert found.honest
