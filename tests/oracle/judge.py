@@ -62,7 +62,7 @@ class Result:
     reached: bool = False
     oracle_error: float = 0.0
     """Of scene pixels in the corner and in the middle: what cells half as wide and smaller change,
-    and what more points in them do, taken together; relative L2."""
+    by how much more they change elsewhere, and what more points in them do; relative L2."""
     finest: float = math.nan
     """True error with all interference, where the plan reaches nothing."""
     time_over_best: float = 1.0
@@ -121,6 +121,7 @@ def truth(job: Job, weights: Array, enough: Callable[[Array], float]) -> tuple[A
             ways = [found[-1], extrapolated(found[-2], found[-1], parts / (parts - 1))]
             coarse = [distance(way[:1, picked], fine) for way in ways]
             exact, cells = scattered(job, ways[int(np.argmin(coarse))]), min(coarse)
+            cells *= _elsewhere(ways, picked)
             few = 0.0 if narrow else _by_more_points(optics, amplitudes[:1], found, finer)
             wanted = enough(exact)
             if cells + few <= wanted:
@@ -174,6 +175,18 @@ def _by_finer_cells(
     picked = [row * columns + column for row, column in pixels]
     quarters = [transfer(optics, amplitudes, finer=finer, times=4, only=pixel) for pixel in pixels]
     return picked, extrapolated(halves[:, picked], np.concatenate(quarters, axis=1), 2.0)
+
+
+def _elsewhere(ways: list[Array], picked: list[int]) -> float:
+    """How much more cells change all transfers of all masks than some of the first mask's.
+
+    Args:
+        ways: transfers by two ways.
+        picked: scene pixels of the first mask that are looked at closely.
+    """
+    one, other = ways
+    here = distance(one[:1, picked], other[:1, picked])
+    return distance(one, other) / here if here else 1.0
 
 
 def _by_more_points(optics: Light, amplitudes: Array, found: list[Array], finer: float) -> float:

@@ -199,6 +199,15 @@ def test_a_timid_planner_is_caught() -> None:
     assert figures["oracle_reached_fraction"] == 0
 
 
+def test_an_oracle_doubts_masks_that_it_did_not_look_at_closely() -> None:
+    """The second mask's light changes three times as much as the first's, and is as bright."""
+    larger = np.ones((2, 1, 4))
+    smaller = larger + np.array([0.01, 0.03])[:, None, None]
+    found = judging._elsewhere([larger, smaller], [0])
+    assert found == pytest.approx(math.sqrt((1 + 3**2) / 2), rel=0.05)
+    assert judging._elsewhere([larger, larger], [0]) == 1
+
+
 def test_what_is_not_judged_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     refused = judge_job(replace(_ordinary(), tolerance=2.0))
     monkeypatch.setattr(judging, "LIMIT", 1e-3)

@@ -5,6 +5,7 @@ In NumPy, whose calls take less than those of torch: there are many small ones.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,16 @@ class BoxFields:
         found: Values = ((one * self._shares).swapaxes(1, 2) @ other.conj()) * self._near
         return found
 
+    @cached_property
+    def excess(self) -> Values:
+        """How many times farther than any series holds light strays, at least 1, as :attr:`fields`.
+
+        From an aperture's nearer edge to a point that does not face it.
+        """
+        away = abs(self.points[..., None] - self._axis.centres[self._of]) - self._axis.width / 2
+        found: Values = np.maximum(away / (float(self._axis.distance) * _FARTHEST), 1)
+        return found
+
     def strays(self, most: int) -> list[Values]:
         """Fields of light times powers of its stray, as :attr:`fields`; powers 0 to ``most``.
 
@@ -86,8 +97,7 @@ class BoxFields:
                 ends = ends - (power - 1) * moments[power - 2]
             moments.append(scale * ends)
         straight = (1 - shadow) * points
-        gap = abs(points - self._axis.centres[self._of] / distance) - axis.width / distance / 2
-        excess = np.maximum(gap / _FARTHEST, 1)
+        excess = self.excess
         found = [self.fields]
         for power in range(1, most + 1):
             stray = np.zeros_like(self.fields)

@@ -42,23 +42,27 @@ class GridErrors:
         self._least, self._masks = least, masks[:_MASKS]
 
     def at(self, oversampling: float) -> float:
-        """Of one grid; 1 where it cannot work."""
+        """Of one grid; 1 where it cannot work, or more: it may be brighter than all there is."""
         fitted = grid_error(self._model, oversampling)
         found = self._transfers
-        if fitted >= 1 or len(found) < 2:
+        if len(found) < 2:
             return fitted
+        measured = self._measured(oversampling, found)
+        return max(fitted, measured) if fitted >= 1 else measured
+
+    def _measured(self, oversampling: float, found: dict[float, Tensor]) -> float:
         finer = list(found)
         size = float(found[finer[-1]].norm())
         last = float((found[finer[-1]] - found[finer[-2]]).norm())
         if not size:
-            return fitted
+            return 1.0
         # Of a series of errors that shrink by a factor: the last, from the last difference.
         left = _LEFT / (1 - _LEFT) * last / size
         if oversampling not in found:
             beyond = OVERSAMPLINGS.index(oversampling / self._least) - len(finer) + 1
             return min(1.0, left * _LEFT**beyond)
         apart = float((found[oversampling] - found[finer[-1]]).norm()) / size
-        return min(1.0, max(apart, left) if oversampling == finer[-1] else apart + left)
+        return min(1.0, max(apart, left)) if oversampling == finer[-1] else apart + min(1.0, left)
 
     @cached_property
     def _transfers(self) -> dict[float, Tensor]:

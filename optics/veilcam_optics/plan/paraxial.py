@@ -18,7 +18,7 @@ from torch import Tensor
 from veilcam_optics.effects.light import scene_pixel_tangent
 from veilcam_optics.effects.model import Model
 from veilcam_optics.plan.boxes import BoxFields
-from veilcam_optics.plan.probe import Probe, lit_rows, pair_products, relative
+from veilcam_optics.plan.probe import Probe, lit_rows, pair_products, pair_sums, relative
 
 _MOST = 4
 """Highest power: of the phase; of the amplitude the second."""
@@ -84,19 +84,23 @@ def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = N
     model = model.with_sampling(wavelengths=1, layers=1)
     parts = _PARTS if scene_pixel_tangent(model) > _WIDE else 1
     rays = Rays.of(*probe.tangents(model, parts))
-    plain, spread, factored, grid = (probe.dark(parts) for _ in range(4))
+    plain, along_y, along_x, spread, factored, grid = (probe.dark(parts) for _ in range(6))
+    deep = False
     for beam, scaled in probe.lights(model, channels):
         y, x = probe.axes(model, beam, parts)
         rows, every = lit_rows(model, beam.channel), np.arange(len(x.centres))
         wavelength, reach = float(beam.wavelength), model.sampling.reach
-        down = _powers(BoxFields(y, rows, wavelength, reach.rows))
-        across = _powers(BoxFields(x, every, wavelength, reach.columns))
-        share = probe.share(model, beam.channel, parts)
-        found = {
-            of: share * sums
-            for of, sums in _sums(down, across, scaled[:, torch.from_numpy(rows)]).items()
-        }
-        plain += found[0, 0].real
+        boxes_y = BoxFields(y, rows, wavelength, reach.rows)
+        boxes_x = BoxFields(x, every, wavelength, reach.columns)
+        down, across = _powers(boxes_y), _powers(boxes_x)
+        share, weights = probe.share(model, beam.channel, parts), scaled[:, torch.from_numpy(rows)]
+        found = {of: share * sums for of, sums in _sums(down, across, weights).items()}
+        light = found[0, 0].real
+        deep_y, deep_x = _deep(boxes_y, boxes_x, (down[0], across[0]), weights)
+        deep = deep or deep_y is not None or deep_x is not None
+        plain += light
+        along_y += light if deep_y is None else share * deep_y
+        along_x += light if deep_x is None else share * deep_x
         spread += rays.cosine**2 * (found[2, 0] + found[0, 2]).real
         turns = 2 * math.pi / wavelength * float(y.distance)
         for of, factor in factored_series(rays, turns).items():
@@ -111,10 +115,17 @@ def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = N
     # An edge sends less light out at an angle than Fresnel's: of what strays by s the share
     # 1 / (1 + s^2) arrives; half of that is the flux's. Where phases are off by more than a turn,
     # their first order may hide it, and it is there all the same.
-    strayed = relative(seen + spread, seen)
+    bright = relative(seen + spread, seen)
+    strayed = [bright, bright / 2]
+    if deep:
+        there = _there(plain, along_y, along_x)
+        strayed = [
+            relative(seen + more, probe.scattered(model, _whole(fade * arriving, parts)))
+            for more, arriving in zip((spread, spread / 2), there, strict=True)
+        ]
     errors = tuple(
-        _all_orders(relative(seen + change, seen), share * strayed)
-        for change, share in zip(changes, (1.0, 0.5), strict=True)
+        _all_orders(relative(seen + change, seen), most)
+        for change, most in zip(changes, strayed, strict=True)
     )
     return Missing(changes[0], changes[1], (errors[0], errors[1]), channels)
 
@@ -158,6 +169,52 @@ def _all_orders(first: float, bright: float) -> float:
     """
     most = max(first, bright)
     return min(1.0, most / (1 - most)) if most < 0.5 else max(1.0, bright)
+
+
+def _deep(
+    boxes_y: BoxFields, boxes_x: BoxFields, pairs: tuple[Tensor, Tensor], weights: Tensor
+) -> tuple[Tensor | None, Tensor | None]:
+    """Light that is as faint as exact waves deep in a shadow along y, or along x.
+
+    As far out as no series holds, of light at the tangent ``t`` the share ``1 / t^2`` arrives.
+
+    Args:
+        boxes_y: fields along y.
+        boxes_x: fields along x.
+        pairs: integrals of both as they are.
+        weights: (masks, rows, columns).
+
+    Returns:
+        (masks, offsets y, offsets x) each; None where no light is so deep in a shadow.
+    """
+    found: list[Tensor | None] = []
+    for axis, boxes in enumerate((boxes_y, boxes_x)):
+        if boxes.excess.max() == 1:
+            found.append(None)
+            continue
+        fields = boxes.fields / boxes.excess
+        dimmed = torch.from_numpy(boxes.integrated(fields, fields))
+        down, across = (pairs[0], dimmed) if axis else (dimmed, pairs[1])
+        found.append(pair_sums(down, across, weights, weights))
+    return found[0], found[1]
+
+
+def _there(light: Tensor, deep_y: Tensor, deep_x: Tensor) -> tuple[Tensor, Tensor]:
+    """What arrives of a factored field's light, and of a grid's; see :func:`_deep`.
+
+    What two edges spread along both axes, exact waves make as large; the slanting flux alone makes
+    it fainter, by the cosine, as it does all light of a grid.
+
+    Args:
+        light: (masks, offsets y, offsets x).
+        deep_y: what arrives of it, what strays along y alone considered.
+        deep_x: along x.
+    """
+    lost_y, lost_x = (
+        torch.where(deep > 0, light / deep, 1.0).clamp_min(1) for deep in (deep_y, deep_x)
+    )
+    more = torch.maximum(lost_y, lost_x)
+    return light * torch.minimum(lost_y, lost_x).sqrt() / more, light / more.sqrt()
 
 
 def _whole(light: Tensor, parts: int) -> Tensor:

@@ -11,10 +11,13 @@ from veilcam_optics.effects.sensor import converter_range
 _ALIKE = 0.25
 """Standard deviation of codes that all lie about as far from where the next one begins."""
 
-
 _SELDOM = 0.01
 """Of so few readings one holds a changed code: what that adds is left out, since a prediction is to
 hold in ninety-nine cases of a hundred."""
+
+_AT_ONCE = 0.5
+"""Of a code that changes, squared: twice the prediction then holds two of them, or one where a mask
+passes less light than others."""
 
 
 def converted(error: float, values: Tensor, conditions: Conditions, pixels: int) -> float:
@@ -23,6 +26,10 @@ def converted(error: float, values: Tensor, conditions: Conditions, pixels: int)
     Two values that are ``e`` of a step apart are rounded to different codes in ``e`` of all cases,
     and are a whole step apart then: a small error of faint light grows. What is below half a step
     has nothing to fall to: it changes if the error lifts it above.
+
+    Codes are whole: of a reading none is changed, or one at least, or all where all are alike. What
+    changes in few readings is little as a mean over them, and much where it does: a prediction is
+    to hold there, too.
 
     Args:
         error: relative L2 of the light.
@@ -44,10 +51,14 @@ def converted(error: float, values: Tensor, conditions: Conditions, pixels: int)
         changed = (math.sqrt(2 / math.pi) * off).expand_as(codes)  # the mean size of a normal error
         lifted = torch.erfc((0.5 - codes) / (math.sqrt(2) * off)) / 2
         changed = torch.where(codes < 0.5, torch.minimum(lifted, changed), changed)
+        least = 1 / pixels
     else:
         away = (codes % 1 - 0.5).abs().amin()
         changed = torch.erfc(away / (math.sqrt(2) * off))
-    changed = changed.clamp_max(1)
-    if float(changed.mean()) * pixels < _SELDOM:
+        least = 1.0
+    shares = changed.clamp_max(1).expand_as(codes).mean((-2, -1))
+    if float(shares.mean()) * pixels < _SELDOM:
         return error
-    return math.hypot(error, float((changed * (step / sizes).square()).mean().sqrt()))
+    seen = shares * pixels >= _SELDOM
+    shares = torch.where(seen, shares.clamp_min(_AT_ONCE * least), shares)
+    return math.hypot(error, float((shares * (step / sizes.flatten()).square()).mean().sqrt()))

@@ -12,7 +12,7 @@ from veilcam_optics.camera.imperfections import PARAXIAL, Conditions, Imperfecti
 from veilcam_optics.effects import Model
 from veilcam_optics.effects.mask import DeadSpace
 from veilcam_optics.plan import plan
-from veilcam_optics.plan.errors import ErrorModel
+from veilcam_optics.plan.errors import ROUNDING, ErrorModel
 from veilcam_optics.plan.probe import Probe, relative
 from veilcam_optics.simulation.operator import LightOperator
 from veilcam_optics.transfer.tables import Reach
@@ -87,6 +87,34 @@ def one_aperture(distance: float, pixel: float, shift: float = 0.0) -> Model:
     moved = Imperfections(shift_y=shift)
     scene = Scene(1, 1, distance / 100, 10 * distance)
     return Model(camera, scene, Embedding(1, 1), Conditions(off_axis=0.0, imperfections=moved))
+
+
+def test_light_that_is_alike_everywhere_is_rounded_by_what_is_said() -> None:
+    """All of 10 x 11 sub-pixels interfere, far away: no two entries' rounding averages out.
+
+    Sums are taken in another order by another processor: 1.8e-6 here, where 3e-6 is twice what is
+    said, and 1e-7 is what one number alone is rounded by.
+    """
+    panel = Panel(
+        rows=10, columns=11, pitch_y=1.13e-6, pitch_x=3.39e-6, aperture_y=0.68e-6,
+        aperture_x=2.71e-6, filter_cycle=(),
+    )  # fmt: skip
+    camera = Camera(
+        panel, Window(10, 11, 0, 0), Sensor(26, 16, 0.93e-6), 0.277, wavelengths=(12e-6,) * 3
+    )
+    conditions = Conditions(off_axis=0.0, imperfections=Imperfections(rotation=8.5e-4))
+    given = Model(camera, Scene(3, 5, 27e-6, 9.4), Embedding(1, 3), conditions)
+    given = given.with_sampling(reach=Reach(9, 10), step=0.653e-6)
+    weights = torch.rand(8, 10, 11, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    rounded, exact = (
+        torch.stack([operator(mask).double() for mask in weights])
+        for operator in map(
+            LightOperator,
+            (given.with_sampling(dtype=dtype) for dtype in (torch.float32, torch.float64)),
+        )
+    )
+    found = relative(rounded, exact)
+    assert 1e-7 < found < 2 * ROUNDING[torch.float32]
 
 
 @pytest.mark.parametrize("pixel", [0.52e-3, 2e-3])

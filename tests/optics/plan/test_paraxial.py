@@ -10,11 +10,13 @@ import pytest
 import torch
 from tests.oracle.jobs import Job, draw, masks
 from tests.oracle.judge import computed, judge_job, truth
+from tests.oracle.physics import Array
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.imperfections import Conditions, Imperfections
 from veilcam_optics.effects.model import Method
 from veilcam_optics.plan import Plan, plan
+from veilcam_optics.plan.reading import converted
 
 HALF_OPEN = (10, 8), (10, 8)
 
@@ -164,15 +166,38 @@ def test_what_turns_comes_nearer_to_the_axis() -> None:
     assert true / 2 < rotated.error < 2 * true
 
 
-def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright() -> None:
-    """At a tangent of 2 Fresnel's flux is that of exact waves several times over."""
+@pytest.mark.parametrize(
+    ("distance", "wavelength", "moved_y", "moved_x", "method", "least"),
+    [
+        (15e-6, 0.9e-6, 50e-6, 0.0, "transfer", 2),
+        (10e-6, 3e-6, 100e-6, 0.0, "transfer", 30),
+        (10e-6, 12e-6, 100e-6, 100e-6, "transfer", 4),
+        (10e-6, 12e-6, 100e-6, 100e-6, "grid", 4),
+    ],
+    ids=["two distances away", "eight", "eight along both axes", "eight, on a grid"],
+)
+def test_light_that_exact_waves_hardly_send_is_predicted_to_be_too_bright(
+    *,
+    distance: float,
+    wavelength: float,
+    moved_y: float,
+    moved_x: float,
+    method: Method,
+    least: float,
+) -> None:
+    """Beside a shadow Fresnel's flux is that of exact waves several times over, or a thousand.
+
+    A large error is a large one: within the oracle's thirty times, not "worse than all light".
+    """
     panel = Panel(pitch_y=50e-6, pitch_x=50e-6, aperture_y=40e-6, aperture_x=40e-6, filter_cycle=())
-    shadowed = replace(camera(50e-6, (1, 1), 6e-6, 15e-6, 0.9e-6), panel=panel)
-    moved = Conditions(imperfections=Imperfections(shift_y=50e-6))
-    job = Job(shadowed, narrow(15e-6), Embedding(1, 1), moved, 1e-2, HALF_OPEN)
-    found = judge_job(job, planner=partial(plan, method="transfer"))
-    assert found.true > 2
+    shadowed = replace(camera(50e-6, (1, 1), 6e-6, distance, wavelength), panel=panel)
+    moved = Conditions(imperfections=Imperfections(shift_y=moved_y, shift_x=moved_x))
+    job = Job(shadowed, narrow(distance), Embedding(1, 1), moved, 1e-2, HALF_OPEN)
+    found = judge_job(job, planner=partial(plan, method=method))
+    assert not found.unjudged
+    assert found.true > least
     assert found.honest
+    assert found.predicted < 30 * found.true
 
 
 FAINT = camera(30e-6, (2, 2), 200e-6, 2e-3, 3e-6)
@@ -187,6 +212,36 @@ def test_a_converter_makes_much_of_a_small_error_of_faint_light() -> None:
     result = judge_job(job)
     assert result.honest
     assert found.error > 2 * light.error
+
+
+@pytest.mark.parametrize(
+    ("bits", "light", "error"),
+    [(4, 1.0, 3e-4), (4, 1.0, 1e-3), (4, 0.1, 1e-2), (12, 0.1, 3e-5), (12, 0.1, 3e-4)],
+)
+def test_a_code_that_seldom_changes_is_held_where_it_does(
+    bits: int, light: float, error: float
+) -> None:
+    """Readings of nine values behind three masks each, with and without a normal error: counted.
+
+    A code changes in 2 to 50 readings of a hundred, which are several times as wrong as light is. A
+    share of 4,000 that is 0.99 scatters by 0.0016.
+    """
+    generator = np.random.default_rng(0)
+    most = 2**bits - 1
+
+    def read(values: Array) -> Array:
+        codes: Array = np.clip(np.rint(values * most), 0, most) / most
+        return codes
+
+    values = light * generator.random((4000, 3, 3, 3))
+    sizes = np.sqrt((values**2).mean((2, 3), keepdims=True))
+    off = read(values + error * sizes * generator.standard_normal(values.shape)) - read(values)
+    true = np.sqrt((off**2).mean((1, 2, 3)) / (values**2).mean((1, 2, 3)))
+    masks_of_it = torch.from_numpy(values[:200, 0])
+    conditions = Conditions(adc_bits=bits, adc_range=1.0)
+    predicted = converted(error, masks_of_it, conditions, 9)
+    assert (true > 2 * error).mean() > 0.03
+    assert (true <= 2 * predicted).mean() > 0.985
 
 
 @pytest.mark.slow
