@@ -8,7 +8,8 @@ import logging
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any, TextIO
 
@@ -84,6 +85,30 @@ def configure(level: str) -> None:
     )
     # What uvicorn has to say goes to the same place.
     logging.basicConfig(stream=stream, level=logging.WARNING, format="%(name)s: %(message)s")
+
+
+@contextmanager
+def within_a_program() -> Iterator[None]:
+    """Log by the standard library's ``logging``, whose owner says what is shown and where.
+
+    Who has configured structlog keeps that.
+    """
+    if structlog.is_configured():
+        yield
+        return
+    structlog.configure(
+        processors=[
+            structlog.stdlib.filter_by_level,
+            structlog.processors.format_exc_info,
+            structlog.processors.KeyValueRenderer(key_order=["event"]),
+        ],
+        wrapper_class=structlog.stdlib.BoundLogger,
+        logger_factory=structlog.stdlib.LoggerFactory(),
+    )
+    try:
+        yield
+    finally:
+        structlog.reset_defaults()
 
 
 def log_defect(error: BaseException, **context: str) -> None:

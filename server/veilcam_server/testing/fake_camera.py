@@ -22,6 +22,7 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.settings import GivenSettings
+from veilcam_server.system import logs
 from veilcam_server.system.state_file import make_directory
 from veilcam_server.testing.transport import AppTransport, AsyncAppTransport, Door
 
@@ -39,7 +40,7 @@ class FakeCamera:
     """A whole daemon within a context: gate, tokens, masks, simulated panel and sensor, events.
 
     It sees a handwritten digit; ``camera().hold_scene(...)`` says what it sees instead, and
-    ``camera().set_faults(...)`` what is wrong with it.
+    ``camera().set_faults(...)`` what is wrong with it. It logs as ``logging`` is told to.
 
     Args:
         settings: of ``veilcamd serve``, by the names of docs and environment in small letters, as
@@ -59,6 +60,7 @@ class FakeCamera:
 
     def __enter__(self) -> Self:
         with ExitStack() as undo:
+            undo.enter_context(logs.within_a_program())
             settings = self._settings
             if "state_dir" not in settings.model_fields_set:
                 folder = undo.enter_context(tempfile.TemporaryDirectory(prefix="veilcam-fake-"))

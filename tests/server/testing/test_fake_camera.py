@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 import threading
 import tomllib
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import structlog
 
 from veilcam_client import (
     DeviceError,
@@ -39,6 +41,22 @@ def daemon() -> Iterator[FakeCamera]:
 def fake(daemon: FakeCamera) -> FakeCamera:
     daemon.put_back()
     return daemon
+
+
+def test_it_prints_nothing_and_logs_as_the_program_says(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with FakeCamera() as own, own.camera() as camera:
+        camera.rotate()
+        assert not caplog.records
+        caplog.set_level(logging.INFO, "veilcam_server")
+        camera.set_faults(Faults(sensor=SensorFaults(gone=True)))
+        with pytest.raises(DeviceError):
+            camera.classify()
+        assert structlog.is_configured()
+    assert any(record.name.startswith("veilcam_server.") for record in caplog.records)
+    assert capsys.readouterr() == ("", "")
+    assert not structlog.is_configured()
 
 
 @pytest.mark.numerical
