@@ -41,8 +41,8 @@ from veilcam_client.cli.terminal import (
 )
 from veilcam_client.http.credentials import read_secret
 from veilcam_client.http.options import DEFAULT_URL
+from veilcam_client.numbers import picture
 from veilcam_client.recording import record as write_recording
-from veilcam_client.wire.numbers import picture
 from veilcam_client.wire.rotation import (
     EveryCaptures,
     EverySeconds,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler  # loads what makes JSON schemas
     from pydantic_core import CoreSchema
 
-    from veilcam_client.wire.numbers import Float32
+    from veilcam_client.numbers import Float32
 
 
 class _AsList:
@@ -26,7 +26,7 @@ class _AsList:
     def __get_pydantic_core_schema__(
         cls, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        from veilcam_client.wire import numbers  # noqa: PLC0415
+        from veilcam_client import numbers  # noqa: PLC0415
 
         return numbers.list_schema(handler.generate_schema(tuple[float, ...]))
 
@@ -47,7 +47,7 @@ class ArrayAnswer(Answer):
     def __array__(
         self, dtype: npt.DTypeLike | None = None, copy: bool | None = None
     ) -> npt.NDArray[Any]:
-        from veilcam_client.wire import numbers  # noqa: PLC0415
+        from veilcam_client import numbers  # noqa: PLC0415
 
         return numbers.converted(self.array(), dtype, copy)
 
@@ -74,7 +74,7 @@ class PicturedArray(ArrayAnswer):
 
     def _repr_png_(self) -> bytes:
         """As Jupyter shows it: the smallest value black, the largest white."""
-        from veilcam_client.wire import numbers  # noqa: PLC0415
+        from veilcam_client import numbers  # noqa: PLC0415
 
         return numbers.picture(self.array())
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from veilcam_client.wire.numbers import Float32
+    from veilcam_client.numbers import Float32
 
 NPY_MEDIA_TYPE = "application/x-npy"
 
@@ -185,7 +185,7 @@ class Capture(ArrayAnswer):
         Raises:
             ValueError: it is none.
         """
-        from veilcam_client.wire.numbers import npy_array  # noqa: PLC0415 - loads NumPy
+        from veilcam_client.numbers import npy_array  # noqa: PLC0415 - loads NumPy
 
         values, replay = npy_array(content), headers.get("veilcam-replay")
         embedding = {

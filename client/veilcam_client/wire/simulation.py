@@ -60,7 +60,7 @@ def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
     """Return a picture as it is sent: a file's content as it is, an array as ``.npy``."""
     if isinstance(picture, bytes):
         return picture
-    from veilcam_client.wire.numbers import npy_bytes  # noqa: PLC0415 - loads NumPy
+    from veilcam_client.numbers import npy_bytes  # noqa: PLC0415 - loads NumPy
 
     return npy_bytes(picture)
 

@@ -17,8 +17,8 @@ from tests.client.sealing import Device, Epoch
 from veilcam_client import ProtocolError, SealedError, VeilcamError
 from veilcam_client.http.answers import Received, read
 from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.numbers import npy_array, picture
 from veilcam_client.wire.captures import Capture, Classification, Embedding
-from veilcam_client.wire.numbers import npy_array, picture
 from veilcam_client.wire.status import Status
 
 VALUES = np.random.default_rng(0).normal(size=(3, 4, 5)).astype(np.float32)
