@@ -1,0 +1,1 @@
+"""README's two commands, with each Python that the package is for."""
