@@ -165,7 +165,7 @@ def ratio_estimate(wrong: Sequence[float], there: Sequence[float]) -> tuple[floa
     Student's t.
     """
     above, below = np.asarray(wrong), np.asarray(there)
-    ratio, count = above.sum() / below.sum(), len(above)
+    ratio, count = float(above.sum()) / float(below.sum()), len(above)
     residuals = above - ratio * below
     deviation = math.sqrt(np.square(residuals).sum() / (count - 1) / count) / below.mean()
     error = math.sqrt(ratio)

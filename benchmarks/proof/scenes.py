@@ -136,7 +136,7 @@ def _stripes(pixels: int, chance: Chance) -> Array:
     y, x = _places(pixels)
     angle, cycles = chance.uniform(0, np.pi), chance.uniform(1, 20)
     if chance.random() < 0.4:  # along the panel's own lines
-        angle = chance.choice([0, np.pi / 2])
+        angle = float(chance.choice([0, np.pi / 2]))
     wave = np.sin(np.pi * cycles * (np.cos(angle) * y + np.sin(angle) * x) + chance.uniform(0, 6))
     field: Array = 0.5 + 0.5 * (np.sign(wave) if chance.random() < 0.5 else wave)
     return field
@@ -229,5 +229,6 @@ def _places(pixels: int) -> tuple[Array, Array]:
 
 
 def _to_one(field: Array) -> Array:
-    field = field - field.min()
-    return field / max(float(field.max()), 1e-12)
+    field = field - np.min(field)
+    shares: Array = field / max(float(np.max(field)), 1e-12)
+    return shares

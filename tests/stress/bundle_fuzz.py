@@ -89,7 +89,7 @@ def source_of(bundle: Bundle) -> MaskSource:
 def use(source: MaskSource, bundle: Bundle) -> None:
     """Take a mask and read an embedding behind it, as the daemon does."""
     mask = source.make(KEY, "white" if bundle.fresh is not None else "sealed", frozenset())
-    if mask.levels.shape != bundle.camera.mask_shape or int(mask.levels.max()) > 63:
+    if mask.levels.shape != bundle.camera.mask_shape or int(np.max(mask.levels)) > 63:
         raise RuntimeError("a mask that the panel cannot show")
     embedding = np.full(bundle.embedding.shape, 0.1, np.float32)
     try:

@@ -112,9 +112,9 @@ def holds(pieces: Iterator[bytes], secrets: Sequence[bytes]) -> set[int]:
             continue
         there = np.frombuffer(piece, np.uint8).astype(np.uint32)
         heads = there[:-2] | there[1:-1] << 8 | there[2:] << 16
-        for place in np.flatnonzero(likely[heads]):
+        for place in map(int, np.flatnonzero(likely[heads])):
             for form in by_head.get(piece[place : place + 8], ()):
-                if piece.startswith(form, int(place)):
+                if piece.startswith(form, place):
                     found.add(spelled[form])
     return found
 
@@ -171,7 +171,7 @@ def windows(piece: bytes, step: int = 1) -> Iterator[Words]:
         words = np.lib.stride_tricks.sliding_window_view(part, 4).copy().view("<u4")[:, 0]
         keys = np.stack([words[4 * each : len(words) + 4 * each - 28 : step] for each in range(8)])
         likely = (keys != 0).all(0) & (keys[1:] != keys[:-1]).all(0)
-        likely &= (np.bitwise_or.reduce(keys, axis=0) & 0x80808080) != 0
+        likely &= ((keys & 0x80808080) != 0).any(0)
         if likely.any():
             yield np.ascontiguousarray(keys[:, likely])
 

@@ -98,7 +98,7 @@ def pink_noise(shape: tuple[int, int], random: np.random.Generator) -> Scene:
     frequency[0, 0] = np.inf
     phase = random.uniform(0, 2 * np.pi, shape)
     picture = np.fft.ifft2(np.exp(1j * phase) / frequency).real
-    low, high = float(picture.min()), float(picture.max())
+    low, high = float(np.min(picture)), float(np.max(picture))
     return ((picture - low) / (high - low)).astype(np.float32)
 
 

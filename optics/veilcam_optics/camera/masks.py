@@ -36,7 +36,7 @@ def to_levels(weights: Array, panel: Panel) -> npt.NDArray[np.uint8]:
 
 def to_weights(levels: npt.NDArray[np.uint8], panel: Panel) -> npt.NDArray[np.float32]:
     """Weights that a panel with a linear response shows for ``levels``, float32."""
-    if levels.size and int(levels.max()) >= panel.levels:
+    if levels.size and int(np.max(levels)) >= panel.levels:
         raise OpticsError(f"levels exceed what the panel can show: use 0 to {panel.levels - 1}")
     weights: npt.NDArray[np.float32] = levels.astype(np.float32) / np.float32(panel.levels - 1)
     return weights

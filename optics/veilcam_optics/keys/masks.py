@@ -52,7 +52,7 @@ class MaskDistribution:
         require_shape("distribution.highest", self.highest, *self.lowest.shape)
         if bool((self.lowest > self.highest).any()):
             raise OpticsError("distribution.lowest exceeds highest: use at most the same number")
-        if max(int(self.highest.max()), int(self.curve.max())) >= self.curve.size:
+        if max(int(np.max(self.highest)), int(np.max(self.curve))) >= self.curve.size:
             raise OpticsError(
                 f"distribution exceeds its {self.curve.size} levels: use 0 to {self.curve.size - 1}"
             )

@@ -119,7 +119,7 @@ def _orders(axis: Axis[Values], of: Values, wavelength: float, reach: int, far: 
                 (0, _LEVER): none,
             }
         )
-    seen = float(abs(axis.offsets).max() + abs(axis.centres - axis.centres.mean()).max())
+    seen = float(np.max(abs(axis.offsets)) + np.max(abs(axis.centres - axis.centres.mean())))
     small = _SMALL * min(axis.width, wavelength * float(axis.distance) / (seen + axis.width))
     boxes = BoxFields(axis, of, wavelength, reach)
     before, after = (

@@ -153,7 +153,7 @@ class MaskTests:
         """
         require_shape("levels", levels, *self._camera.mask_shape)
         top = self._camera.panel.levels - 1
-        if int(levels.max()) > top:
+        if int(np.max(levels)) > top:
             raise OpticsError(f"levels exceed what the panel can show: use 0 to {top}")
         shown = self._marks.shown(levels)
         # Around an inverted window the panel is open: what is missing within it casts the shadow.

@@ -49,7 +49,7 @@ def measure_lines(rig: Rig, geometry: Geometry, image: Values, transfer: Transfe
     """
     rows, columns = geometry.camera.mask_shape
     floor = rig.read(rig.opaque).mean()
-    top = int(rig.open.max())
+    top = int(np.max(rig.open))
     scene = image.reshape(1, -1)
     found = []
     for count, axis in ((rows, 0), (columns, 1)):

@@ -43,7 +43,7 @@ def write_picture(path: Path, found: Calibrated) -> None:
     _lines(figure.add_subplot(curves[1, 0]), "rows opened alone", result.measured.lines.rows)
     _lines(figure.add_subplot(curves[1, 1]), "columns opened alone", result.measured.lines.columns)
     # A pattern is held out; what it shows of the lamp is the point spread function, binned.
-    top = float(result.lamp.max())
+    top = float(np.max(result.lamp))
     _image(figure.add_subplot(below[0]), "lamp, as read", result.lamp / top)
     _image(
         figure.add_subplot(below[1]),
@@ -100,7 +100,7 @@ def _lines(axes: Axes, title: str, shares: Values) -> None:
     _styled(axes, f"{title}: {dead.sum()} dead" if dead.any() else f"{title}: all obey")
     axes.bar(np.arange(len(shares)), shares, color=np.where(dead, FITTED, MEASURED), width=0.8)
     axes.axhline(0.5, color=INK, lw=0.8, ls=":")
-    axes.set_ylim(min(0.0, float(shares.min())), 1.15 * float(shares.max()))
+    axes.set_ylim(min(0.0, float(np.min(shares))), 1.15 * float(np.max(shares)))
     axes.set_ylabel("light, over expected", color=FAINT, fontsize=8.5)
 
 

@@ -44,7 +44,7 @@ class Response:
 
 def climb(rig: Rig, *, black_level: float) -> Staircase:
     """Read all steps, in an order that keeps a slow drift out of the curve."""
-    top = int(rig.open.max())
+    top = int(np.max(rig.open))
     levels = np.unique(np.linspace(0, top, STEPS).round().astype(int))
     light = np.zeros(len(levels))
     for index in np.random.default_rng(0).permutation(len(levels)):
@@ -67,7 +67,7 @@ def fit_response(
         CalibrationError: the panel's response is another one.
     """
     weights, light = staircase.weights, staircase.light
-    top = float(light.max())
+    top = float(np.max(light))
     if not top > 0:
         raise CalibrationError("no light comes through the open panel: light the card, try again")
     offset = 0.0 if floor is None else light[0]

@@ -61,7 +61,7 @@ def write_report(path: Path, rows: Sequence[Row], camera: Camera, title: str, ca
     figure.text(0.03, 1 - 0.74 / height, caption, color=FAINT, fontsize=10.5)
     for number, row in enumerate(rows):
         # Noise may be read as less than darkness.
-        least = min(0.0, float(row.embedding.min()))
+        least = min(0.0, float(np.min(row.embedding)))
         axes = [figure.add_subplot(grid[number, column]) for column in range(len(COLUMNS))]
         if number == 0:
             for each, name in zip(axes, COLUMNS, strict=True):
@@ -70,7 +70,7 @@ def write_report(path: Path, rows: Sequence[Row], camera: Camera, title: str, ca
         axes[1].imshow(draw_mask(row.levels, camera), interpolation="antialiased")
         _bare(axes[1])
         _image(axes[2], draw_block(row.block, row.embedding.shape), "gray", vmin=0, vmax=255)
-        _image(axes[3], row.embedding, "magma", vmin=least, vmax=float(row.embedding.max()))
+        _image(axes[3], row.embedding, "magma", vmin=least, vmax=float(np.max(row.embedding)))
         _scores(axes[4], row)
     figure.savefig(path, facecolor=PAPER)
 

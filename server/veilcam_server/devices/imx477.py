@@ -179,7 +179,7 @@ class IMX477:
                 unfit = self._shorten(camera)
                 continue
             exposure = self._exposure(frame, binned)
-            self._follow(camera, float(binned.embedding.max()))
+            self._follow(camera, float(np.max(binned.embedding)))
             return exposure
 
     def _binned(self, raw: Raw) -> _Binned:

@@ -118,7 +118,7 @@ class ST7735R:
         """Write a mask to the window."""
         if levels.shape != self._shape or levels.dtype != np.uint8:
             raise DisplayError(f"the panel takes uint8 levels of shape {self._shape}")
-        if int(levels.max()) >= self._levels:
+        if int(np.max(levels)) >= self._levels:
             raise DisplayError(f"the panel takes levels 0 to {self._levels - 1}")
         with self._bus():
             np.left_shift(levels.T, _BITS, out=self._window)

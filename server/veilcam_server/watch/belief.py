@@ -125,7 +125,7 @@ class Sensing:
         if not admitted:
             return np.array([1 - self.mistaken] + classes * [self.missed])
         scaled = np.asarray(logits, np.float64) / self.temperature
-        scores = np.exp(scaled - scaled.max())
+        scores = np.exp(scaled - np.max(scaled))
         scores *= (1 - self.missed) * classes / scores.sum()
         return np.concatenate([[self.mistaken], scores])
 

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from veilcam_server.watch.belief import Probabilities
 
 SEEN, GONE = 0.6, 0.05
@@ -96,9 +98,9 @@ class Sightings:
             if (known := self._hints.get(name)) is not None
             else _Hint(at, 1)
             for name, share in zip(names, told, strict=True)
-            if share >= _HINT or share == told.max()
+            if share >= _HINT or share == np.max(told)
         }
-        best = int(told.argmax())
+        best = int(np.argmax(told))
         label, confidence = names[best], float(told[best])
         hint = self._hints[label]
         self.leader = Leader(label, confidence, hint.since, hint.looks)

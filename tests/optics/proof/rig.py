@@ -97,7 +97,7 @@ def natural(seed: int, exponent: float = 1.0) -> Room:
     spectrum = np.fft.rfft2(chance.standard_normal(SIDES))
     spectrum /= np.maximum(frequency, 1 / max(SIDES)) ** exponent
     picture = np.fft.irfft2(spectrum, SIDES)
-    low, high = picture.min(), picture.max()
+    low, high = np.min(picture), np.max(picture)
     return Room(0.2 + 0.8 * (picture - low) / (high - low))
 
 

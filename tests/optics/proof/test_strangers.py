@@ -52,7 +52,7 @@ def test_the_mask_that_is_there_scores_and_others_are_behind(
     assert scores.score[0, 0] > 8
     assert np.abs(scores.score[1:]).max() < 5
     assert scores.ahead[0, 0] == 0
-    assert scores.ahead[1:].min() > 3
+    assert np.min(scores.ahead[1:]) > 3
     assert 0 < scores.share[0] < 1
     assert scores.window[0] < 3
 

@@ -54,7 +54,7 @@ def test_the_command_keeps_what_was_found(
     held_up: list[float] = []
 
     def opened(settings: Settings, bundle: Bundle) -> Device:
-        assert FileScene(Path(settings.scenes[0]), bundle.scene.shape).read().max() == 0
+        assert np.max(FileScene(Path(settings.scenes[0]), bundle.scene.shape).read()) == 0
         return built.device
 
     def measured(

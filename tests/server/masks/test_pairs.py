@@ -110,7 +110,7 @@ def test_a_pair_tells_its_light_and_knows_nothing_of_novelty(bundle: Bundle) -> 
         assert told.novelty is None
         assert told.light == pytest.approx(0.25 / (weights**2).mean())
         scores = np.exp(told.logits) / np.exp(told.logits).sum()
-        assert scores.max() == pytest.approx(mask.reader.classify(measurement).confidence)
+        assert np.max(scores) == pytest.approx(mask.reader.classify(measurement).confidence)
 
 
 def test_a_dark_mask_passes_a_level_s_worth() -> None:

@@ -192,7 +192,7 @@ def _check_pair(bundle: Bundle, pair: Pair) -> None:
     )
     top = bundle.camera.panel.levels - 1
     require(
-        int(pair.levels.max()) <= top,
+        int(np.max(pair.levels)) <= top,
         f"mask exceeds what the panel can show: use levels 0 to {top}",
     )
     _check_classifier(bundle, pair.layers, pair.weights)

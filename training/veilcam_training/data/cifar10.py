@@ -60,8 +60,8 @@ class Cifar10Source(FileSource):
             )
             batch = np.frombuffer(data, np.uint8).reshape(-1, RECORD)
             require(
-                int(batch[:, 0].max()) < len(LABELS),
-                f"{name} has label {int(batch[:, 0].max())}: use 0 to 9; fetch it again",
+                int(np.max(batch[:, 0])) < len(LABELS),
+                f"{name} has label {int(np.max(batch[:, 0]))}: use 0 to 9; fetch it again",
             )
             records.append(batch)
         together = torch.from_numpy(np.concatenate(records))

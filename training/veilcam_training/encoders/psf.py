@@ -150,7 +150,7 @@ def read_psf(file: PsfFile, distance: float) -> Psf:
         f"{path} has a PSF of shape {psf.shape}: use (3, rows, columns)",
     )
     require(
-        bool(np.isfinite(psf).all()) and psf.min() >= 0 and psf.max() > 0,
+        bool(np.isfinite(psf).all() and np.min(psf) >= 0 and np.max(psf) > 0),
         f"{path} has a PSF that is no irradiance: use finite numbers >= 0",
     )
     pitch = content.pitch or file.pitch
