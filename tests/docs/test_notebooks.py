@@ -31,8 +31,8 @@ def test_it_runs(path: Path, tmp_path: Path) -> None:
     resources = {"metadata": {"path": str(tmp_path)}}
     NotebookClient(notebook, timeout=600, kernel_name="python3", resources=resources).execute()
     assert pictures(notebook) == drawn
-    # Rounding differs between processors, and what is fitted with it. Chance reads 10 %; of four
-    # other seeds, which change more than rounding does, the worst read 80 %.
+    # Rounding differs between processors, and what is fitted with it. Chance reads 10 and 20 %; of
+    # four and three other seeds, which change more than rounding does, the worst read 80 and 89 %.
     for text in (shown, printed(notebook)):
         (percent,) = re.findall(r"(\d+) %", text)
         assert int(percent) > 60
