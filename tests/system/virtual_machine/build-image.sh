@@ -65,7 +65,11 @@ mknod -m 666 root/dev/urandom c 1 9
 tar -C root --keep-directory-symlink -xf kernel.tar --wildcards './usr/lib/modules/*' \
     || tar -C root --keep-directory-symlink -xf kernel.tar --wildcards './lib/modules/*'
 cp packages/veilcam_*_"$architecture".deb root/srv/
-inside() { chroot root env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 "$@"; }
+# With a /proc, which systemd-tmpfiles asks for, and which goes with the command.
+inside() {
+    unshare --mount sh -c 'mount -t proc proc root/proc && exec chroot root env -i "$@"' - \
+        PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 "$@"
+}
 inside sh -c 'dpkg --install /srv/veilcam_*.deb'
 mkdir -p root/usr/local/lib/python3.11/dist-packages
 cp -r light/. root/usr/local/lib/python3.11/dist-packages
