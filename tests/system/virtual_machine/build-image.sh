@@ -18,7 +18,7 @@ if [ ! -e base.tar ]; then
     say "Debian 12 with systemd and Python (some minutes)"
     mmdebstrap --quiet --arch="$architecture" --format=tar --variant=minbase \
         --include=systemd,systemd-sysv,udev,kmod,dbus \
-        --include=python3-numpy,python3-spidev,gcc,libc6-dev,libfuse3-dev,pkg-config,busybox-static \
+        --include=python3-numpy,python3-spidev,openssl,gcc,libc6-dev,libfuse3-dev,pkg-config,busybox-static \
         bookworm base.tar.part "$mirror"
     mv base.tar.part base.tar
 fi
