@@ -30,7 +30,7 @@ unexport PYTHONDONTWRITEBYTECODE
 COMPUTING := $(BIN)/pytest -n 2 --dist worksteal
 WAITING := $(BIN)/pytest -n 4 --dist worksteal
 
-.PHONY: docs help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm mutants clean
+.PHONY: docs help demo serve check test stress siege test-libcamera lint types layers fast pytest test-vm test-vm-arm64 mutants clean
 
 help:
 	@echo "make demo     simulated camera, real digits, changing masks; writes demo/report.png"
@@ -45,6 +45,7 @@ help:
 	@echo "make suite-SSE, suite-AVX2   all tests with the instructions of older processors"
 	@echo "make test-libcamera   the camera driver on the real picamera2; builds libcamera, 10 minutes"
 	@echo "make test-vm  the daemon under systemd in a virtual machine; needs root, see deploy/README.md"
+	@echo "make test-vm-arm64  the same with the processor of a Raspberry Pi: hours"
 	@echo "make deb      Debian packages in build/debian, for arm64 and amd64; see deploy/README.md"
 	@echo "make test-deb  the package in a root of Debian 12; needs root, see deploy/README.md"
 	@echo "make test-arm64  the same on an emulated processor, in Debian 12 and 13: an hour"
@@ -160,6 +161,9 @@ suite-AVX2: $(INSTALLED)
 # Root builds the image, so nothing of it may end up in the virtual environment.
 test-vm: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py
+
+test-vm-arm64: $(INSTALLED)
+	PYTHONDONTWRITEBYTECODE=1 $(BIN)/python tests/system/virtual_machine/run.py --architecture arm64
 
 .PHONY: deb test-deb
 deb: $(INSTALLED)

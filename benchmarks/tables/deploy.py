@@ -26,6 +26,11 @@ DEPLOYED: Figures = {
     **_installed("amd64_bookworm", "Debian 12, amd64"),
     **_installed("arm64_bookworm", "Debian 12, arm64, emulated"),
     **_installed("arm64_trixie", "Debian 13, arm64, emulated"),
+    "vm_arm64": (
+        "deploy",
+        "Debian 12, arm64, in a virtual machine: all fourteen checks of the unit passed (1 is yes)",
+        "{:.0f}",
+    ),
     "device_install_mb": ("deploy", "on the disk, beside apt's packages", "{:.0f} MB"),
     "failed_upgrade_back_s": (
         "deploy",

@@ -203,7 +203,8 @@ class Checks:
                 )
             )
             with self._instead("Type=oneshot", "Restart=no", "WatchdogSec=0",
-                "StandardOutput=truncate:/run/panel/probe", "StandardError=journal",
+                # What runs after the probe has the same output, and must not empty it.
+                "StandardOutput=append:/run/panel/probe", "StandardError=journal",
                 program=f"{PYTHON} -m guest.probe attempts,needs {STATE}"):  # fmt: skip
                 run("systemctl", "start", "veilcamd.service")
         inside = json.loads(Path("/run/panel/probe").read_text())
