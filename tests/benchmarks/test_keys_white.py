@@ -169,8 +169,10 @@ def test_every_row_is_attacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert {f"legacy_white_{each}_auc_upper" for each in ("presence", "linkage")} <= record.keys()
     assert "legacy_white_digit_advantage_upper" in record
     assert record["white_mask_ms"] > 0
-    # The length alone tells that nothing is there.
-    assert record["legacy_white_presence_auc"] > 0.9
+    # The length alone tells that nothing is there. Of a hundred captures, about half of each kind,
+    # chance strays from .5 by sqrt(101 / (12 50^2)) = .058 (Mann and Whitney): five times that.
+    # Keys come from the kernel, so no two runs find the same.
+    assert record["legacy_white_presence_auc"] > 0.79
     seen: list[tuple[object, ...]] = []
 
     def counted(*asked: object, **_: object) -> Gain:
