@@ -56,4 +56,9 @@ SIMULATED: Figures = {
         "`make demo` ends well in a root of Debian 13 with Python, venv, git and make (1 is yes)",
         "{:.0f}",
     ),
+    "python_3_12": (
+        "deploy",
+        "`make demo` and `make test` end well with Python 3.12 (1 is yes)",
+        "{:.0f}",
+    ),
 }
