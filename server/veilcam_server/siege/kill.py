@@ -11,6 +11,7 @@ import hashlib
 import math
 import random
 import shutil
+import time
 import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
@@ -216,9 +217,9 @@ async def _upload(content: bytes, address: Address, ledger: Ledger) -> None:
 
 
 async def _change_mask(address: Address, ledger: Ledger) -> None:
-    key = str(uuid.uuid4())
+    key, asked = str(uuid.uuid4()), time.monotonic()
     if (await ask(address, "POST", ADVANCE, headers={KEY: key})).status == 200:
-        ledger.key = key
+        ledger.key = key, asked
 
 
 async def _pair(guests: Sequence[Receiver], address: Address, ledger: Ledger) -> None:

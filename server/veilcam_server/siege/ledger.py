@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from veilcam_client.wire.captures import Capture
 from veilcam_server.security.audit import read_audit
+from veilcam_server.security.key_record import LIFETIME
 from veilcam_server.siege.client import Address, Reply, ask
 from veilcam_server.siege.ground import tokens_of
 from veilcam_server.siege.witness import Life
@@ -25,7 +27,8 @@ class Ledger:
         active: digests of the bundles that may be active, in the same way.
         valid: ids of tokens that were made, and whose end was not asked for.
         revoked: ids of those that were ended.
-        key: idempotency key of the last work that was acknowledged.
+        key: idempotency key of the last work that was acknowledged, and when that was asked for, on
+            the monotonic clock [s].
         installed: whether a bundle is there, by its digest; None while nobody can tell.
         paired: whether a receiver is, by its id, in the same way.
         noted: ids of requests that changed something, which the audit log must name.
@@ -36,7 +39,7 @@ class Ledger:
     active: list[object]
     valid: set[str] = field(default_factory=set)
     revoked: set[str] = field(default_factory=set)
-    key: str | None = None
+    key: tuple[str, float] | None = None
     installed: dict[str, bool | None] = field(default_factory=dict)
     paired: dict[str, bool | None] = field(default_factory=dict)
     noted: set[str] = field(default_factory=set)
@@ -61,9 +64,11 @@ class Ledger:
         self._keep("revocation", not self.revoked & valid)
         self._keep("audit line", self.noted <= {each.get("request") for each in read_audit(audit)})
         if self.key is not None:
-            repeated = await ask(address, "POST", ADVANCE, headers={KEY: self.key})
+            key, asked = self.key
+            repeated = await ask(address, "POST", ADVANCE, headers={KEY: key})
             known = repeated.status == 409 and repeated.json()["code"] == DONE
-            self._keep("idempotency key", known)
+            # A busy machine may take longer than a key is remembered, in whole seconds.
+            self._keep("idempotency key", known or time.monotonic() - asked > LIFETIME - 2)
         self._keep("receivers of an epoch", await self._sealed_to(address, life) in (None, paired))
         # What was under way when it was killed either holds now, or never will.
         self.policy, self.active = [rotation["policy"]], [active[0]]
