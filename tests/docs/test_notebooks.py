@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sysconfig
 from pathlib import Path
 
 import nbformat
@@ -25,7 +27,9 @@ def pictures(notebook: nbformat.NotebookNode) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs(path: Path, tmp_path: Path) -> None:
+def test_it_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As an activated environment has it: notebooks call the project's commands by name.
+    monkeypatch.setenv("PATH", sysconfig.get_path("scripts"), prepend=os.pathsep)
     notebook = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
     shown, drawn = printed(notebook), pictures(notebook)
     resources = {"metadata": {"path": str(tmp_path)}}
