@@ -24,6 +24,10 @@ export OMP_NUM_THREADS := 1
 # that they start, would compile anew all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
+# What is freed is kept: to have a field's memory back from the kernel costs as much as to compute it.
+export MALLOC_TRIM_THRESHOLD_ := 268435456
+export MALLOC_MMAP_THRESHOLD_ := 268435456
+
 # Tests in as many processes as cores, or in twice as many where they wait for daemons a third of
 # their time. A worker that is done takes over the last tests of another, so that tests of one file,
 # which share what is slow to make, mostly stay together.

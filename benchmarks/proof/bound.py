@@ -8,7 +8,7 @@ A fit may be darker than black: so it explains a little too much.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,13 @@ class Unexplained:
 
 
 def unexplained(
-    bundle: Bundle, digits: Digits, *, cameras: int, electrons: float, seed: int
+    bundle: Bundle,
+    digits: Digits,
+    *,
+    cameras: int,
+    electrons: float,
+    seed: int,
+    kinds: Collection[str] | None = None,
 ) -> Iterator[Unexplained]:
     """What is left over of each kind of scene, without and with walls around the field.
 
@@ -59,6 +65,7 @@ def unexplained(
         cameras: how many are drawn.
         electrons: of a bin at full scale.
         seed: of all that is drawn.
+        kinds: of scenes, by name; None for every one.
     """
     few = Extent(masks=1, captures=3, objects=1, surroundings=1)
     found: dict[tuple[str, bool], tuple[list[float], list[float]]] = {}
@@ -67,6 +74,8 @@ def unexplained(
         chance = np.random.default_rng([seed, number, 1])
         smooth = world.behind_last(polynomials(world.pixels))[1]
         for kind, draw in every_kind(digits, FIELD_PIXELS).items():
+            if kinds is not None and kind not in kinds:
+                continue
             scenes = drawn(draw, world.pixels, chance)
             light = scaled(world.behind_last(scenes)[0], 1.0)
             left, copied = found.setdefault((kind, world.sides == HALF_SPACE), ([], []))

@@ -48,10 +48,16 @@ def test_what_is_left_over_is_counted_in_noise() -> None:
 @pytest.mark.slow
 def test_nobody_can_tell_a_wall_and_anybody_a_digit() -> None:
     # The second camera of this seed sees all of the half space.
-    found = {
-        (each.kind, each.outdoors): each.excess
-        for each in unexplained(read_bundle(FRESH), load_digits(), cameras=2, electrons=3e7, seed=1)
-    }
+    every = unexplained(
+        read_bundle(FRESH),
+        load_digits(),
+        cameras=2,
+        electrons=3e7,
+        seed=1,
+        kinds={"wall", "gradient", "digit"},
+    )
+    found = {(each.kind, each.outdoors): each.excess for each in every}
+    assert {kind for kind, _ in found} == {"wall", "gradient", "digit"}
     assert found["wall", True] < 0.1
     assert found["gradient", True] < 0.1
     assert found["digit", True] > 1e3

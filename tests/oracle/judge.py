@@ -29,8 +29,8 @@ UNSURE = 0.3
 LIMIT = 8.0
 """Seconds of the processor that a job may take."""
 
-_SURE_WITHIN = 0.8 * LIMIT
-"""Seconds of the processor in which an oracle that is unsure of a job tries again."""
+_SURE_WITHIN = 0.8
+"""Share of the limit in which an oracle that is unsure of a job tries again."""
 
 _PARTS = 3
 """Cells are taken in halves first, and in thirds where that is not enough: by quarters, both are
@@ -97,17 +97,21 @@ class Result:
         return self.true <= self.tolerance or self.finest <= self.tolerance
 
 
-def truth(job: Job, weights: Array, enough: Callable[[Array], float]) -> tuple[Array, float]:
+def truth(
+    job: Job, weights: Array, enough: Callable[[Array], float], *, limit: float = LIMIT
+) -> tuple[Array, float]:
     """Exact transfers of masks, and how far they may be off.
 
     Args:
         job: whose.
         weights: masks.
         enough: error that will do, of the transfers; below it cells and points are made no finer.
+        limit: seconds of the processor for all of a job.
     """
     optics, amplitudes = light(job), shown(job, weights)
     narrow = optics.y.scene_pixel / job.scene.distance <= _POINT
-    finer, end = (optics.affordable(MOST_WORK) or 1.0) / 2, time.process_time() + _SURE_WITHIN
+    finer = (optics.affordable(MOST_WORK) or 1.0) / 2
+    end = time.process_time() + _SURE_WITHIN * limit
     while True:
         start, done = time.process_time(), _work_of_all(optics, finer)
         found = [transfer(optics, amplitudes, finer=finer)]
@@ -278,12 +282,12 @@ def time_over_best(chosen: Plan, weights: Array, exact: Array) -> float:
     return chosen.cost.step_ms / best
 
 
-def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan) -> Result:
-    """One job: its plan, and the truth."""
+def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan, limit: float = LIMIT) -> Result:
+    """One job: its plan, and the truth, unless both take longer than ``limit`` [s]."""
     result = Result(seed, job.tolerance, job.effects, job.unaffordable)
     phase, start = "plan", time.process_time()
     try:
-        with _limit(LIMIT):
+        with _limit(limit):
             chosen = planner(job.camera, job.scene, job.embedding, job.tolerance, job.conditions)
             result = replace(result, plan_seconds=round(time.process_time() - start, 3))
             weights = masks(job)
@@ -293,6 +297,7 @@ def judge_job(job: Job, *, seed: int = 0, planner: Planner = plan) -> Result:
                 job,
                 weights,
                 lambda exact: UNSURE * max(chosen.error, distance(values, exact)),
+                limit=limit,
             )
             result = replace(result, oracle_seconds=round(time.process_time() - start, 3))
             true = distance(values, exact)

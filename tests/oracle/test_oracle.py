@@ -208,10 +208,9 @@ def test_an_oracle_doubts_masks_that_it_did_not_look_at_closely() -> None:
     assert judging._elsewhere([larger, larger], [0]) == 1
 
 
-def test_what_is_not_judged_is_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_judged_is_counted_apart() -> None:
     refused = judge_job(replace(_ordinary(), tolerance=2.0))
-    monkeypatch.setattr(judging, "LIMIT", 1e-3)
-    late = judge_job(_ordinary())
+    late = judge_job(_ordinary(), limit=1e-3)
     unsure = Result(2, 1e-2, (), predicted=1e-3, true=1e-3, oracle_error=1e-3)
     sure = Result(3, 1e-2, (), predicted=1e-3, true=1e-3)
     assert "tolerance" in refused.refused

@@ -14,7 +14,14 @@ from veilcam_optics.effects.model import Model
 from veilcam_optics.effects.sensor import channel_shares
 from veilcam_optics.errors import OpticsError
 from veilcam_optics.simulation.rotated_mask import RotatedMask
-from veilcam_optics.transfer.grid import GridLight, check_oversampling, sample_pitch
+from veilcam_optics.transfer.grid import (
+    GridLight,
+    MaskOnGrid,
+    SampledMask,
+    check_oversampling,
+    mask_grid,
+    sample_pitch,
+)
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.tables import Reach
 
@@ -228,14 +235,7 @@ def _grids(model: Model) -> list[tuple[float, Zone, GridLight]]:
     """(share, zone, light) for every sample of spectrum, depth and field."""
     check_oversampling(model.camera, model.sampling.oversampling)
     lights = []
-    mask = RotatedMask(
-        model.camera,
-        sample_pitch(model.camera, model.sampling.oversampling),
-        rotation=model.conditions.imperfections.rotation,
-        shift_y=model.conditions.imperfections.shift_y,
-        shift_x=model.conditions.imperfections.shift_x,
-        dtype=model.sampling.dtype,
-    )
+    mask = _mask(model)
     for row in zones(model):
         for zone in row:
             by_channel = [
@@ -267,3 +267,18 @@ def _grids(model: Model) -> list[tuple[float, Zone, GridLight]]:
                 )
                 lights.append((sample.share, zone, light))
     return lights
+
+
+def _mask(model: Model) -> MaskOnGrid:
+    pitch = sample_pitch(model.camera, model.sampling.oversampling)
+    given = model.conditions.imperfections
+    if given.rotation == given.shift_y == given.shift_x == 0:
+        return SampledMask(model.camera, mask_grid(model.camera, pitch), model.sampling.dtype)
+    return RotatedMask(
+        model.camera,
+        pitch,
+        rotation=given.rotation,
+        shift_y=given.shift_y,
+        shift_x=given.shift_x,
+        dtype=model.sampling.dtype,
+    )

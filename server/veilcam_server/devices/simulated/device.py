@@ -36,7 +36,7 @@ from veilcam_server.devices.errors import DeviceMissingError
 from veilcam_server.devices.raw import Raw, SensorMode
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
-from veilcam_server.system.memory import give_back_large_blocks
+from veilcam_server.system.memory import share_one_heap
 
 _CACHED_MASKS = 2
 """Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway, and a
@@ -62,7 +62,7 @@ def use_torch_sparingly() -> None:
     # oneDNN writes machine code for convolutions as it goes, which MemoryDenyWriteExecute= forbids.
     # Torch's own are as fast for one scene at a time (deploy/README.md).
     torch.backends.mkldnn.set_flags(_enabled=False)  # type: ignore[no-untyped-call]
-    give_back_large_blocks()
+    share_one_heap()
 
 
 class Light(Protocol):
