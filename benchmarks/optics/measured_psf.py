@@ -30,6 +30,7 @@ from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.simulation.operator import LightOperator
 
 PANEL = Conditions(
+    bayer=True,  # each channel is a photograph of its own
     imperfections=Imperfections(
         shift_y=3e-5,
         shift_x=-2e-5,
@@ -37,7 +38,7 @@ PANEL = Conditions(
         distance_error=3e-5,
         gamma=1.1,
         contrast_floor=0.03,
-    )
+    ),
 )
 """What is wrong with it."""
 OVERSAMPLING = 2.0

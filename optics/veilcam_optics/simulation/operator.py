@@ -109,8 +109,8 @@ class LightOperator(nn.Module):
 
         Returns:
             As the method has it: the transfer matrix (scene pixels, embedding pixels); the point
-            spread functions (channels, rows, columns) of every sample of light; or the mask itself,
-            as shown.
+            spread functions of every sample of light, (rows, columns) in gray or (channels, rows,
+            columns) behind a Bayer filter; or the mask itself, as shown.
 
         Raises:
             OpticsError: the mask has another shape or holds NaN.
@@ -119,7 +119,11 @@ class LightOperator(nn.Module):
             return (self._transfer(weights),)
         check_weights(weights, self.model.camera)
         shown = composition.shown(self.model, weights.to(self.dtype))
-        return tuple(light.psf_of_amplitudes(shown) for _, _, light in self._grids) or (shown,)
+        if self.model.conditions.bayer:
+            spread = tuple(light.psf_of_amplitudes(shown) for _, _, light in self._grids)
+        else:
+            spread = tuple(light.gray_psf_of_amplitudes(shown) for _, _, light in self._grids)
+        return spread or (shown,)
 
     def collect(self, scenes: Tensor, response: Response) -> Tensor:
         """The light on the sensor, without what the sensor makes of it.
@@ -166,7 +170,7 @@ class LightOperator(nn.Module):
             values = light.embed_colour(coloured, psf, self.model.embedding)
             return (values * self.shares).sum(1)
         # Every pixel has the same share of each colour: one convolution does for all of them.
-        return light.embed(scenes, psf, self.model.embedding)
+        return light.embed_gray(scenes, psf, self.model.embedding)
 
     def _gray(self, values: Tensor) -> Tensor:
         return (values * self.shares).sum(1) if self.model.conditions.bayer else values

@@ -220,6 +220,15 @@ class GridLight:
             [spread(self._filtered(amplitudes, c)) for c, spread in enumerate(self.spreads)]
         )
 
+    def gray_psf_of_amplitudes(self, amplitudes: Tensor) -> Tensor:
+        """What :meth:`psf_of_amplitudes` comes to in gray, (rows, columns) on ``grid``."""
+        gray = torch.zeros(self.grid.shape, dtype=self.dtype, device=self.device)
+        for channel, (share, spread) in enumerate(
+            zip(self.camera.sensor.channel_weights, self.spreads, strict=True)
+        ):
+            gray = gray + share * spread(self._filtered(amplitudes, channel))
+        return gray
+
     def embed(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
         """Return the gray embeddings of gray scenes.
 
@@ -237,26 +246,29 @@ class GridLight:
         """
         self._check_psf(psf)
         shares = torch.tensor(self.camera.sensor.channel_weights, dtype=self.dtype)
-        gray = (shares.to(self.device)[:, None, None] * psf).sum(0)
-        return self._convolve_and_bin(scenes, gray, embedding)
+        return self.embed_gray(
+            scenes, torch.einsum("c,cyx->yx", shares.to(self.device), psf), embedding
+        )
 
     def embed_colour(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
         """As :meth:`embed`, from colour to colour, both of shape (..., 3, rows, columns)."""
         self._check_psf(psf)
         check_scenes(scenes, ..., len(CHANNELS), *self.scene.shape)
         channels = [
-            self._convolve_and_bin(scenes[..., channel, :, :], psf[channel], embedding)
+            self.embed_gray(scenes[..., channel, :, :], psf[channel], embedding)
             for channel in range(len(CHANNELS))
         ]
         return torch.stack(channels, dim=-3)
 
-    def _convolve_and_bin(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
-        """Evaluate (PSF * scene pixel box * embedding pixel box) at every offset that is needed.
+    def embed_gray(self, scenes: Tensor, psf: Tensor, embedding: Embedding) -> Tensor:
+        """As :meth:`embed`, of what :meth:`gray_psf_of_amplitudes` returned.
 
-        All of it happens in the frequency domain: the PSF is a Fourier series on the padded grid,
-        a box is a sinc and an offset a phase, so that no fraction of a sample is ever rounded.
+        That is (PSF * scene pixel box * embedding pixel box) at every offset that is needed. All
+        of it happens in the frequency domain: the PSF is a Fourier series on the padded grid, a
+        box is a sinc and an offset a phase, so that no fraction of a sample is ever rounded.
         """
         check_scenes(scenes, ..., *self.scene.shape)
+        require_shape("psf", psf, *self.grid.shape)
         # Offsets reach no further than the grid, so the series need not be padded beyond it.
         lengths = tuple(fast_length(count) for count in self.grid.shape)
         spectrum = torch.fft.rfft2(psf, s=lengths) / (lengths[0] * lengths[1])

@@ -193,6 +193,9 @@ def test_batch_equals_loop_and_colour_sums_to_gray() -> None:
     colour = light.embed_colour(scenes[:, :, None].expand(-1, -1, 3, -1, -1), psf, EMBEDDING)
     shares = torch.tensor(CAMERA.sensor.channel_weights, dtype=torch.float64)
     assert relative((colour * shares[:, None, None]).sum(-3), batch) < 1e-12
+    gray = light.gray_psf_of_amplitudes(some_weights())
+    assert gray.shape == light.grid.shape
+    assert relative(light.embed_gray(scenes, gray, EMBEDDING), batch) < 1e-12
     assert light.embed(scenes[:, :0], psf, EMBEDDING).shape == (2, 0, 6, 7)
 
 
@@ -247,6 +250,8 @@ def test_bad_input_is_refused_without_telling_the_weights() -> None:
         light.embed(some_scenes(5, 3), psf, EMBEDDING)
     with pytest.raises(OpticsError, match=r"psf\.shape"):
         light.embed(some_scenes(3, 5), psf[:1], EMBEDDING)
+    with pytest.raises(OpticsError, match=r"psf\.shape"):
+        light.embed_gray(some_scenes(3, 5), psf, EMBEDDING)
     with pytest.raises(OpticsError, match=r"scenes\.shape"):
         light.embed_colour(some_scenes(3, 5), psf, EMBEDDING)
     with pytest.raises(OpticsError, match="oversampling"):

@@ -39,8 +39,8 @@ from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
 from veilcam_server.system.memory import share_one_heap
 
 _CACHED_MASKS = 2
-"""Of a real camera's size, one takes 13 MiB; a mask drawn from a key never comes back anyway, and a
-stored one after captures that took longer."""
+"""Of a real camera's size, one takes 4.5 MiB; a mask drawn from a key never comes back anyway, and
+a stored one after captures that took longer."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
 _FINER = 4
