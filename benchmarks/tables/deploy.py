@@ -51,14 +51,21 @@ SIMULATED: Figures = {
     "simulate_fresh_mb": ("deploy", "memory at its peak, fresh masks", "{:.0f} MB"),
     "simulate_fresh_captures": ("deploy", "over so many captures", "{:.0f}"),
     "container_accuracy": ("deploy", "digits that the container read right, of 20", "{:.0%}"),
-    "clean_root_demo": (
-        "deploy",
-        "`make demo` ends well in a root of Debian 13 with Python, venv, git and make (1 is yes)",
-        "{:.0f}",
-    ),
-    "python_3_12": (
-        "deploy",
-        "`make demo` and `make test` end well with Python 3.12 (1 is yes)",
-        "{:.0f}",
-    ),
+    **{
+        f"clean_root_{target}": (
+            "deploy",
+            f"`make {target}` ends well in a root of Debian 13 with Python, venv, git and make "
+            "(1 is yes)",
+            "{:.0f}",
+        )
+        for target in ("demo", "test")
+    },
+    **{
+        f"python_{version.replace('.', '_')}": (
+            "deploy",
+            f"`make demo` and `make test` end well with Python {version} (1 is yes)",
+            "{:.0f}",
+        )
+        for version in ("3.11", "3.12", "3.13")
+    },
 }
