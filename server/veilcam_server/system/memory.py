@@ -30,7 +30,7 @@ def share_one_heap() -> None:
     Fields of light are megabytes that come and go on several threads. glibc gives each thread a
     heap of its own, which keeps what was freed in it for that thread alone, and takes ever larger
     blocks from the heaps (mallopt(3)). With all blocks apart a simulated camera has 500 MB at its
-    peak, but the kernel's pages of zeros take as long as the light; with the largest apart, 570.
+    peak, but the kernel's pages of zeros take as long as the light; with the largest apart, 574.
     """
     adjust = getattr(ctypes.CDLL(None), "mallopt", None)
     if adjust is not None:
