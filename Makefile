@@ -93,14 +93,14 @@ test: lint
 
 # The long form of what the tests do for seconds.
 stress: $(INSTALLED)
-	$(BIN)/python -m tests.stress.bundle_fuzz
-	$(BIN)/python -m tests.stress.api_fuzz
-	$(BIN)/python -m tests.stress.soak
+	$(BIN)/python -m tests.siege.bundle_fuzz
+	$(BIN)/python -m tests.siege.api_fuzz
+	$(BIN)/python -m tests.siege.soak
 	$(WAITING) --timeout 0 --long -m long
 
 # The long form of what a test does for seconds, on a machine that does nothing else meanwhile.
 siege: $(INSTALLED)
-	$(BIN)/python -m tests.stress.siege --figures benchmarks/results/siege.json
+	$(BIN)/python -m tests.siege --figures benchmarks/results/siege.json
 
 # The page in Chromium, Debian's. Not part of test, since who changes optics needs no browser; CI runs
 # it. One browser and one daemon for all of it, so it runs in one process.

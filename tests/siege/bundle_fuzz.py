@@ -1,6 +1,6 @@
 """Mutated bundles: each is refused with a reason or loads as what it says, and never does harm.
 
-    python -m tests.stress.bundle_fuzz --figures benchmarks/results/daemon.json
+    python -m tests.siege.bundle_fuzz --figures benchmarks/results/daemon.json
 
 What is done to them is in ``mutations``. Every file is read and, if it is not refused, put to use
 in a child process that may take a limited amount of memory and of time. Some are sent to a running
@@ -31,8 +31,8 @@ import torch
 import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import work_folder
-from tests.stress.mutations import kind, mutated
-from tests.stress.samples import make_bundles
+from tests.siege.mutations import kind, mutated
+from tests.siege.samples import make_bundles
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.rotation import RotationOff

@@ -11,17 +11,17 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-
-from veilcam_server.errors import StartError
-from veilcam_server.settings import GivenSettings, Settings
-from veilcam_server.siege.client import ask
-from veilcam_server.siege.daemon import (
+from tests.siege.client import ask
+from tests.siege.daemon import (
     Circumstances,
     Launcher,
     NoDiskError,
     fill,
     write_certificate,
 )
+
+from veilcam_server.errors import StartError
+from veilcam_server.settings import GivenSettings, Settings
 
 pytestmark = pytest.mark.anyio
 
@@ -102,7 +102,7 @@ async def test_its_clock_jumps(launcher: Launcher, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_nothing_that_looks_at_a_clock_is_imported_before_it_is_set() -> None:
     code = (
-        "import sys, veilcam_server.siege.daemon; "
+        "import sys, tests.siege.daemon; "
         "print([name for name in sys.modules if name.startswith('veilcam_server')])"
     )
     loaded = subprocess.run(

@@ -6,15 +6,11 @@ import random
 from pathlib import Path
 
 import pytest
-
-from veilcam_client.wire.tokens import SCOPES
-from veilcam_server.errors import StartError
-from veilcam_server.security.tokens import TokenStore
-from veilcam_server.siege import run
-from veilcam_server.siege.client import PATIENCE, Address, Reply
-from veilcam_server.siege.daemon import Launcher
-from veilcam_server.siege.damage import _flipped, _sample, _trials
-from veilcam_server.siege.ground import (
+from tests.siege import run
+from tests.siege.client import PATIENCE, Address, Reply
+from tests.siege.daemon import Launcher
+from tests.siege.damage import _flipped, _sample, _trials
+from tests.siege.ground import (
     SHORT,
     Extent,
     Ground,
@@ -22,9 +18,13 @@ from veilcam_server.siege.ground import (
     make_tokens,
     write_small_bundle,
 )
-from veilcam_server.siege.pages import page_requests
-from veilcam_server.siege.run import Verdict, besiege, figures_of
-from veilcam_server.siege.starving import p99
+from tests.siege.pages import page_requests
+from tests.siege.run import Verdict, besiege, figures_of
+from tests.siege.starving import p99
+
+from veilcam_client.wire.tokens import SCOPES
+from veilcam_server.errors import StartError
+from veilcam_server.security.tokens import TokenStore
 from veilcam_training.bundle import read_bundle
 
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from tests.siege.client import Address, Reply, ask, listening
+from tests.siege.daemon import DISK, Circumstances, Daemon, Launcher
 
 from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.rotation import EverySeconds
@@ -20,8 +22,6 @@ from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import GivenSettings, Settings
-from veilcam_server.siege.client import Address, Reply, ask, listening
-from veilcam_server.siege.daemon import DISK, Circumstances, Daemon, Launcher
 from veilcam_training.bundle import Bundle, Pair, write_bundle
 from veilcam_training.bundle.layers import Linear
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Literal
 
-from veilcam_server.siege.client import ATTACKER, Address, head
+from tests.siege.client import ATTACKER, Address, head
 
 Kind = Literal["silent", "headers", "body", "half handshake"]
 """What a socket does: nothing; a header or body byte by byte; or half of a TLS handshake."""
@@ -139,7 +139,7 @@ async def _dribble(kind: Kind, address: Address, writer: asyncio.StreamWriter) -
     start = head(address, method, path, length if kind == "body" else {})
     # A body begins once its head is there; a header never ends.
     writer.write(start + b"{" if kind == "body" else start[:-2] + b"X-Slow: ")
-    interval = random.choice(INTERVALS)  # noqa: S311 - no secret
+    interval = random.choice(INTERVALS)
     with suppress(OSError):
         while True:
             await asyncio.sleep(interval)

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from tests.siege.client import Address, Reply, ask
+from tests.siege.ground import tokens_of
+from tests.siege.witness import Life
+
 from veilcam_client.wire.captures import Capture
 from veilcam_server.security.audit import read_audit
 from veilcam_server.security.key_record import LIFETIME
-from veilcam_server.siege.client import Address, Reply, ask
-from veilcam_server.siege.ground import tokens_of
-from veilcam_server.siege.witness import Life
 
 ADVANCE, KEY, DONE = "/v1/rotation/advance", "Idempotency-Key", "done_before_restart"
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
-
-from veilcam_server.siege.client import Reply
-from veilcam_server.siege.greedy import Loot
+from tests.siege.client import Reply
+from tests.siege.greedy import Loot
 
 
 def reply(epoch: str, *values: float) -> Reply:

@@ -1,6 +1,6 @@
 """Every route of the API under made-up requests, by callers of every kind; nothing secret leaves.
 
-    python -m tests.stress.api_fuzz --figures benchmarks/results/daemon.json
+    python -m tests.siege.api_fuzz --figures benchmarks/results/daemon.json
 
 Schemathesis makes requests from the daemon's own OpenAPI document, valid ones and others. A real
 daemon gets them over TCP, from callers with each single scope, with all, with none, and with tokens
@@ -38,7 +38,7 @@ from hypothesis.errors import Unsatisfiable
 from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 from rich.progress import track
 from schemathesis.core.result import Ok
-from tests.stress.leaks import Planted, plant, plant_device, plant_epochs, plant_receiver
+from tests.siege.leaks import Planted, plant, plant_device, plant_epochs, plant_receiver
 
 from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.envelopes import open_key

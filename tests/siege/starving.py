@@ -11,9 +11,8 @@ from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_server.siege.attacker import Attack, Losses, attack
-from veilcam_server.siege.client import (
+from tests.siege.attacker import Attack, Losses, attack
+from tests.siege.client import (
     ATTACKER,
     NEIGHBOUR,
     PATIENCE,
@@ -23,8 +22,10 @@ from veilcam_server.siege.client import (
     head,
     listening,
 )
-from veilcam_server.siege.daemon import Daemon, write_certificate
-from veilcam_server.siege.ground import Ground, Judgement, make_tokens, write_small_bundle
+from tests.siege.daemon import Daemon, write_certificate
+from tests.siege.ground import Ground, Judgement, make_tokens, write_small_bundle
+
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 
 SPREAD = tuple(f"127.0.0.{host}" for host in range(3, 35))
 """Addresses of an attacker who has several."""
@@ -156,7 +157,7 @@ def _attacked(plan: Attack) -> Losses:
     tell.close()
     try:
         losses = hear.recv()
-        assert isinstance(losses, Losses)  # noqa: S101 - what attack() sends
+        assert isinstance(losses, Losses)
         return losses
     finally:
         process.kill()

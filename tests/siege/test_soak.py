@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.stress import engine, soak
+from tests.siege import engine, soak
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_server.camera.camera import MaskedCamera
@@ -33,7 +33,7 @@ def test_nothing_is_mixed_reused_or_lost(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     result = subprocess.run(
         [
-            *(sys.executable, "-m", "tests.stress.soak", "--captures", "60", "--kills", "3"),
+            *(sys.executable, "-m", "tests.siege.soak", "--captures", "60", "--kills", "3"),
             *("--faults", "0.3", "--figures", str(figures)),
         ],
         cwd=ROOT,

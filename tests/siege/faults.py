@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from veilcam_server.errors import StartError
-from veilcam_server.siege.client import ask
-from veilcam_server.siege.daemon import Circumstances, Daemon, NoDiskError, fill
-from veilcam_server.siege.ground import (
+from tests.siege.client import ask
+from tests.siege.daemon import Circumstances, Daemon, NoDiskError, fill
+from tests.siege.ground import (
     Ground,
     Judgement,
     epochs,
@@ -16,6 +15,8 @@ from veilcam_server.siege.ground import (
     make_tokens,
     standing_still,
 )
+
+from veilcam_server.errors import StartError
 
 ROOM = 2 << 20
 """Free on a disk of one's own before it is filled [bytes]."""

@@ -20,14 +20,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeAlias
 
-from veilcam_client.keys.receivers import Receiver, ReceiverKey
-from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_client.wire.captures import Capture
-from veilcam_client.wire.rotation import EveryCaptures
-from veilcam_server.security.audit import DONE as DONE_LOG
-from veilcam_server.settings import Settings
-from veilcam_server.siege.client import Address, ask, listening
-from veilcam_server.siege.ground import (
+from tests.siege.client import Address, ask, listening
+from tests.siege.ground import (
     Ground,
     Judgement,
     busy,
@@ -35,8 +29,15 @@ from veilcam_server.siege.ground import (
     pair,
     write_small_bundle,
 )
-from veilcam_server.siege.ledger import ADVANCE, KEY, Ledger
-from veilcam_server.siege.witness import Life, Witness
+from tests.siege.ledger import ADVANCE, KEY, Ledger
+from tests.siege.witness import Life, Witness
+
+from veilcam_client.keys.receivers import Receiver, ReceiverKey
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.captures import Capture
+from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_server.security.audit import DONE as DONE_LOG
+from veilcam_server.settings import Settings
 
 CALIBRATED, REVOKED, LABELLED = 0.25, 0.5, 0.5
 """Share of lives that are calibrated, of tokens that are revoked, of embeddings with a label."""
@@ -142,7 +143,7 @@ async def _live(
         async with listening(address) as stream:
             works: list[Change] = [*changes(settings), partial(_capture, life)]
             async with busy(partial(work, address, ledger) for work in works):
-                await asyncio.sleep(random.uniform(0.0, LONGEST))  # noqa: S311 - no secret
+                await asyncio.sleep(random.uniform(0.0, LONGEST))
                 daemon.kill()
     life.told += stream.masks
     return life
@@ -156,12 +157,12 @@ def _changes(
     return [
         *(_set_policy, partial(_activate, digests), _make_token, _change_mask),
         *(partial(_upload, third), partial(_make_token_by_hand, settings), partial(_pair, guests)),
-        *((_calibrate,) if random.random() < CALIBRATED else ()),  # noqa: S311
+        *((_calibrate,) if random.random() < CALIBRATED else ()),
     ]
 
 
 async def _set_policy(address: Address, ledger: Ledger) -> None:
-    policy = EveryCaptures(captures=random.randint(1, 1000)).model_dump()  # noqa: S311
+    policy = EveryCaptures(captures=random.randint(1, 1000)).model_dump()
     ledger.policy.append(policy)
     reply = ledger.note(await ask(address, "PUT", "/v1/rotation", body=policy))
     if reply.status == 200:
@@ -169,7 +170,7 @@ async def _set_policy(address: Address, ledger: Ledger) -> None:
 
 
 async def _activate(digests: Sequence[str], address: Address, ledger: Ledger) -> None:
-    digest = random.choice(digests)  # noqa: S311
+    digest = random.choice(digests)
     ledger.active.append(digest)
     reply = ledger.note(await ask(address, "POST", f"/v1/bundles/{digest}/activate"))
     if reply.status == 200:
@@ -183,7 +184,7 @@ async def _make_token(address: Address, ledger: Ledger) -> None:
         return
     name = made.json()["id"]
     ledger.valid.add(name)
-    if random.random() < REVOKED:  # noqa: S311
+    if random.random() < REVOKED:
         ledger.valid.remove(name)
         reply = ledger.note(await ask(address, "DELETE", f"/v1/tokens/{name}"))
         if reply.status == 200:
@@ -224,7 +225,7 @@ async def _change_mask(address: Address, ledger: Ledger) -> None:
 
 async def _pair(guests: Sequence[Receiver], address: Address, ledger: Ledger) -> None:
     """Pair a receiver, or remove it."""
-    guest = random.choice(guests)  # noqa: S311
+    guest = random.choice(guests)
     there = ledger.paired.get(guest.id, False)
     ledger.paired[guest.id] = None
     if there:
@@ -237,7 +238,7 @@ async def _pair(guests: Sequence[Receiver], address: Address, ledger: Ledger) ->
 
 async def _capture(life: Life, address: Address, _: Ledger) -> None:
     """By itself, or beside a label."""
-    if random.random() < LABELLED:  # noqa: S311
+    if random.random() < LABELLED:
         question = {"include_embedding": True}
         reply = await ask(address, "POST", "/v1/classifications", body=question)
     else:

@@ -13,14 +13,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-
-from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_client.wire.captures import Capture
-from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
-from veilcam_server.demo_data import FRESH
-from veilcam_server.settings import Settings
-from veilcam_server.siege.client import Address, Reply, ask
-from veilcam_server.siege.ground import (
+from tests.siege.client import Address, Reply, ask
+from tests.siege.ground import (
     PAIRS,
     Ground,
     Judgement,
@@ -28,6 +22,12 @@ from veilcam_server.siege.ground import (
     make_tokens,
     write_small_bundle,
 )
+
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.captures import Capture
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
+from veilcam_server.demo_data import FRESH
+from veilcam_server.settings import Settings
 
 WHITE, RAW = 1, 4
 """Budgets: embeddings that may leave behind one mask."""
@@ -127,7 +127,7 @@ async def _race(
                 partial(_activate, digests, address),
             ]
             async with busy(works):
-                await loot.grows(random.randint(1, EACH))  # noqa: S311 - no secret
+                await loot.grows(random.randint(1, EACH))
                 if life % 2:
                     daemon.kill()
     return loot
@@ -157,11 +157,11 @@ async def _change_mask(address: Address) -> None:
 
 
 async def _set_policy(address: Address) -> None:
-    policies = (EveryCaptures(captures=random.randint(1, 100)), EverySeconds(seconds=0.1))  # noqa: S311
-    body = random.choice(policies).model_dump()  # noqa: S311
+    policies = (EveryCaptures(captures=random.randint(1, 100)), EverySeconds(seconds=0.1))
+    body = random.choice(policies).model_dump()
     await ask(address, "PUT", "/v1/rotation", body=body)
 
 
 async def _activate(digests: Sequence[str], address: Address) -> None:
-    digest = random.choice(digests)  # noqa: S311
+    digest = random.choice(digests)
     await ask(address, "POST", f"/v1/bundles/{digest}/activate")

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from tests.siege import damage, faults, greedy, kill, pages, starving
+from tests.siege.daemon import Launcher
+from tests.siege.ground import Extent, Ground, Judgement, Run
+
 from veilcam_server.errors import StartError
-from veilcam_server.siege import damage, faults, greedy, kill, pages, starving
-from veilcam_server.siege.daemon import Launcher
-from veilcam_server.siege.ground import Extent, Ground, Judgement, Run
 
 ROWS: Mapping[str, Run] = {
     "page": pages.foreign_page,

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from tests.siege.client import Address, ask
+from tests.siege.ground import Ground, Judgement, write_small_bundle
+
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
 from veilcam_client.wire.rotation import RotationOff
 from veilcam_client.wire.sealing import ReceiverRequest
-from veilcam_server.siege.client import Address, ask
-from veilcam_server.siege.ground import Ground, Judgement, write_small_bundle
 
 Headers = Mapping[str, str]
 

@@ -8,10 +8,9 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
-
-from veilcam_server.siege import attacker
-from veilcam_server.siege.attacker import Attack, Losses
-from veilcam_server.siege.client import Address
+from tests.siege import attacker
+from tests.siege.attacker import Attack, Losses
+from tests.siege.client import Address
 
 pytestmark = pytest.mark.anyio
 

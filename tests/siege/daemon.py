@@ -26,10 +26,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from tests.siege.client import Address
 
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
-from veilcam_server.siege.client import Address
 from veilcam_server.system import logs
 
 Serve: TypeAlias = Callable[[Settings, Callable[[str], None]], None]

@@ -20,7 +20,7 @@ import structlog
 import uvicorn
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from tests.server.conftest import Bench
-from tests.stress import api_fuzz, leaks
+from tests.siege import api_fuzz, leaks
 
 from veilcam_client.keys.blocks import Sealer
 from veilcam_client.keys.envelopes import seal_key

@@ -3,9 +3,17 @@
 from tests.server.conftest import (
     _no_settings_from_outside,
     _own_logs,
+    anyio_backend,
     bench,
     bundle,
     fresh_bundle,
 )
 
-__all__ = ["_no_settings_from_outside", "_own_logs", "bench", "bundle", "fresh_bundle"]
+__all__ = [
+    "_no_settings_from_outside",
+    "_own_logs",
+    "anyio_backend",
+    "bench",
+    "bundle",
+    "fresh_bundle",
+]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from tests.server.siege import careless
-
-from veilcam_server.siege.ground import Extent
-from veilcam_server.siege.run import ROWS, besiege
+from tests.siege import careless
+from tests.siege.ground import Extent
+from tests.siege.run import ROWS, besiege
 
 TINY = Extent(
     sockets=6, seconds=1.0, lingering=1.0, streams=8, clients=4, flips=1, kills=1, gone=0.0

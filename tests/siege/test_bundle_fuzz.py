@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.stress import bundle_fuzz as fuzz
-from tests.stress.mutations import MUTATIONS, mutated
-from tests.stress.samples import make_bundles
+from tests.siege import bundle_fuzz as fuzz
+from tests.siege.mutations import MUTATIONS, mutated
+from tests.siege.samples import make_bundles
 
 from veilcam_training.bundle import write_bundle
 
@@ -35,7 +35,7 @@ def test_mutated_bundles_do_no_harm(tmp_path: Path) -> None:
     figures = tmp_path / "figures.json"
     result = subprocess.run(
         [
-            *(sys.executable, "-m", "tests.stress.bundle_fuzz", "--files", "200", "--live", "20"),
+            *(sys.executable, "-m", "tests.siege.bundle_fuzz", "--files", "200", "--live", "20"),
             *("--figures", str(figures)),
         ],
         cwd=ROOT,

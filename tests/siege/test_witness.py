@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from tests.siege.witness import Life, Witness
 
 from veilcam_client.keys.blocks import Sealer
 from veilcam_client.keys.envelopes import seal_key
@@ -14,7 +15,6 @@ from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import Receiver, ReceiverKey
 from veilcam_client.wire.captures import Capture, Embedding, Exposure, Notes, Timing
 from veilcam_server.sealing.identity import DeviceKey
-from veilcam_server.siege.witness import Life, Witness
 
 DEVICE, BUNDLE = DeviceKey(Ed25519PrivateKey.generate()), "0f" * 32
 ARCHIVE = ReceiverKey.generate()

@@ -1,7 +1,7 @@
 """The daemon's engine on emulated hardware that fails at random: no measurement mixed, reused or
 lost.
 
-    python -m tests.stress.soak --figures benchmarks/results/daemon.json
+    python -m tests.siege.soak --figures benchmarks/results/daemon.json
 
 Every capture has a mask of its own, drawn from a key. The light carries 64 of the mask's levels to
 the 64 values of a measurement, so each measurement tells which mask, or which mixture, it was
@@ -34,7 +34,7 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from benchmarks.rig import resident, work_folder
 from rich.progress import track
-from tests.stress.engine import CAMERA, SETTLE, Marked, Rig, Supply
+from tests.siege.engine import CAMERA, SETTLE, Marked, Rig, Supply
 
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.blocks import Opener

@@ -11,15 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
-from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
-from veilcam_client.wire.log import RECORDS_AT_ONCE
-from veilcam_client.wire.rotation import EverySeconds
-from veilcam_server.errors import StartError
-from veilcam_server.settings import Settings
-from veilcam_server.siege.client import Address, ask
-from veilcam_server.siege.daemon import Daemon
-from veilcam_server.siege.ground import (
+from tests.siege.client import Address, ask
+from tests.siege.daemon import Daemon
+from tests.siege.ground import (
     Extent,
     Ground,
     Judgement,
@@ -30,6 +24,13 @@ from veilcam_server.siege.ground import (
     tokens_of,
     write_small_bundle,
 )
+
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.log import RECORDS_AT_ONCE
+from veilcam_client.wire.rotation import EverySeconds
+from veilcam_server.errors import StartError
+from veilcam_server.settings import Settings
 
 CALIBRATION = 300.0
 """Longest wait for a calibration [s]."""
@@ -195,13 +196,13 @@ def _trials(state: Path, flips: int) -> Iterator[Trial]:
             yield Trial(f"{names} truncated", paths, lambda content: content[: len(content) // 2])
             yield Trial(f"{names} emptied", paths, lambda _: b"")
             for number in range(flips):
-                flip = partial(_flipped, random.Random(f"{names} {number}"))  # noqa: S311
+                flip = partial(_flipped, random.Random(f"{names} {number}"))
                 yield Trial(f"{names} flipped", paths, flip)
 
 
 def _sample(trials: list[Trial], extent: Extent) -> list[Trial]:
     """The first of all trials, which damages nothing, and so many others that there is time for."""
-    others = random.Random(0).sample(trials[1:], min(extent.starts, len(trials)) - 1)  # noqa: S311
+    others = random.Random(0).sample(trials[1:], min(extent.starts, len(trials)) - 1)
     return [trials[0], *others]
 
 

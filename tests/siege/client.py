@@ -189,7 +189,7 @@ async def listening(address: Address, source: str = NEIGHBOUR) -> AsyncIterator[
                 stream.status = int(first.split()[1]) if first else 0
                 answered.set()
                 async for line in reader:
-                    stream._take(line)  # noqa: SLF001 - its own
+                    stream._take(line)
         except (OSError, ValueError):
             pass
         finally:

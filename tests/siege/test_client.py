@@ -7,8 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 import pytest
-
-from veilcam_server.siege.client import NEIGHBOUR, Address, ask, listening
+from tests.siege.client import NEIGHBOUR, Address, ask, listening
 
 pytestmark = pytest.mark.anyio
 

@@ -1,1 +1,0 @@
-"""``veilcamd siege``: attackers and faults against a simulated daemon of one's own, on loopback."""
