@@ -8,7 +8,6 @@ from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR, LEGACY
 from benchmarks.tables.camera import CALIBRATED, DISTANCE, SERVED
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
-from benchmarks.tables.exposures import EXPOSURES
 from benchmarks.tables.heads import HEADS
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
@@ -33,7 +32,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
-    "docs/training.md": [HEADS, EXPOSURES],
+    "docs/training.md": [HEADS],
     "docs/watch.md": [BELIEF],
 }
 """The tables of each page, from top to bottom."""
