@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR, LEGACY
+from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
 from benchmarks.tables.camera import CALIBRATED, DISTANCE, SERVED
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
@@ -26,7 +26,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
-    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES, LEGACY],
+    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/siege.md": [SIEGE],
