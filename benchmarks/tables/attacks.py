@@ -1,4 +1,4 @@
-"""Attacks of the paper, beside its numbers, and those on old forms."""
+"""Attacks of the paper, beside its numbers."""
 
 from __future__ import annotations
 
@@ -94,39 +94,4 @@ ATTRIBUTES: Figures = {
         "10random": "10 random masks",
     }.items()
     for pairs in (1000, 10_000)
-}
-
-LEGACY: Figures = {
-    name: ("privacy", words, pattern)
-    for name, (words, pattern) in {
-        "white_length_digit_legacy": ("`white` with its length: digit by length alone", "{:.1f} %"),
-        "white_length_link_auc_legacy": ("the same scene behind two masks, AUC", "{:.3f}"),
-        "white_length_rank1_legacy": ("the same among 50, rank 1", "{:.1f} %"),
-        "white_length_presence_legacy": ("whether anything is there", "{:.1f} %"),
-        "white_length_skin_legacy": ("skin of drawn faces", "{:.1f} %"),
-        "flat_keyless_legacy": ("`flat`: network trained on other keys", "{:.1f} %"),
-        "raw_keyless_legacy": ("`raw`: the same", "{:.1f} %"),
-        "flat_cosine_auc_legacy": ("`flat`: the same scene behind two masks, AUC", "{:.3f}"),
-        **{
-            f"kpa_{masks}_{known}_legacy": (f"{words}: read after {said}", "{:.1f} %")
-            for masks, words in {
-                "raw": "`raw`, random mask",
-                "learned": "`raw`, learned mask",
-                "flat": "`flat`, random mask",
-            }.items()
-            for known, said in {
-                "one_pair": "one known picture",
-                "four_pairs": "four",
-                "zero_pairs": "none, but 500 captures",
-            }.items()
-        },
-        **{
-            f"white_known_{count}_legacy": (
-                f"`white`, many captures of a mask: read with {count:,} labelled ones",
-                "{:.1f} %",
-            )
-            for count in (30, 100, 1000, 2000)
-        },
-        "white_epoch_link_auc_legacy": ("the same scene behind one mask, AUC", "{:.3f}"),
-    }.items()
 }

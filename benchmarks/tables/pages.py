@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR, LEGACY
+from benchmarks.tables.attacks import ATTRIBUTES, CONVEX, GENERATOR
 from benchmarks.tables.camera import CALIBRATED, DISTANCE, SERVED
 from benchmarks.tables.checks import CHECKS
 from benchmarks.tables.deploy import DEPLOYED, SIMULATED
-from benchmarks.tables.exposures import EXPOSURES
 from benchmarks.tables.heads import HEADS
 from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
@@ -27,13 +26,13 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/accuracy.md": [LIMIT, TOLERANCE],
     "docs/effects.md": [HONESTY],
     "docs/privacy-card.md": [cards, CARD_TIME],
-    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES, LEGACY],
+    "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],
-    "docs/training.md": [HEADS, EXPOSURES],
+    "docs/training.md": [HEADS],
     "docs/watch.md": [BELIEF],
 }
 """The tables of each page, from top to bottom."""

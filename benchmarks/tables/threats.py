@@ -64,11 +64,6 @@ MORE_KEYS: Figures = {
             ("digit_advantage", "digits read from `white`: points above chance", "{:.2f}"),
         )
     },
-    "legacy_white_digit_advantage": (
-        "keys",
-        "digits read from `white` as it was, with its length: points above chance",
-        "{:.1f}",
-    ),
     "seal_open_first_ms": (
         "keys",
         "sealing, and opening the first embedding of an epoch, 24 x 32",

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from veilcam_client.async_camera import AsyncCamera
     from veilcam_client.camera import Camera
-    from veilcam_client.catalogue import pull_bundle
     from veilcam_client.collecting import Shot, collect, held_before, labelled_pictures
     from veilcam_client.decoding import SceneDecoder
     from veilcam_client.discovery import FoundCamera
     from veilcam_client.errors import (
         ApiError,
         BusyError,
-        CatalogueError,
         ConnectError,
         DeviceError,
         DiscoveryError,
@@ -100,7 +98,6 @@ if TYPE_CHECKING:
 _OWNERS = {
     "async_camera": ("AsyncCamera",),
     "camera": ("Camera",),
-    "catalogue": ("pull_bundle",),
     "collecting": (
         "Shot",
         "collect",
@@ -112,7 +109,6 @@ _OWNERS = {
     "errors": (
         "ApiError",
         "BusyError",
-        "CatalogueError",
         "ConnectError",
         "DeviceError",
         "DiscoveryError",
@@ -232,7 +228,6 @@ __all__ = [
     "Camera",
     "Capture",
     "CaptureTaken",
-    "CatalogueError",
     "Classification",
     "Classified",
     "ConnectError",
@@ -303,7 +298,6 @@ __all__ = [
     "fetch_log",
     "held_before",
     "labelled_pictures",
-    "pull_bundle",
     "read_recording",
     "record",
     "verify_log",

@@ -89,13 +89,6 @@ class RecordingError(VeilcamError):
         super().__init__(why, code="recording_failed")
 
 
-class CatalogueError(VeilcamError):
-    """A bundle that cannot be pulled from a catalogue, or is not what its owner signed."""
-
-    def __init__(self, why: str) -> None:
-        super().__init__(why, code="pull_failed")
-
-
 class KeyFileError(VeilcamError):
     """A receiver's private key that cannot be written or read."""
 

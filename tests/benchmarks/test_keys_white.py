@@ -20,11 +20,10 @@ from benchmarks.privacy.keys.released import (
     load,
     write_chunk,
 )
+from benchmarks.privacy.keys.rows import attack
 from benchmarks.privacy.keys.scenes import Question, Scene, Scenes, Stock, load_scenes, pink_noise
 from tests.server.conftest import make_fresh_bundle
-from tests.training.attacks.legacy import white_lengths
 
-from veilcam_server.masks.fresh import FreshReader
 from veilcam_server.masks.source import Mask
 from veilcam_training.attacks.intervals import Gain, holm
 from veilcam_training.attacks.networks import FAMILIES
@@ -91,7 +90,7 @@ def test_faces_are_read_by_their_skin(tmp_path: Path) -> None:
 def test_masks_are_white_of_one_use_and_pairs_see_the_same_scene() -> None:
     camera = Watched(make_fresh_bundle())
     camera.shown = []
-    made = collect(camera, Scenes(SHAPE, stock(10), None), masks=6, seed=1, legacy=True)
+    made = collect(camera, Scenes(SHAPE, stock(10), None), masks=6, seed=1)
     questions: tuple[Question, ...] = ("digit", "presence", "kind", "linkage")
     assert [made[each].shape for each in questions] == [
         (6, CAPTURES[each], 20) for each in questions
@@ -99,33 +98,17 @@ def test_masks_are_white_of_one_use_and_pairs_see_the_same_scene() -> None:
     for each in questions:
         # Each is rounded to float32 once, which is 2^-24 of it.
         np.testing.assert_allclose(np.linalg.norm(made[each], axis=2), 1, atol=1e-6)
-        assert (made[f"{each}_length"].astype(float) > 0).all()
     linked = [scenes[-1] for scenes in camera.shown]
     for first in (0, 2, 4):
         np.testing.assert_array_equal(linked[first], linked[first + 1])
     assert any(bool((linked[0] != linked[each]).any()) for each in (2, 4))
-    short = collect(camera, Scenes(SHAPE, stock(10), None), masks=2, seed=1, legacy=False)
-    assert "digit_length" not in short
+    short = collect(camera, Scenes(SHAPE, stock(10), None), masks=2, seed=1)
     assert not np.array_equal(short["digit"], made["digit"][:2])  # other keys
-
-
-@pytest.mark.slow
-def test_lengths_are_those_that_whitening_takes_away() -> None:
-    camera = Camera(make_fresh_bundle())
-    mask = camera.mask()
-    assert isinstance(mask.reader, FreshReader)
-    decoder = mask.reader.decoder
-    measured = np.random.default_rng(0).random((3, *camera.bundle.embedding.shape), np.float32)
-    response, noise = decoder.response.astype(float), decoder.noise.astype(float)
-    covariance = response @ response.T + np.diag(noise)
-    centred = measured.reshape(3, -1) - decoder.mean_measurement.astype(float)
-    expected = np.sqrt((centred @ np.linalg.inv(covariance) * centred).sum(axis=1))
-    np.testing.assert_allclose(white_lengths(decoder, measured), expected, rtol=1e-7)
 
 
 def test_an_embedding_may_have_another_shape() -> None:
     camera = Camera(make_fresh_bundle(), (3, 4))
-    made = collect(camera, Scenes(SHAPE, stock(10), None), masks=1, seed=1, legacy=False)
+    made = collect(camera, Scenes(SHAPE, stock(10), None), masks=1, seed=1)
     assert made["digit"].shape == (1, CAPTURES["digit"], 12)
 
 
@@ -136,7 +119,6 @@ def test_captures_are_loaded_over_chunks(tmp_path: Path, monkeypatch: pytest.Mon
         write_chunk(chunk_path(tmp_path, number), {"kind": vectors, "kind_label": vectors[..., 0]})
     released = load(tmp_path, "kind", 3)
     assert released.vectors[:, 0, 0].tolist() == released.labels[:, 0].tolist() == [0, 0, 1]
-    assert released.lengths is None
     with pytest.raises(FileNotFoundError):
         load(tmp_path, "kind", 5)
     assert [path.name for path in sorted(tmp_path.iterdir())] == [
@@ -145,15 +127,14 @@ def test_captures_are_loaded_over_chunks(tmp_path: Path, monkeypatch: pytest.Mon
     ]
 
 
-def test_old_white_is_the_direction_times_its_length() -> None:
+def test_attack_finds_what_lengths_tell() -> None:
     random = np.random.default_rng(4)
-    vectors = random.standard_normal((20, 2, 12)).astype(np.float32)
-    vectors /= np.linalg.norm(vectors, axis=2, keepdims=True)
-    labels, lengths = np.zeros((20, 2), np.int64), random.random((20, 2)) + 1
-    old = Released(vectors, labels, lengths).with_lengths()
-    np.testing.assert_allclose(np.linalg.norm(old.vectors, axis=2), lengths, rtol=1e-6)
-    with pytest.raises(ValueError, match="--legacy"):
-        Released(vectors, labels, None).with_lengths()
+    there = (np.arange(100) % 2)[:, None]
+    vectors = random.standard_normal((100, 1, 12)) * (1 + 2 * there[..., None])
+    released = Released(vectors.astype(np.float32), there.astype(np.int64))
+    found = attack("presence", "length", released, 2, shape=(3, 4), epochs=1, seed=1)
+    # Chance strays from .5 by sqrt(101 / (12 50^2)) = .058 (Mann and Whitney): five times that.
+    assert found.shown > 0.79
 
 
 @pytest.mark.slow
@@ -162,17 +143,13 @@ def test_every_row_is_attacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(white, "CHUNK", 50)
     bundle, work, figures = tmp_path / "a.veilcam", tmp_path / "work", tmp_path / "figures.json"
     write_bundle(bundle, make_fresh_bundle())
-    white.collect_command(work, masks=100, bundle=bundle, legacy=True, figures=figures)
+    white.collect_command(work, masks=100, bundle=bundle, figures=figures)
 
-    white.attack_command(work, legacy=True, masks=100, epochs=1, figures=figures)
+    white.attack_command(work, masks=100, epochs=1, figures=figures)
     record = {name: entry["value"] for name, entry in json.loads(figures.read_text()).items()}
-    assert {f"legacy_white_{each}_auc_upper" for each in ("presence", "linkage")} <= record.keys()
-    assert "legacy_white_digit_advantage_upper" in record
+    assert {f"white_{each}_auc_upper" for each in ("presence", "linkage")} <= record.keys()
+    assert "white_digit_advantage_upper" in record
     assert record["white_mask_ms"] > 0
-    # The length alone tells that nothing is there. Of a hundred captures, about half of each kind,
-    # chance strays from .5 by sqrt(101 / (12 50^2)) = .058 (Mann and Whitney): five times that.
-    # Keys come from the kernel, so no two runs find the same.
-    assert record["legacy_white_presence_auc"] > 0.79
     seen: list[tuple[object, ...]] = []
 
     def counted(*asked: object, **_: object) -> Gain:
@@ -180,9 +157,9 @@ def test_every_row_is_attacked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         return Gain(0.0, 0.01, 0.02, 100, 0.5)
 
     monkeypatch.setattr(white, "attack", counted)
-    white.attack_command(work, row=["linkage"], legacy=True, masks=100, epochs=1)
-    assert seen == []
     white.attack_command(work, row=["linkage"], masks=100, epochs=1)
+    assert seen == []
+    white.attack_command(work, row=["linkage"], masks=100, epochs=2)
     assert seen == [("linkage", family) for family in FAMILIES]
     with pytest.raises(typer.BadParameter, match="all rows"):
         white.attack_command(work, row=["linkage"], masks=100, figures=figures)

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from benchmarks.privacy.keys.scenes import Question, Scene, Scenes
-from tests.training.attacks.legacy import white_lengths
 
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.sealing import Release
@@ -24,7 +23,7 @@ from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.sensor.noise import shot_noise
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.tables import Reach
-from veilcam_server.masks.fresh import FreshReader, FreshSource
+from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.source import Mask
 from veilcam_training.bundle import Bundle
 
@@ -47,20 +46,10 @@ class Released:
     Attributes:
         vectors: float32 (masks, captures of each, pixels).
         labels: the answers, int64 (masks, captures of each).
-        lengths: float64 (masks, captures of each): what a white embedding had for a length before
-            it was given length 1; None where nobody asked for it.
     """
 
     vectors: Floats32
     labels: npt.NDArray[np.int64]
-    lengths: npt.NDArray[np.float64] | None
-
-    def with_lengths(self) -> Released:
-        """The old form of white, which kept the length; raises ValueError without lengths."""
-        if self.lengths is None:
-            raise ValueError("nobody kept the lengths: collect with --legacy")
-        vectors = self.vectors * self.lengths[..., None].astype(np.float32)
-        return replace(self, vectors=vectors)
 
 
 class Camera:
@@ -103,7 +92,7 @@ class Camera:
 
 
 def collect(
-    camera: Camera, scenes: Scenes, *, masks: int, seed: int, legacy: bool
+    camera: Camera, scenes: Scenes, *, masks: int, seed: int
 ) -> dict[str, npt.NDArray[np.generic]]:
     """Release what ``masks`` new masks see.
 
@@ -112,11 +101,10 @@ def collect(
         scenes: to draw from.
         masks: how many; with an even number, pairs of neighbours see the same scene for linkage.
         seed: of scenes and noise; keys come from the kernel.
-        legacy: keep lengths, too.
 
     Returns:
-        For each question, ``QUESTION`` as :attr:`Released.vectors`, ``QUESTION_label`` and, with
-        ``legacy``, ``QUESTION_length``; and ``seconds`` of the processor for a mask, (masks,).
+        For each question, ``QUESTION`` as :attr:`Released.vectors` and ``QUESTION_label``; and
+        ``seconds`` of the processor for a mask, (masks,).
     """
     random, noise = np.random.default_rng(seed), torch.Generator().manual_seed(seed)
     plan = {question: CAPTURES[question] for question in scenes.classes}
@@ -130,17 +118,12 @@ def collect(
         mask = camera.mask()
         measured = camera.read(mask, [scene for each in drawn.values() for scene, _ in each], noise)
         white = np.stack([mask.reader.whiten(each).ravel() for each in measured])
-        lengths = np.zeros(len(measured))
-        if legacy and isinstance(mask.reader, FreshReader):
-            lengths = white_lengths(mask.reader.decoder, measured)
         mask.erase()
         place = 0
         for question, each in drawn.items():
             part = slice(place, place + len(each))
             made.setdefault(question, []).append(white[part])
             made.setdefault(f"{question}_label", []).append(np.array([label for _, label in each]))
-            if legacy:
-                made.setdefault(f"{question}_length", []).append(lengths[part])
             place += len(each)
         made["seconds"].append(np.array(time.process_time() - begun))
     return {name: np.stack(parts) for name, parts in made.items()}
@@ -168,15 +151,9 @@ def load(work: Path, question: Question, masks: int) -> Released:
     parts: dict[str, list[npt.NDArray[np.generic]]] = {}
     for number in range(-(-masks // CHUNK)):
         with np.load(chunk_path(work, number), allow_pickle=False) as chunk:
-            for name in (question, f"{question}_label", f"{question}_length"):
-                if name in chunk:
-                    parts.setdefault(name, []).append(chunk[name])
+            for name in (question, f"{question}_label"):
+                parts.setdefault(name, []).append(chunk[name])
     whole = {name: np.concatenate(each)[:masks] for name, each in parts.items()}
     if len(whole[question]) < masks:
         raise FileNotFoundError(f"{work} holds {len(whole[question])} masks: collect more")
-    lengths = whole.get(f"{question}_length")
-    return Released(
-        whole[question].astype(np.float32),
-        whole[f"{question}_label"].astype(np.int64),
-        None if lengths is None else lengths.astype(np.float64),
-    )
+    return Released(whole[question].astype(np.float32), whole[f"{question}_label"].astype(np.int64))

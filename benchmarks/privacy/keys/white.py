@@ -41,7 +41,6 @@ def collect_command(
     faces: Annotated[Path | None, typer.Option(help="Folder that holds faces.npz.")] = None,
     rows: Annotated[int | None, typer.Option(help="Of an embedding; the bundle's.")] = None,
     columns: Annotated[int | None, typer.Option(help="Of an embedding; the bundle's.")] = None,
-    legacy: Annotated[bool, typer.Option(help="Keep lengths, as white once did.")] = False,
     seed: SeedOption = 1,
     figures: FiguresOption = None,
 ) -> None:
@@ -53,7 +52,7 @@ def collect_command(
     shape, embedding = contents.scene.shape, camera.bundle.embedding
     scenes = load_scenes(shape, data, faces)
     work.mkdir(parents=True, exist_ok=True)
-    said = {"shape": embedding.shape, "classes": scenes.classes, "legacy": legacy, "seed": seed}
+    said = {"shape": embedding.shape, "classes": scenes.classes, "seed": seed}
     _same_as_before(work / _SHAPE, said)
     seconds: list[float] = []
     with shown_progress() as progress:
@@ -61,9 +60,7 @@ def collect_command(
         for number in range(-(-masks // CHUNK)):
             path = chunk_path(work, number)
             if not path.exists():
-                made = collect(
-                    camera, scenes, masks=CHUNK, seed=1000 * seed + number, legacy=legacy
-                )
+                made = collect(camera, scenes, masks=CHUNK, seed=1000 * seed + number)
                 seconds += made["seconds"].astype(float).tolist()
                 write_chunk(path, made)
             progress.update(task, completed=CHUNK * (number + 1))
@@ -87,7 +84,6 @@ def attack_command(
     row: Annotated[
         list[str] | None, typer.Option(help=f"Of {', '.join(QUESTIONS)}; all by default.")
     ] = None,
-    legacy: Annotated[bool, typer.Option(help="Attack old white, with lengths.")] = False,
     epochs: EpochsOption = 8,
     seed: SeedOption = 1,
     figures: FiguresOption = None,
@@ -103,10 +99,9 @@ def attack_command(
         task = progress.add_task("rows", total=len(asked) * len(FAMILIES))
         for question in asked:
             released = load(work, question, masks)
-            released = released.with_lengths() if legacy else released
             for family in FAMILIES:
                 name = f"{question} by {family}"
-                kept = work / f"{'legacy' if legacy else 'white'}-{masks}-{epochs}-{seed}" / name
+                kept = work / f"white-{masks}-{epochs}-{seed}" / name
                 if not kept.exists():
                     gain = attack(
                         *(question, family, released, classes[question]),
@@ -121,7 +116,7 @@ def attack_command(
                 progress.advance(task)
     verdicts = holm(gains)
     tell(verdicts)
-    record(figures, {f"legacy_{k}" if legacy else k: v for k, v in white_figures(verdicts).items()})
+    record(figures, white_figures(verdicts))
 
 
 def tell(verdicts: dict[str, Verdict]) -> None:

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from veilcam_client.camera import Camera
-from veilcam_client.catalogue import OWNER_PREFIX, pull_bundle
 from veilcam_client.cli.format import bundle_in_words
 from veilcam_client.cli.terminal import (
     USAGE,
@@ -14,10 +13,8 @@ from veilcam_client.cli.terminal import (
     TimeoutOption,
     UrlOption,
     ask,
-    errors,
     fail,
     show,
-    tell,
 )
 from veilcam_client.http.options import DEFAULT_URL
 from veilcam_client.wire.bundles import InstalledBundle
@@ -25,7 +22,7 @@ from veilcam_client.wire.bundles import InstalledBundle
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Pull bundles; install, activate and remove them with a token of the scope admin:bundles.",
+    help="Install, activate and remove them with a token of the scope admin:bundles.",
 )
 
 AllowOlder = Annotated[
@@ -69,38 +66,6 @@ def install(
         return camera.activate_bundle(installed.digest, allow_older=allow_older)
 
     show(ask(url, timeout, question), bundle_in_words, json=json)
-
-
-@app.command()
-def pull(
-    name: Annotated[str, typer.Argument(help="Of the bundle in the catalogue.")],
-    *,
-    place: Annotated[
-        str, typer.Option("--from", help="Folder of a catalogue, or its http or https address.")
-    ],
-    owner: Annotated[
-        str,
-        typer.Option(help="Who has to have signed it: a line veilcam-owner:..., or its file."),
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="File to write; NAME.veilcam here by default.")
-    ] = None,
-    json: JsonOption = False,
-) -> None:
-    """Copy a bundle from a catalogue to this machine, if it is what its owner signed.
-
-    No camera is asked: hand it over with 'veilcam bundle install'.
-    """
-    if not owner.startswith(OWNER_PREFIX):
-        try:
-            owner = Path(owner).read_text("ascii", "replace").strip()
-        except OSError as error:
-            fail(f"--owner {owner} cannot be read: {error.strerror}", USAGE)
-    file = Path(f"{name}.veilcam") if out is None else out
-    with errors():
-        entry = pull_bundle(place, name, owner, file)
-    found = {"file": str(file), "digest": entry.sha256, "version": entry.version}
-    tell(found, f"wrote {file}, version {entry.version}, {entry.sha256[:12]}", json=json)
 
 
 @app.command()

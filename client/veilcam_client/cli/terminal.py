@@ -16,7 +16,6 @@ from veilcam_client.cli.profiles import URL
 from veilcam_client.errors import (
     ApiError,
     BusyError,
-    CatalogueError,
     ConnectError,
     DeviceError,
     DiscoveryError,
@@ -53,7 +52,6 @@ EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
     (SealedError, 15),
     (LogFileError, 16),
     (DiscoveryError, 18),
-    (CatalogueError, 19),
 )
 
 FoundT = TypeVar("FoundT")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.training.attacks.legacy import FLAT, flat
 from tests.training.attacks.optics import (
     CAMERA,
     SCENE,
@@ -20,11 +19,9 @@ from torch import Tensor
 from veilcam_optics.decoding import SceneDecoding
 from veilcam_training.attacks.leaked import read_behind
 from veilcam_training.attacks.mask_recovery import (
-    RAW,
     UNIFORM,
     Choice,
     Evidence,
-    Form,
     KnownPictures,
     MaskPrior,
     MeanCapture,
@@ -58,29 +55,19 @@ def found(
     return recover_mask(evidence, shape, search=search, start=start, generator=generator).weights
 
 
-def attacked(
-    decoding: SceneDecoding, release: ReleaseRule, *, known: Tensor, form: Form = RAW
-) -> int:
+def attacked(decoding: SceneDecoding, release: ReleaseRule, *, known: Tensor) -> int:
     """Hits among captures of one mask of which ``known`` pictures' captures are known."""
     victim = make_victim(decoding, release)
     mask = victim.mask()
-    evidence = KnownPictures(decoding, known, victim.capture(mask, known), form)
+    evidence = KnownPictures(decoding, known, victim.capture(mask, known))
     weights = found(decoding, evidence)
     scenes = pictures(COUNT, seed=3)
-    released = victim.capture(mask, scenes)
-    measurements = form.undo(released, decoding.prepare(weights).mean_measurement)
-    return hits(read_behind(decoding, weights, measurements), scenes)
+    return hits(read_behind(decoding, weights, victim.capture(mask, scenes)), scenes)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("release", "form"), [(raw, RAW), (flat, FLAT)], ids=["as read", "old flat"]
-)
-def test_few_known_pictures_give_a_mask_away(
-    decoding: SceneDecoding, release: ReleaseRule, form: Form
-) -> None:
-    known = pictures(4, seed=2)
-    assert attacked(decoding, release, known=known, form=form) > most(COUNT)
+def test_few_known_pictures_give_a_mask_away(decoding: SceneDecoding) -> None:
+    assert attacked(decoding, raw, known=pictures(4, seed=2)) > most(COUNT)
 
 
 @pytest.mark.slow
@@ -178,16 +165,3 @@ def test_a_prior_knows_closed_and_open_weights() -> None:
     assert float(UNIFORM(torch.tensor([[0.0]])) - UNIFORM(torch.tensor([[0.5]]))) == pytest.approx(
         0.25 * 12 / 2, rel=1e-5
     )
-
-
-def test_a_form_is_undone_up_to_the_exposure(decoding: SceneDecoding) -> None:
-    victim = make_victim(decoding, raw)
-    mask = victim.mask()
-    measurements = victim.measure(mask, pictures(5, seed=2))
-    assert mask.decoder is not None
-    mean = mask.decoder.mean_measurement
-    assert torch.equal(RAW.undo(RAW.release(measurements, mean), mean), measurements)
-    undone = FLAT.undo(flat(mask, measurements), mean)
-    ratio = undone / measurements
-    # Sums of 48 rounded numbers.
-    assert torch.allclose(ratio, ratio[:, :1].expand_as(ratio), rtol=1e-4)

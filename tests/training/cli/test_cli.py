@@ -164,8 +164,6 @@ def test_download_says_what_it_can_fetch(
         (("--encoder", "fixed_measured", "--psf", "a.npz"), "a.npz is missing"),
         (("--config", "none.toml"), "none.toml is missing"),
         (("--encoder", "digital", "--out", "a.veilcam"), "no mask that a panel can show"),
-        (("--exposures", "2", "--out", "a.veilcam"), "use exposures 1, or leave out --out"),
-        (("--exposures", "2", "--encoder", "lens"), "leave out exposures"),
         (("--binning", "point", "--out", "a.veilcam"), "use binning 'area', or leave out --out"),
     ],
 )

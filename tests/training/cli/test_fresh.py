@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,19 +94,3 @@ def test_file_device_logs_and_work(digit_folder: Path, tmp_path: Path) -> None:
     error = CliRunner().invoke(app, [*command, "--device", "tpu"]).exception
     assert isinstance(error, TrainingError)
     assert "use cpu, cuda or auto" in str(error)
-
-
-@pytest.mark.slow
-def test_two_processes(digit_folder: Path, small: Path, tmp_path: Path) -> None:
-    """Each with masks of its own, and one bar, one bundle."""
-    out, binaries = tmp_path / "a.veilcam", Path(sys.executable).parent
-    launch = (binaries / "torchrun", "--standalone", "--nproc-per-node", 2, "--no-python")
-    chosen = ("--task", "mnist_3x4", "--config", small, "--epochs", 1, "--masks", 5)
-    fit = ("fit-fresh", "--data", digit_folder, *chosen, "--device", "cpu", "--out", out)
-    command = [*launch, binaries / "veilcam-train", *fit]
-    done = subprocess.run(
-        [str(word) for word in command], check=True, capture_output=True, text=True
-    )
-    assert done.stdout.count("validation") == 1
-    assert done.stdout.count("wrote") == 1
-    assert read_bundle(out).provenance["processes"] == 2

@@ -20,7 +20,6 @@ from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.regions import Region
 from veilcam_training.encoders import (
     ENCODERS,
-    Exposures,
     FixedMask,
     LearnedMask,
     LinearEncoder,
@@ -347,45 +346,3 @@ def test_files_that_are_no_psf(
     with pytest.raises(TrainingError, match=reason) as caught:
         read_psf(PsfFile(path), 4e-3)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("colour", [False, True])
-@pytest.mark.parametrize("name", ["learned", "fixed_simulated"])
-def test_exposures_stand_beside_each_other(name: str, colour: bool) -> None:
-    setup = Setup(CAMERA, SCENE, EMBEDDING, colour=colour, exposures=2)
-    encoder = make_encoder(name, setup, stream(0, "encoder")).eval()
-    assert isinstance(encoder, Exposures)
-    x = scenes(colour)
-    seen = encoder(x)
-    assert seen.shape == (5, encoder.setup.outputs)
-    assert encoder.transfer().shape == setup.matrix_shape
-    first, second = encoder.masks
-    assert (first.levels() != second.levels()).any()
-    # Those of one colour together, as a classifier's planes are.
-    planes = seen.reshape(5, setup.channels, 2, EMBEDDING.size)
-    torch.testing.assert_close(planes[:, :, 0].flatten(1), first(x))
-    torch.testing.assert_close(planes[:, :, 1].flatten(1), second(x))
-
-
-def test_every_exposure_learns_and_is_projected() -> None:
-    setup = Setup(CAMERA, SCENE, EMBEDDING, exposures=3)
-    encoder = make_encoder("learned", setup, stream(0, "encoder"))
-    assert isinstance(encoder, Exposures)
-    assert encoder.trainable
-    assert not encoder.constant
-    encoder(scenes(colour=False)).square().sum().backward()
-    for weights in encoder.parameters():
-        assert weights.grad is not None
-        assert (weights.grad != 0).any()
-        weights.data -= 2
-    encoder.project()
-    assert all(float(weights.detach().min()) > 0 for weights in encoder.parameters())
-
-
-@pytest.mark.parametrize("name", ["lens", "digital"])
-def test_no_panel_no_exposures(name: str) -> None:
-    setup = Setup(CAMERA, SCENE, EMBEDDING, exposures=2)
-    with pytest.raises(TrainingError, match="leave out exposures"):
-        make_encoder(name, setup, stream(0, "encoder"))
-    with pytest.raises(TrainingError, match="mask_start"):
-        make_encoder("learned", setup, stream(0, "encoder"), pinhole=True)

@@ -17,7 +17,7 @@ from veilcam_training.bundle import Network, read_bundle, write_bundle
 from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import Settings
 from veilcam_training.data import Source, open_source, split
-from veilcam_training.encoders import Exposures, LearnedMask, LinearEncoder, Setup, make_encoder
+from veilcam_training.encoders import LearnedMask, LinearEncoder, Setup, make_encoder
 from veilcam_training.encoders.estimate import SceneEstimate
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fit
@@ -203,17 +203,3 @@ def test_what_it_cannot_be_combined_with(
 def test_colour_is_refused(cifar_files: Callable[[Path], Path], tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="without colour"):
         make_model(settings(data="cifar10"), open_source("cifar10", cifar_files(tmp_path)), CAMERA)
-
-
-def test_several_exposures_leave_less_unknown_than_their_first() -> None:
-    both = make_encoder(
-        "fixed_simulated", Setup(CAMERA, SCENE, EMBEDDING, exposures=2), stream(0, "encoder")
-    )
-    assert isinstance(both, Exposures)
-
-    def unknown(encoder: LinearEncoder) -> float:
-        _, deviation = estimate_of(encoder)(encoder(SCENES[:5])).chunk(2, dim=1)
-        return float(deviation.square().sum())
-
-    # A second measurement takes nothing away from the first.
-    assert unknown(both) < unknown(both.masks[0])

@@ -25,7 +25,7 @@ from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import LATER_IN_RECIPE, Settings
 from veilcam_training.data import Images, Source, open_source
 from veilcam_training.data.idx import DIGITS, IdxSource
-from veilcam_training.encoders import Exposures, FixedMask, LearnedMask, Mask, Setup
+from veilcam_training.encoders import FixedMask, LearnedMask, Mask, Setup
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments import fit as fitting
@@ -95,18 +95,6 @@ def test_too_few_faces_for_all_parts(
 @pytest.fixture(scope="module")
 def outcome(source: Source) -> FitResult:
     return run_fit(settings(), source, Camera())
-
-
-def test_every_exposure_is_fitted_and_checked(source: Source) -> None:
-    drawn = make_model(settings(exposures=2), source, Camera()).encoder
-    found = run_fit(settings(exposures=2), source, Camera())
-    encoder = found.fit.model.encoder
-    assert isinstance(drawn, Exposures)
-    assert isinstance(encoder, Exposures)
-    for before, after in zip(drawn.masks, encoder.masks, strict=True):
-        assert (before.levels() != after.levels()).any()
-    checked = [transfer_error(each) for each in encoder.masks]
-    assert found.transfer_error == max(filter(None, checked), key=lambda error: error.value)
 
 
 def test_the_test_set_has_no_part_in_a_fit(digit_folder: Path, outcome: FitResult) -> None:
@@ -266,7 +254,7 @@ def test_fingerprints_stay_what_they_are(
     """Another fingerprint disowns every checkpoint and cell there is."""
     monkeypatch.setattr(torch, "__version__", "2.13.0")
     assert chosen.fingerprint(FILES) == digest
-    assert chosen.model_copy(update={"exposures": 2}).fingerprint(FILES) != digest
+    assert chosen.model_copy(update={"classifier": "FC20"}).fingerprint(FILES) != digest
     monkeypatch.setattr(torch, "__version__", "2.13.1")
     assert chosen.fingerprint(FILES) != digest
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import stat
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from torch import distributed
 
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.cli import main as cli
@@ -21,7 +18,6 @@ from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import settle_seed
 from veilcam_training.trainer.callbacks import FitProgress
-from veilcam_training.trainer.distributed import Ranks
 
 SMALL = ("--embedding", "3x4", "--epochs", "2", "--batch", "90")
 COMMANDS = {"fit": ("fit", *SMALL), "keyring": ("keyring", *SMALL, "--pairs", "2")}
@@ -131,29 +127,3 @@ def test_a_damaged_seed_is_refused(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with pytest.raises(TrainingError, match=r"seed cannot be read .* remove it to start again"):
             settle_seed(Settings(), tmp_path)
-
-
-def test_all_ranks_have_the_seed_of_the_first(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
-) -> None:
-    seen: list[int] = []
-
-    @contextmanager
-    def join_ranks(device: torch.device) -> Iterator[tuple[Ranks, torch.device]]:
-        yield Ranks(1, 2), device
-
-    def broadcast(values: list[Any]) -> None:
-        assert values == [None]  # the second rank draws none
-        values[0] = 5
-
-    monkeypatch.setattr(cli, "join_ranks", join_ranks)
-    monkeypatch.setattr(distributed, "broadcast_object_list", broadcast)
-    monkeypatch.setattr(cli, "run_fit", lambda settings, *_, **__: seen.append(settings.seed))
-    work = tmp_path / "work"
-    arguments = ("fit", *SMALL, "--data", str(digit_folder), "--work", str(work))
-    monkeypatch.setattr(sys, "argv", ["veilcam-train", *arguments])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    assert not caught.value.code
-    assert seen == [5]
-    assert not work.exists()

@@ -27,35 +27,6 @@ MODEL_ERROR = 0.003
 """Relative error of the attacker's transfer operator, which leaves out what interferes far off."""
 
 
-class Form:
-    """How embeddings leave: ``scale * measurement - offset``. This one lets them leave as read."""
-
-    def scale(self, measurements: Tensor, mean: Tensor) -> Tensor:
-        """Factor of each measurement, (count, 1) or (1, 1).
-
-        Args:
-            measurements: (count, E).
-            mean: what the mean scene gives behind the mask, (E,).
-        """
-        del mean
-        return torch.ones_like(measurements[:1, :1])
-
-    def offset(self, mean: Tensor) -> Tensor:
-        """What is taken away, (E,) or a number."""
-        return torch.zeros_like(mean)
-
-    def release(self, measurements: Tensor, mean: Tensor) -> Tensor:
-        """What leaves, (count, E); differentiable in both."""
-        return self.scale(measurements, mean) * measurements - self.offset(mean)
-
-    def undo(self, released: Tensor, mean: Tensor) -> Tensor:
-        """Measurements, (count, E), as bright as the form leaves them."""
-        return released + self.offset(mean)
-
-
-RAW = Form()
-
-
 class Evidence(Protocol):
     """What an attacker has of one mask."""
 
@@ -65,42 +36,35 @@ class Evidence(Protocol):
 
 @dataclass(frozen=True)
 class KnownPictures:
-    """Pictures that were before the camera, known or chosen, and what left of them.
+    """Pictures that were before the camera, known or chosen, and the embeddings that left as read.
 
     Args:
         decoding: operator, statistics and noise, all public.
         scenes: (count, rows, columns).
         released: (count, E), in the same order.
-        form: in which they left.
     """
 
     decoding: SceneDecoding
     scenes: Tensor
     released: Tensor
-    form: Form = RAW
 
     def near(self, weights: Tensor) -> Likelihood:
         """Normal errors of each number."""
         with torch.no_grad():
-            mean, measurements = self._measured(weights)
+            measurements = self._measured(weights)
             noise = replace(self.decoding.noise, model_error=MODEL_ERROR)
-            none = torch.zeros_like(mean)
+            none = torch.zeros_like(measurements[0])
             variance = torch.stack([noise.variance(each, none) for each in measurements])
-            variance *= self.form.scale(measurements, mean).square()
 
         def likelihood(weights: Tensor) -> Tensor:
-            mean, measurements = self._measured(weights)
-            errors = self.form.release(measurements, mean) - self.released
+            errors = self._measured(weights) - self.released
             total: Tensor = (errors.square() / variance + variance.log()).sum() / 2
             return total
 
         return likelihood
 
-    def _measured(self, weights: Tensor) -> tuple[Tensor, Tensor]:
-        operator = self.decoding.operator
-        mean = self.decoding.statistics.mean.reshape(1, *operator.scene.shape)
-        values = operator.embed(torch.cat([mean, self.scenes]), weights).flatten(1)
-        return values[0], values[1:]
+    def _measured(self, weights: Tensor) -> Tensor:
+        return self.decoding.operator.embed(self.scenes, weights).flatten(1)
 
 
 @dataclass(frozen=True)

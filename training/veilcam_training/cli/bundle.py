@@ -9,7 +9,6 @@ import typer
 from rich.console import Console
 
 from veilcam_training.bundle import OwnerKey, read_bundle, read_key, sign_bundle, write_key
-from veilcam_training.bundle.catalogue import publish_bundle
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -47,18 +46,6 @@ def sign(
     console.print(f"{file} is version {bundle.version}, {bundle.digest[:12]}, signed by")
     if bundle.owner is not None:
         _show(bundle.owner)
-
-
-@app.command()
-def publish(
-    file: Annotated[Path, typer.Argument(help="A signed bundle, *.veilcam; it stays as it is.")],
-    *,
-    key: Annotated[Path, typer.Option("--key", help="That it was signed with.")],
-    to: Annotated[Path, typer.Option("--to", help="Folder of the catalogue.")],
-) -> None:
-    """Put a signed bundle into a catalogue, from which 'veilcam bundle pull' takes it by name."""
-    entry = publish_bundle(file, to, read_key(key))
-    console.print(f"{to} has {entry.name}, version {entry.version}, {entry.sha256[:12]}")
 
 
 @app.command("version")

@@ -35,7 +35,6 @@ from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
 from veilcam_training.experiments.keyring import as_fresh_bundle
 from veilcam_training.files import check_file
-from veilcam_training.trainer.distributed import join_ranks
 
 console = Console()
 
@@ -66,23 +65,19 @@ def fit_fresh_command(
     source, camera = ReadOnce(open_source(settings.data, data)), Camera()
     show_summary(console, source)
     warn_of_precision(console, place, mixed=settings.bfloat16, instead="bfloat16 = false")
-    with join_ranks(place) as (ranks, place):
-        settings = settle_seed(settings, work, ranks)
-        name = f"{settings.classifier} fresh {settings.embedding}"
-        with watch(console, name, settings.epochs, ranks, logs=tensorboard, table=csv) as callbacks:
-            result = run_fresh(
-                settings,
-                source,
-                camera,
-                masks=masks,
-                device=place,
-                work=work,
-                callbacks=callbacks,
-                ranks=ranks,
-            )
-        if not ranks.is_first:
-            return
-        write_bundle(out, as_fresh_bundle(result, source, camera))
+    settings = settle_seed(settings, work)
+    name = f"{settings.classifier} fresh {settings.embedding}"
+    with watch(console, name, settings.epochs, logs=tensorboard, table=csv) as callbacks:
+        result = run_fresh(
+            settings,
+            source,
+            camera,
+            masks=masks,
+            device=place,
+            work=work,
+            callbacks=callbacks,
+        )
+    write_bundle(out, as_fresh_bundle(result, source, camera))
     console.print(
         f"test {100 * result.accuracy.value:.2f} % on {result.masks} unseen masks "
         f"({100 * result.wrong_key_accuracy:.2f} % decoded with another key)\n"

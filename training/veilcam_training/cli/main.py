@@ -48,7 +48,6 @@ from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
 from veilcam_training.experiments.keyring import as_bundle, check_pairs, fit_keyring
 from veilcam_training.files import check_folder
 from veilcam_training.trainer.callbacks import FitProgress, make_progress
-from veilcam_training.trainer.distributed import join_ranks
 from veilcam_training.transforms.scene import TRANSFORMS
 
 app = typer.Typer(
@@ -100,14 +99,6 @@ Binning = Annotated[
     str | None,
     typer.Option("--binning", help="area: mean of a pixel; point: its centre (the paper's)."),
 ]
-ExposureCount = Annotated[
-    int | None,
-    typer.Option(
-        "--exposures",
-        min=1,
-        help="Masks that a scene is seen through, one after the other; --embedding is of each.",
-    ),
-]
 ChangeName = Annotated[
     str | None, typer.Option("--change", help=f"Of the scene: one of {', '.join(TRANSFORMS)}.")
 ]
@@ -134,7 +125,6 @@ def fit_command(
     psf_distance: PsfDistance = None,
     embedding: Shape = None,
     binning: Binning = None,
-    exposures: ExposureCount = None,
     change: ChangeName = None,
     recipe: RecipeName = None,
     epochs: Epochs = None,
@@ -159,7 +149,6 @@ def fit_command(
         psf_distance=psf_distance,
         embedding=embedding,
         binning=binning,
-        exposures=exposures,
         change=change,
         seed=seed,
         recipe=given(base=recipe, epochs=epochs, batch=batch),
@@ -169,31 +158,25 @@ def fit_command(
     source, camera = ReadOnce(open_source(settings.data, data)), Camera()
     if out is not None:
         check_pairs(settings, source, camera)
-    with join_ranks(place) as (ranks, place):
-        settings = settle_seed(settings, work, ranks)
-        if ranks.is_first:
-            show_summary(console, source)
-            mixed = settings.recipe.precision == "mixed"
-            warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
-        name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-        with watch(
-            console, name, settings.recipe.epochs, ranks, logs=tensorboard, table=csv
-        ) as callbacks:
-            result = run_fit(
-                settings,
-                source,
-                camera,
-                device=place,
-                checkpoint=None if work is None else work / "fit.checkpoint",
-                callbacks=callbacks,
-                ranks=ranks,
-            )
-        if not ranks.is_first:
-            return
-        _show(result)
-        if out is not None:
-            write_bundle(out, as_bundle([result], source, camera))
-            console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+    settings = settle_seed(settings, work)
+    show_summary(console, source)
+    mixed = settings.recipe.precision == "mixed"
+    warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
+    name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
+    epochs_wanted = settings.recipe.epochs
+    with watch(console, name, epochs_wanted, logs=tensorboard, table=csv) as callbacks:
+        result = run_fit(
+            settings,
+            source,
+            camera,
+            device=place,
+            checkpoint=None if work is None else work / "fit.checkpoint",
+            callbacks=callbacks,
+        )
+    _show(result)
+    if out is not None:
+        write_bundle(out, as_bundle([result], source, camera))
+        console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
 @app.command("keyring")

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from veilcam_training.data import Source
 from veilcam_training.data.summary import summarise
+from veilcam_training.errors import require
 from veilcam_training.files import check_file, check_folder
 from veilcam_training.trainer.callbacks import (
     Callback,
@@ -20,7 +21,6 @@ from veilcam_training.trainer.callbacks import (
     TensorBoardLog,
     make_progress,
 )
-from veilcam_training.trainer.distributed import Ranks, choose_device, has_bfloat16
 
 Folder = Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")]
 Config = Annotated[
@@ -71,6 +71,33 @@ def prepare(device: str, threads: int | None) -> torch.device:
     return choose_device(device)
 
 
+def choose_device(name: str) -> torch.device:
+    """Return the device called ``name``: cpu, cuda, or auto for cuda if there is one.
+
+    Raises:
+        TrainingError: an unknown name, or CUDA where there is none.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    require(name in ("cpu", "cuda"), f"--device {name} is not valid: use cpu, cuda or auto")
+    require(
+        name != "cuda" or torch.cuda.is_available(),
+        "--device cuda is not valid: torch sees no CUDA device; use cpu",
+    )
+    return torch.device(name)
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Return True if ``device`` has instructions for bfloat16; torch emulates them elsewhere.
+
+    Every CUDA device is taken to have them: those before compute capability 8.0 do not.
+    """
+    capabilities = torch.cpu.get_capabilities()
+    return device.type != "cpu" or any(
+        present for name, present in capabilities.items() if "bf16" in name
+    )
+
+
 def show_summary(console: Console, source: Source) -> None:
     """Print what ``source`` holds; raises TrainingError where it cannot be read."""
     summary = summarise(source)
@@ -105,18 +132,15 @@ def watch(
     console: Console,
     name: str,
     epochs: int,
-    ranks: Ranks,
     *,
     logs: Path | None,
     table: Path | None,
 ) -> Iterator[Sequence[Callback]]:
-    """Callbacks of a fit, shown by the first rank alone while it lasts."""
-    with make_progress(console if ranks.is_first else Console(quiet=True)) as progress:
-        callbacks: list[Callback] = []
-        if ranks.is_first:
-            callbacks.append(FitProgress(progress, name, epochs))
-            if logs is not None:
-                callbacks.append(TensorBoardLog(logs))
-            if table is not None:
-                callbacks.append(CsvLog(table))
+    """Yield the callbacks of a fit, which show it while it lasts."""
+    with make_progress(console) as progress:
+        callbacks: list[Callback] = [FitProgress(progress, name, epochs)]
+        if logs is not None:
+            callbacks.append(TensorBoardLog(logs))
+        if table is not None:
+            callbacks.append(CsvLog(table))
         yield callbacks

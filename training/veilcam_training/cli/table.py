@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from veilcam_training.cli.options import choose_device
 from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.encoders.registry import WITH_PSF
@@ -22,7 +23,6 @@ from veilcam_training.experiments.results import CellResult, load_results, recor
 from veilcam_training.experiments.runner import CellRunner, run_cells
 from veilcam_training.files import check_folder
 from veilcam_training.trainer.callbacks import Callback, Epoch, make_progress
-from veilcam_training.trainer.distributed import choose_device
 
 console = Console()
 

@@ -41,7 +41,7 @@ from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
 
-LATER = ("psf_pitch", "psf_distance", "exposures")
+LATER = ("psf_pitch", "psf_distance")
 LATER_IN_RECIPE = ("mixup", "averaging", "pooling", "rank")
 """Settings that came after others were fitted, of a fit and of its recipe."""
 
@@ -77,8 +77,6 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
     embedding: str = "24x32"
     binning: Literal["area", "point"] = "area"
     """Averaged over each embedding pixel, or at its centre as in the paper's code."""
-    exposures: Annotated[int, Field(ge=1, le=64)] = 1
-    """Masks that one scene is measured through, one after the other; ``embedding`` is of each."""
     change: Literal["none", "shift", "rescale", "rotate", "perspective"] = "none"
     """How images are shown to the camera, in training and in testing."""
     classifier: str = "LR"

@@ -2,7 +2,6 @@
 
 from veilcam_training.encoders.base import Encoder, FixedEncoder, LinearEncoder, Setup
 from veilcam_training.encoders.digital import Digital
-from veilcam_training.encoders.exposures import Exposures
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import FixedMask, LearnedMask, Mask
 from veilcam_training.encoders.psf import Psf, PsfEncoder, PsfFile, read_psf
@@ -12,7 +11,6 @@ __all__ = [
     "ENCODERS",
     "Digital",
     "Encoder",
-    "Exposures",
     "FixedEncoder",
     "FixedMask",
     "LearnedMask",

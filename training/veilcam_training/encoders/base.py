@@ -29,8 +29,6 @@ class Setup:
     colour: bool = False
     """False sums the colours to a gray measurement, True keeps three."""
     point_binning: bool = False
-    exposures: int = 1
-    """How many masks one scene is measured through, one after the other."""
     finer: tuple[Scene, ...] = ()
     """Scenes of smaller pixels that are shown too; each has a transfer of its own."""
 
@@ -53,14 +51,13 @@ class Setup:
 
     @property
     def outputs(self) -> int:
-        """How many numbers one embedding has, all channels and exposures together."""
-        return self.channels * self.exposures * self.embedding.size
+        """How many numbers one embedding has, all channels together."""
+        return self.channels * self.embedding.size
 
     @property
     def matrix_shape(self) -> tuple[int, ...]:
         """Shape of the transfer: (scene pixels, values of a colour), after (3,) in colour."""
-        values = self.exposures * self.embedding.size
-        shape = (self.scene.rows * self.scene.columns, values)
+        shape = (self.scene.rows * self.scene.columns, self.embedding.size)
         return (3, *shape) if self.colour else shape
 
 

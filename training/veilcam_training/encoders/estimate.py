@@ -10,7 +10,6 @@ import math
 import torch
 from torch import Tensor, nn
 
-from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.decoding import Decoder, MeasurementNoise, SceneStatistics
 from veilcam_optics.decoding.decoder import prepare_decoder
 from veilcam_training.bundle.fresh import FEATURES, classifier_inputs
@@ -141,7 +140,6 @@ class SceneEstimate(nn.Module):
         return self._known
 
     def _prepare(self, encoder: LinearEncoder) -> Decoder[Tensor]:
-        rows, columns = encoder.setup.embedding.shape
         whole = SceneStatistics(self.mean, self.basis, self.residual)
         shown = SceneStatistics(
             self._pooled(self.mean),
@@ -153,7 +151,7 @@ class SceneEstimate(nn.Module):
             whole,
             self._noise,
             scene=self.scene,
-            embedding=Embedding(encoder.setup.exposures * rows, columns),
+            embedding=encoder.setup.embedding,
             wanted=shown,
         )
 

@@ -14,7 +14,6 @@ from veilcam_training.encoders.baselines import (
     lens_psf,
 )
 from veilcam_training.encoders.digital import Digital
-from veilcam_training.encoders.exposures import Exposures
 from veilcam_training.encoders.imperfections import PanelErrors
 from veilcam_training.encoders.masks import NO_ERRORS, FixedMask, LearnedMask
 from veilcam_training.encoders.psf import PsfEncoder, PsfFile, read_psf
@@ -44,11 +43,8 @@ WITH_PSF = {
 }
 """Those that a measured PSF may stand for, and their distance where it says none [m]; None: that
 of the camera."""
-WITH_PANEL: Mapping[str, type[LearnedMask | FixedMask]] = {
-    "fixed_simulated": FixedMask,
-    "learned": LearnedMask,
-}
-"""Those that show their mask on the panel, which can show several, one after the other."""
+WITH_PANEL = ("fixed_simulated", "learned")
+"""Encoders that show their mask on the panel."""
 
 
 def make_encoder(
@@ -78,13 +74,8 @@ def make_encoder(
     require(
         not errors.any or name in WITH_PANEL, f"encoder {name!r} has no panel: leave out its errors"
     )
-    require(
-        setup.exposures == 1 or name in WITH_PANEL,
-        f"encoder {name!r} has no panel that could show several masks: leave out exposures",
-    )
     encoder = _made(name, setup, generator, psf, errors)
     if pinhole:
-        require(setup.exposures == 1, "several masks cannot all start alike: leave out mask_start")
         if not isinstance(encoder, LearnedMask):
             raise TrainingError(f"encoder {name!r} learns no mask: leave out mask_start")
         encoder.start_from_pinhole()
@@ -103,6 +94,4 @@ def _made(
     maker = ENCODERS[name]
     if maker is None:
         raise TrainingError(f"encoder {name!r} needs a measured PSF: give --psf FILE")
-    if setup.exposures > 1:
-        return Exposures(WITH_PANEL[name], setup, generator, errors)
     return maker(setup, generator, errors)

@@ -21,7 +21,7 @@ from veilcam_optics.simulation.operator import LightOperator
 from veilcam_training.bundle import Accuracy, TransferError
 from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source, Split, split
-from veilcam_training.encoders import Exposures, Mask
+from veilcam_training.encoders import Mask
 from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.errors import require
 from veilcam_training.experiments.model import (
@@ -33,7 +33,6 @@ from veilcam_training.experiments.model import (
 from veilcam_training.files import read_private, write_private
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.distributed import ALONE, Ranks
 from veilcam_training.trainer.evaluation import confusion, evaluate
 from veilcam_training.trainer.loop import Fit, fit
 
@@ -58,11 +57,8 @@ class FitResult:
 
     @cached_property
     def transfer_error(self) -> TransferError | None:
-        """Of the worst mask on the panel, see :func:`transfer_error`; None if there is none."""
+        """Error of the mask's transfer, see :func:`transfer_error`; None if there is none."""
         encoder = self.fit.model.encoder
-        if isinstance(encoder, Exposures):
-            errors = [error for each in encoder.masks if (error := transfer_error(each))]
-            return max(errors, key=lambda found: found.value, default=None)
         return transfer_error(encoder) if isinstance(encoder, Mask) else None
 
 
@@ -89,7 +85,6 @@ def run_fit(
     device: torch.device | str = "cpu",
     checkpoint: Path | None = None,
     callbacks: Sequence[Callback] = (),
-    ranks: Ranks = ALONE,
 ) -> FitResult:
     """Fit, select on the validation split, then look at the test set once.
 
@@ -101,7 +96,6 @@ def run_fit(
         device: that computes.
         checkpoint: see :func:`veilcam_training.trainer.loop.fit`.
         callbacks: called after every step and epoch.
-        ranks: processes that fit it together, each with this same call.
 
     Raises:
         TrainingError: settings or data that cannot be used.
@@ -115,11 +109,10 @@ def run_fit(
         settings.recipe,
         settings.seed,
         checkpoint=checkpoint,
-        fingerprint=_fingerprint(settings, source, ranks),
+        fingerprint=settings.fingerprint(source),
         callbacks=callbacks,
-        ranks=ranks,
     )
-    result = ranks.from_first(lambda: evaluate(fitted.model, test, settings.seed, "test"))
+    result = evaluate(fitted.model, test, settings.seed, "test")
     return FitResult(
         settings,
         fitted,
@@ -172,7 +165,6 @@ def run_fresh(
     device: torch.device | str = "cpu",
     work: Path | None = None,
     callbacks: Sequence[Callback] = (),
-    ranks: Ranks = ALONE,
 ) -> FreshResult:
     """Fit for fresh masks, select on the validation split, then look at the test set once.
 
@@ -184,7 +176,6 @@ def run_fresh(
         device: that computes.
         work: folder to leave statistics and checkpoints in; what is in it is taken up again.
         callbacks: called after every step and epoch.
-        ranks: processes that fit it together, each with this same call and masks of its own.
 
     Raises:
         TrainingError: settings or data that cannot be used.
@@ -195,13 +186,11 @@ def run_fresh(
         f"{len(parts.training)} training images do not fill a batch of {settings.batch}: "
         "use a smaller batch",
     )
-    fingerprint = _fingerprint(settings, source, ranks)
-    statistics = ranks.from_first(
-        lambda: _statistics(
-            None if work is None else work / "statistics.checkpoint",
-            fingerprint,
-            lambda: fresh_statistics(settings, camera, source.scene, parts.training),
-        )
+    fingerprint = settings.fingerprint(source)
+    statistics = _statistics(
+        None if work is None else work / "statistics.checkpoint",
+        fingerprint,
+        lambda: fresh_statistics(settings, camera, source.scene, parts.training),
     )
     model = make_fresh_model(settings, source, camera, statistics).to(device)
     fitted = fit(
@@ -213,7 +202,6 @@ def run_fresh(
         checkpoint=None if work is None else work / "fit.checkpoint",
         fingerprint=fingerprint,
         callbacks=callbacks,
-        ranks=ranks,
     )
 
     def test_on(images: Images, *, wrong_key: bool) -> float:
@@ -222,9 +210,7 @@ def run_fresh(
         return evaluate(model, images, settings.seed, "test", batches=batches).accuracy
 
     some = test.take(torch.arange(min(len(test), WRONG_KEY_IMAGES)))
-    right, wrong = ranks.from_first(
-        lambda: (test_on(test, wrong_key=False), test_on(some, wrong_key=True))
-    )
+    right, wrong = test_on(test, wrong_key=False), test_on(some, wrong_key=True)
     accuracy = Accuracy(right, f"{source.name} test", len(test))
     return FreshResult(settings, fitted, model.encoder, accuracy, masks or len(test), wrong)
 
@@ -242,11 +228,6 @@ def _read(
     return Split(parts.training.to(device), parts.validation.to(device)), test.to(device)
 
 
-def _fingerprint(settings: Settings | FreshSettings, source: Source, ranks: Ranks) -> str:
-    """Of a fit: another number of ranks draws other noise."""
-    return settings.fingerprint(source) + (f" {ranks.size} ranks" if ranks.size > 1 else "")
-
-
 def _statistics(
     checkpoint: Path | None, fingerprint: str, make: Callable[[], SceneStatistics]
 ) -> SceneStatistics:
@@ -259,7 +240,7 @@ def _statistics(
     return statistics
 
 
-def settle_seed(settings: SettingsT, work: Path | None, ranks: Ranks = ALONE) -> SettingsT:
+def settle_seed(settings: SettingsT, work: Path | None) -> SettingsT:
     """``settings`` with the seed that they were given, or else with one that is drawn.
 
     A mask can be made again by whoever knows its seed, so none is the same for everybody.
@@ -267,14 +248,13 @@ def settle_seed(settings: SettingsT, work: Path | None, ranks: Ranks = ALONE) ->
     Args:
         settings: of the run.
         work: folder to keep a drawn seed in: the run that is taken up there has it again.
-        ranks: processes of the run; all have the seed of the first one.
 
     Raises:
         TrainingError: the seed in ``work`` is damaged.
     """
     if "seed" in settings.model_fields_set:
         return settings
-    return settings.model_copy(update={"seed": ranks.from_first(lambda: _drawn_seed(work))})
+    return settings.model_copy(update={"seed": _drawn_seed(work)})
 
 
 def _drawn_seed(work: Path | None) -> int:

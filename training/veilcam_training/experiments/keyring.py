@@ -135,10 +135,6 @@ def as_pair(model: LenslessClassifier, error: TransferError | None = None) -> Pa
         TrainingError: the encoder has no mask that a panel could show.
     """
     encoder = model.encoder
-    require(
-        encoder.setup.exposures == 1,
-        "a device reads one exposure for an answer: use exposures 1, or leave out --out",
-    )
     if not isinstance(encoder, Mask):
         raise TrainingError(
             "this encoder has no mask that a panel can show: "

@@ -43,7 +43,6 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
         embedding,
         colour=source.colour,
         point_binning=settings.binning == "point",
-        exposures=settings.exposures,
         finer=change.finer,
     )
     encoder = make_encoder(
@@ -58,7 +57,7 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
     if reads_scenes(settings.classifier) and not setup.colour and not setup.finer:
         estimate = SceneEstimate(encoder, recipe.snr_db, recipe.pooling)
     task = Task(
-        channels=setup.channels * setup.exposures,
+        channels=setup.channels,
         rows=embedding.rows,
         columns=embedding.columns,
         classes=len(source.labels),

@@ -23,7 +23,6 @@ from typing import Self
 
 import torch
 from pydantic import JsonValue
-from torch import distributed
 
 from veilcam_optics.accuracy.report import machine
 from veilcam_optics.files import write_whole
@@ -103,7 +102,6 @@ def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, Jso
             "torch": torch.__version__,
             "python": platform.python_version(),
         },
-        "processes": distributed.get_world_size() if distributed.is_initialized() else 1,
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(own_command()),

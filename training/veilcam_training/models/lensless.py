@@ -93,11 +93,10 @@ class LenslessClassifier(nn.Module):
         """Where it is."""
         return next(self.classifier.parameters()).device
 
-    def begin_epoch(self, seed: int, epoch: int, *process: str | int) -> Draws:
-        """Random numbers of an epoch of training, in one of the processes that train."""
+    def begin_epoch(self, seed: int, epoch: int) -> Draws:
+        """Return the random numbers of an epoch of training."""
         return Draws(
-            stream(seed, "noise", epoch, *process, device=self.device),
-            stream(seed, "change", epoch, *process),
+            stream(seed, "noise", epoch, device=self.device), stream(seed, "change", epoch)
         )
 
     def begin_evaluation(self, seed: int, purpose: str) -> Draws:
@@ -169,10 +168,10 @@ class FreshClassifier(LenslessClassifier):
         """True if the classifier is to run in mixed precision now: in training alone."""
         return self.mixed_precision and self.training
 
-    def begin_epoch(self, seed: int, epoch: int, *process: str | int) -> Draws:
-        """Random numbers of an epoch, and masks of its own for every process."""
-        self.encoder.coming = self.encoder.rings("training", epoch, *process)
-        return self._draws(seed, epoch, *process)
+    def begin_epoch(self, seed: int, epoch: int) -> Draws:
+        """Return the random numbers of an epoch, and draw its masks."""
+        self.encoder.coming = self.encoder.rings("training", epoch)
+        return self._draws(seed, epoch)
 
     def begin_evaluation(self, seed: int, purpose: str) -> Draws:
         """Random numbers of an evaluation, and a new mask for each of its batches."""

@@ -9,7 +9,6 @@ classifier that leaves in a bundle has no more layers than before.
 """
 
 import copy
-from collections.abc import Callable
 from typing import cast
 
 import torch
@@ -20,11 +19,6 @@ MOMENTUM = 0.05
 """Weight of a batch in the running covariance, once there were enough of them."""
 FLOOR = 1e-6
 """Added to every variance, as a share of their mean."""
-
-
-def _alone(mean: Tensor) -> Tensor:
-    """Mean over processes where there is one."""
-    return mean
 
 
 class WhitenedWeights(nn.Module):
@@ -47,8 +41,6 @@ class WhitenedWeights(nn.Module):
     def __init__(self, inputs: int) -> None:
         super().__init__()
         self._every = max(1, inputs // 3)
-        self.mean: Callable[[Tensor], Tensor] = _alone
-        """Mean over the processes that fit together; each sees batches of its own."""
         self.register_buffer("covariance", torch.zeros(inputs, inputs))
         self.register_buffer("matrix", torch.eye(inputs))
         self.register_buffer("batches", torch.zeros((), dtype=torch.long))
@@ -71,9 +63,9 @@ class WhitenedWeights(nn.Module):
         """
         number = int(self.batches) + 1
         self.batches.fill_(number)
-        centred = inputs - self.mean(inputs.mean(0))
+        centred = inputs - inputs.mean(0)
         share = max(MOMENTUM, 1 / number)
-        self.covariance.lerp_(self.mean(centred.T @ centred / len(inputs)), share)
+        self.covariance.lerp_(centred.T @ centred / len(inputs), share)
         choosing = number < self._every and number & (number - 1) == 0
         if not choosing and number % self._every:
             return

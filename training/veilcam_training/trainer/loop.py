@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from veilcam_training.data import Split
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import seeded, stream
 from veilcam_training.trainer.callbacks import Callback, Epoch, MovingAverage
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.distributed import ALONE, Ranks
 from veilcam_training.trainer.evaluation import evaluate
 from veilcam_training.trainer.step import Hyperparameters, Inputs, make_optimiser, train_step
 
@@ -41,13 +40,12 @@ def fit(
     checkpoint: Path | None = None,
     fingerprint: str = "",
     callbacks: Sequence[Callback] = (),
-    ranks: Ranks = ALONE,
 ) -> Fit:
     """Fit ``model`` in place.
 
     The validation part selects the epoch; there is no test set here to look at. With the same
-    model, data, recipe, seed and number of ranks the result is the same, also when the fit was
-    broken off and taken up again from its checkpoint.
+    model, data, recipe and seed the result is the same, also when the fit was broken off and taken
+    up again from its checkpoint.
 
     Args:
         model: freshly made, on the device that is to be used.
@@ -59,38 +57,28 @@ def fit(
         checkpoint: written after every epoch, and read first if it is there.
         fingerprint: of all that the result depends on; guards the checkpoint.
         callbacks: called after every step and epoch.
-        ranks: processes that fit it together, each with this same call; the first one alone
-            validates and writes, and each has noise and dropout of its own.
 
     Raises:
-        TrainingError: a checkpoint of another fit, a loss that is no number, or a batch that the
-            ranks cannot share evenly.
+        TrainingError: a checkpoint of another fit, or a loss that is no number.
     """
     average = MovingAverage(model, recipe.averaging) if recipe.averaging else None
     state = _State(model, recipe, average)
-    if checkpoint is not None:
-        saved = ranks.from_first(lambda: load_checkpoint(checkpoint, fingerprint))
-        if saved is not None:
-            state.load(saved)
+    if checkpoint is not None and (saved := load_checkpoint(checkpoint, fingerprint)) is not None:
+        state.load(saved)
     inputs = Inputs(model, split.training, recipe.transform, mixup=recipe.mixup)
-    network = ranks.wrap(inputs)
     batches = None if masks is None else min(masks, len(split.validation))
     watched = callbacks if average is None else (average, *callbacks)
     while not state.is_over:
         started = time.monotonic()
-        with seeded(seed, "epoch", state.next_epoch, *ranks.purpose):
-            inputs.draws = model.begin_epoch(seed, state.next_epoch, *ranks.purpose)
-            loss, accuracy = _run_epoch(
-                state, network, split.training.labels, seed, ranks=ranks, callbacks=watched
-            )
+        with seeded(seed, "epoch", state.next_epoch):
+            inputs.draws = model.begin_epoch(seed, state.next_epoch)
+            loss, accuracy = _run_epoch(state, inputs, split.training.labels, seed, watched)
         with state.averaged():
-            result = ranks.from_first(
-                lambda: evaluate(model, split.validation, seed, "validation", batches=batches)
-            )
+            result = evaluate(model, split.validation, seed, "validation", batches=batches)
             seconds = time.monotonic() - started
             epoch = Epoch(state.next_epoch, loss, accuracy, result.accuracy, result.loss, seconds)
             state.finish(epoch)
-        if checkpoint is not None and ranks.is_first:
+        if checkpoint is not None:
             save_checkpoint(checkpoint, fingerprint, state.dump())
         for callback in watched:
             callback.epoch(epoch)
@@ -156,11 +144,9 @@ class _State:
 
 def _run_epoch(
     state: _State,
-    network: nn.Module,
+    inputs: Inputs,
     labels: Tensor,
     seed: int,
-    *,
-    ranks: Ranks,
     callbacks: Iterable[Callback],
 ) -> tuple[float, float]:
     """One pass over the training images; mean loss and accuracy."""
@@ -174,16 +160,14 @@ def _run_epoch(
         factor = recipe.rate_factor((number + step / steps) / recipe.epochs)
         for group in state.optimiser.param_groups:
             group["lr"] = group["peak"] * factor
-        chosen = ranks.share(order[step * batch : (step + 1) * batch])
         loss, hits = train_step(
             state.model,
-            network,
-            chosen,
+            inputs,
+            order[step * batch : (step + 1) * batch],
             state.optimiser,
             label_smoothing=recipe.label_smoothing,
         )
         total, right = total + loss, right + hits
         for callback in callbacks:
             callback.step(number, step + 1, steps)
-    total, right = ranks.total(total, right)
-    return total / (steps * ranks.size), right / (steps * batch)
+    return total / steps, right / (steps * batch)

@@ -103,7 +103,7 @@ def make_optimiser(model: LenslessClassifier, recipe: Hyperparameters) -> torch.
 
 def train_step(
     model: LenslessClassifier,
-    network: nn.Module,
+    inputs: Inputs,
     chosen: Tensor,
     optimiser: torch.optim.Optimizer,
     *,
@@ -113,7 +113,7 @@ def train_step(
 
     Args:
         model: what is fitted.
-        network: its :class:`Inputs`, as one process or several train them.
+        inputs: its training images.
         chosen: indices of images, int64 (count,).
         optimiser: of the model.
         label_smoothing: share of the wanted probability that all classes have in common.
@@ -121,7 +121,7 @@ def train_step(
     Raises:
         TrainingError: the loss is no number; the model is as it was before.
     """
-    logits, wanted = network(chosen)
+    logits, wanted = inputs(chosen)
     loss = cross_entropy(logits, wanted, label_smoothing=label_smoothing)
     value = loss.item()
     require(math.isfinite(value), f"the loss became {value}: use lower learning rates")
