@@ -19,7 +19,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-from veilcam_client.wire.rotation import RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.watch import (
     OnRequest,
@@ -112,6 +112,17 @@ class DoctorSettings(Wiring):
 DEFAULT_PORT = 8787
 SCENE_NAME = "scene.npy"
 """Of the scene file in the state directory, where no other is given."""
+
+MANY = 10
+"""Captures behind one stored mask, unless another policy is given; behind a fresh one it is one."""
+SELF_TEST = 9
+"""Measurements of a self test."""
+_FRAME = 0.025
+"""Shortest frame of a sensor [s]."""
+_SHORTEST = 6e-5
+"""Shortest exposure of a sensor [s]: four lines of an IMX477."""
+_BUS_WIRES = {"0": (9, 10, 11, 8, 7), "1": (19, 20, 21, 18, 17, 16)}
+"""GPIO lines of a Raspberry Pi's buses: MISO, MOSI, SCLK, and CE of each device."""
 
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z_]([0-9A-Za-z._-]*[0-9A-Za-z_])?)(:[0-9]{1,5})?"
 """Name or address, and perhaps a port."""
@@ -318,8 +329,8 @@ class Settings(Wiring):
             return given
         for name in given:
             if name not in _REPLAYED:
-                option = _OPTIONS.get(name, name).replace("_", "-")
-                raise ValueError(f"--replay plays a recording as it is: leave out --{option}")
+                option = _option(_OPTIONS.get(name, name))
+                raise ValueError(f"--replay plays a recording as it is: leave out {option}")
         # A recording needs no bundle, and nothing reads this one.
         return {"bundle": given["replay"], **given}
 
@@ -335,8 +346,9 @@ class Settings(Wiring):
             raise ValueError("with --owner-keys no older bundle is taken: leave out --allow-older")
         if self.watch == "off" and self.quiet_hours is not None:
             raise ValueError("with --watch off the panel is always opaque: leave out --quiet-hours")
-        if self.data_line == self.reset_line:
-            raise ValueError("--data-line and --reset-line are two lines: give two numbers")
+        default = type(self).model_fields["snr_db"].default
+        if self.device != "simulated" and self.snr_db != default:
+            raise ValueError("only a simulated camera has --snr-db: add --simulate")
         if self.wrong_classifier and self.device != "simulated":
             raise ValueError("--wrong-classifier is an experiment: it needs --simulate")
         if (self.tls_certificate is None) != (self.tls_key is None):
@@ -354,6 +366,83 @@ class Settings(Wiring):
                 f"--host {self.host}: other machines are served with TLS and tokens only: give "
                 "--tls-certificate, --tls-key and --auth tokens, or use 127.0.0.1, ::1 or --socket"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _wires_are_apart(self) -> Self:
+        if self.data_line == self.reset_line:
+            raise ValueError("--data-line and --reset-line are two lines: give two numbers")
+        bus = re.fullmatch(r"/dev/spidev([01])\.([0-2])", str(self.spi))
+        if bus is None or self.gpio_chip is not None:
+            return self
+        wires, device = _BUS_WIRES[bus[1]], int(bus[2])
+        taken = (*wires[:3], *wires[3 + device : 4 + device])
+        for name in ("data_line", "reset_line"):
+            line = getattr(self, name)
+            if line in taken:
+                raise ValueError(
+                    f"{_option(name)} {line} is a wire of the bus --spi {self.spi}: give another"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _times_fit(self) -> Self:
+        """Refuse times of which one never fits into the other."""
+        longest = self.exposure * self.exposure_factor
+        # One frame may have begun too early, and the lines of the next are read after its exposure.
+        needed = longest + max(_FRAME, longest) + _FRAME
+        if needed > self.capture_timeout:
+            raise ValueError(
+                f"--exposure {self.exposure:g} s times --exposure-factor {self.exposure_factor:g} "
+                f"and two frames are {needed:.4g} s, longer than --capture-timeout "
+                f"{self.capture_timeout:g} s: give a shorter exposure, or a longer time-out"
+            )
+        if self.device != "simulated" and self.exposure / self.exposure_factor < _SHORTEST:
+            raise ValueError(
+                f"--exposure {self.exposure:g} s over --exposure-factor {self.exposure_factor:g} "
+                f"is shorter than a sensor can expose: stay above {_SHORTEST:g} s"
+            )
+        one = self.settle + self.exposure
+        if SELF_TEST * one > self.self_test_every:
+            raise ValueError(
+                f"a self test takes {SELF_TEST} times --settle {self.settle:g} s and --exposure "
+                f"{self.exposure:g} s, longer than --self-test-every {self.self_test_every:g} s: "
+                "give a longer period"
+            )
+        policy = self.rotation
+        if isinstance(policy, EverySeconds) and policy.seconds - policy.jitter < one:
+            raise ValueError(
+                f"--every-seconds {policy.seconds:g} less --jitter {policy.jitter:g} is shorter "
+                f"than --settle {self.settle:g} s and --exposure {self.exposure:g} s: no capture "
+                "fits between two masks"
+            )
+        if self.watch not in (None, "off"):
+            captures = policy.captures if isinstance(policy, EveryCaptures) else MANY
+            if parse_rate(self.watch) * (self.exposure + self.settle / captures) > 1:
+                raise ValueError(
+                    f"--watch {self.watch} is faster than --exposure {self.exposure:g} s and "
+                    f"--settle {self.settle:g} s let it look: give a lower rate"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _limits_fit(self) -> Self:
+        """Refuse a limit that another one keeps from ever being reached."""
+        for name, whole, most in (
+            ("caller_stream_limit", "stream_limit", self.streams),
+            ("caller_stream_limit", "concurrency_limit", self.concurrency_limit),
+            ("caller_upload_limit", "upload_limit", self.upload_limit),
+            ("caller_upload_limit", "concurrency_limit", self.concurrency_limit),
+            ("concurrency_limit", "connection_limit", self.connections),
+            ("upload_limit", "connection_limit", self.connections),
+            ("queue_limit", "connection_limit", self.connections),
+        ):
+            limit = getattr(self, name)
+            # A default gives way by itself.
+            if name in self.model_fields_set and limit > most:
+                raise ValueError(
+                    f"{_option(name)} {limit} is more than {_option(whole)} {most}: give less"
+                )
         return self
 
     def redacted(self) -> dict[str, JsonValue]:
@@ -420,6 +509,10 @@ class GivenSettings(Settings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """What was given, and nothing else."""
         return (init_settings,)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def unknown_names() -> dict[str, str]:

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
 from veilcam_client.wire.watch import OnRequest, QuietHours, Watching, WatchOff, WatchPolicy
 from veilcam_server.cli.main import app
 from veilcam_server.cli.terminal import one_line
@@ -297,5 +297,95 @@ def test_wiring_that_cannot_be_is_named(name: str, value: object) -> None:
     assert f"--{name.replace('_', '-')}" in refused(device="pi", **{name: value})
 
 
-def test_two_lines_are_two() -> None:
-    assert "are two lines" in refused(device="pi", data_line=24)
+CONTRADICTIONS: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
+    ({"exposure_factor": 600.0}, ("--exposure-factor 600", "--capture-timeout 5 s")),
+    ({"exposure": 6.0}, ("--exposure 6 s", "--capture-timeout 5 s")),
+    ({"exposure": 3.0}, ("--exposure 3 s", "--capture-timeout 5 s")),
+    ({"capture_timeout": 0.03}, ("--exposure 0.01 s", "--capture-timeout 0.03 s")),
+    ({"exposure": 0.0}, ("--exposure 0 s", "--exposure-factor 1")),
+    ({"exposure_factor": 200.0}, ("--exposure 0.01 s", "--exposure-factor 200")),
+    ({"self_test_every": 4.0, "settle": 0.5}, ("--settle 0.5 s", "--self-test-every 4 s")),
+    (
+        {"self_test_every": 4.0, "exposure": 0.5},
+        ("--exposure 0.5 s", "--self-test-every 4 s"),
+    ),
+    (
+        {"rotation": EverySeconds(seconds=1.0), "settle": 2.0},
+        ("--every-seconds 1", "--settle 2 s"),
+    ),
+    (
+        {"rotation": EverySeconds(seconds=9.0, jitter=8.0), "exposure": 1.0},
+        ("--every-seconds 9", "--jitter 8", "--exposure 1 s"),
+    ),
+    ({"watch": "10/s", "exposure": 0.2}, ("--watch 10/s", "--exposure 0.2 s")),
+    (
+        {"watch": "5/s", "rotation": EveryCaptures(captures=1), "settle": 0.3},
+        ("--watch 5/s", "--settle 0.3 s"),
+    ),
+    ({"watch": "off", "quiet_hours": "22-7"}, ("--watch off", "--quiet-hours")),
+    ({"quiet_hours": "7-7"}, ("--quiet-hours", "no time at all")),
+    ({"data_line": 24}, ("--data-line", "--reset-line")),
+    ({"data_line": 10}, ("--data-line 10", "--spi /dev/spidev0.0")),
+    ({"reset_line": 8}, ("--reset-line 8", "--spi /dev/spidev0.0")),
+    ({"reset_line": 17, "spi": Path("/dev/spidev1.1")}, ("--reset-line 17", "/dev/spidev1.1")),
+    ({"snr_db": 30.0}, ("--snr-db", "--simulate")),
+    ({"tls_certificate": Path("c.pem")}, ("--tls-certificate", "--tls-key")),
+    ({"tls_key": Path("k.pem")}, ("--tls-certificate", "--tls-key")),
+    (
+        {"tls_certificate": Path("c"), "tls_key": Path("k"), "socket": Path("s")},
+        ("unix socket", "--tls-certificate"),
+    ),
+    ({"owner_keys": Path("k"), "allow_older": True}, ("--owner-keys", "--allow-older")),
+    ({"stream_limit": 40, "connection_limit": 40}, ("--stream-limit 40", "--connection-limit")),
+    (
+        {"caller_stream_limit": 9, "stream_limit": 8},
+        ("--caller-stream-limit 9", "--stream-limit 8"),
+    ),
+    (
+        {"caller_stream_limit": 65},
+        ("--caller-stream-limit 65", "--concurrency-limit 64"),
+    ),
+    ({"caller_upload_limit": 5}, ("--caller-upload-limit 5", "--upload-limit 4")),
+    (
+        {"caller_upload_limit": 3, "concurrency_limit": 2},
+        ("--caller-upload-limit 3", "--concurrency-limit 2"),
+    ),
+    ({"concurrency_limit": 600}, ("--concurrency-limit 600", "--connection-limit 512")),
+    (
+        {"upload_limit": 9, "connection_limit": 8},
+        ("--upload-limit 9", "--connection-limit 8"),
+    ),
+    ({"queue_limit": 513}, ("--queue-limit 513", "--connection-limit 512")),
+)
+
+
+@pytest.mark.parametrize(("given", "names"), CONTRADICTIONS)
+def test_settings_that_contradict_each_other_are_refused_by_their_names(
+    given: dict[str, Any], names: tuple[str, ...]
+) -> None:
+    message = refused(device="pi", **given)
+    assert all(name in message for name in names), message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"exposure": 2.4},
+        {"exposure_factor": 160.0, "capture_timeout": 4.0},
+        {"exposure": 0.0, "settle": 0.0, "device": "simulated"},
+        {"self_test_every": 4.0, "settle": 0.4},
+        {"rotation": EverySeconds(seconds=2.2, jitter=0.1), "settle": 2.0},
+        {"watch": "10/s"},
+        {"watch": "10/s", "rotation": EveryCaptures(captures=1), "settle": 0.08},
+        {"data_line": 7},
+        {"data_line": 10, "spi": Path("/dev/spidev1.0")},
+        {"data_line": 10, "gpio_chip": "mine"},
+        # Defaults give way.
+        {"connection_limit": 8},
+        {"concurrency_limit": 1, "upload_limit": 1, "stream_limit": 1},
+        {"caller_stream_limit": 8, "stream_limit": 8},
+    ],
+)
+def test_settings_that_only_just_fit_are_taken(given: dict[str, Any]) -> None:
+    assert Settings(**{"bundle": Path("a.veilcam"), "device": "pi", **given})

@@ -28,7 +28,7 @@ from veilcam_server.masks.fresh import FreshSource
 from veilcam_server.masks.pairs import load_pairs
 from veilcam_server.masks.source import MaskSource, Terms
 from veilcam_server.sealing.receivers import ReceiverStore
-from veilcam_server.settings import Settings
+from veilcam_server.settings import MANY, Settings
 from veilcam_server.system.state_file import Report
 from veilcam_training.bundle import Bundle, BundleError, PrivacyCard, read_bundle
 
@@ -136,10 +136,6 @@ def _form(settings: Settings, bundle: Bundle, *, paired: bool) -> Release:
     if paired:
         return "sealed"
     return "white" if bundle.mode == "fresh" else "none"
-
-
-MANY = 10
-"""Captures behind one stored mask, unless another policy is given."""
 
 
 def rotation_policy(settings: Settings, bundle: Bundle) -> RotationPolicy:

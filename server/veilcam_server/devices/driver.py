@@ -99,8 +99,8 @@ class DisplayDriver:
     check: Callable[[Camera], None] = lambda _: None
     """Refuses a camera with another panel; raises :class:`DisplayError`."""
     identify: Callable[[Wiring], str] | None = None
-    """Asks the panel who it is and changes nothing; raises :class:`DeviceError`, or ``OSError``
-    where its bus fails. None for a panel that cannot be asked."""
+    """Asks the panel who it is and changes nothing; raises :class:`DeviceError`. None for a panel
+    that cannot be asked."""
     emulate: EmulateDisplay | None = None
     packages: tuple[str, ...] = ()
     """To import when it is opened."""

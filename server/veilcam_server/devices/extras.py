@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
-from veilcam_server.devices.errors import DeviceMissingError
+from veilcam_server.devices.errors import DeviceMissingError, Refused, in_one_line
 
 _OF_THE_SYSTEM: Final[Mapping[str, str]] = {
     "libcamera": "python3-libcamera",
@@ -24,12 +25,21 @@ def import_extra(name: str) -> Any:
     """Import a package.
 
     Raises:
-        DeviceMissingError: it or what it needs is not installed, or fails in whatever way while it
-            is imported; one line that ends with what to do.
+        DeviceMissingError: it or what it needs is not installed, is too old, or fails in whatever
+            way while it is imported; one line that ends with what to do.
     """
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
+    with Refused(partial(_not_imported, name)):
+        module = importlib.import_module(name)
+        if name == "gpiod" and hasattr(module, "Chip") and not hasattr(module, "request_lines"):
+            raise DeviceMissingError(
+                "the package gpiod is version 1, and version 2 is needed: run "
+                "pip install 'gpiod>=2.1' in the daemon's environment"
+            )
+        return module
+
+
+def _not_imported(name: str, error: Exception) -> DeviceMissingError:
+    if isinstance(error, ModuleNotFoundError):
         missing = error.name or name
         needed = "" if missing == name else f", which {name} needs"
         package = _OF_THE_SYSTEM.get(missing.partition(".")[0])
@@ -37,19 +47,19 @@ def import_extra(name: str) -> Any:
             # What a package of the system's needs comes with it.
             package = _OF_THE_SYSTEM.get(name)
         remedy = _COMES_ALONG if package is None else f"sudo apt install {package}"
-        raise DeviceMissingError(
-            f"the package {missing} is not installed{needed}: {remedy}"
-        ) from None
-    except Exception as error:
-        # A compiled package that was built for another numpy raises ValueError, for one.
-        found = " ".join(f"{type(error).__name__}: {error}".split())
-        package = _OF_THE_SYSTEM.get(name)
-        remedy = (
-            _COMES_ALONG
-            if package is None
-            else f"sudo apt install --reinstall {package}, and remove what pip put beside it "
-            "(sudo pip uninstall --break-system-packages numpy simplejpeg)"
-        )
-        raise DeviceMissingError(
-            f"the package {name} cannot be imported ({found}): {remedy}"
-        ) from None
+        return DeviceMissingError(f"the package {missing} is not installed{needed}: {remedy}")
+    # A compiled package that was built for another numpy raises ValueError, for one.
+    return DeviceMissingError(
+        f"the package {name} cannot be imported ({in_one_line(error)}): {reinstall(name)}"
+    )
+
+
+def reinstall(name: str) -> str:
+    """Return what to do about a package that is there and does not work."""
+    package = _OF_THE_SYSTEM.get(name)
+    if package is None:
+        return _COMES_ALONG
+    return (
+        f"sudo apt install --reinstall {package}, and remove what pip put beside it "
+        "(sudo pip uninstall --break-system-packages numpy simplejpeg)"
+    )

@@ -24,11 +24,13 @@ from veilcam_optics.proof import PROOF
 from veilcam_server.devices.base import Exposure, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
-    DeviceError,
     LightError,
+    Refused,
     SensorError,
     SensorHungError,
     SensorTimeoutError,
+    in_one_line,
+    without_text,
 )
 from veilcam_server.devices.picamera import Picamera, open_picamera2, opened
 from veilcam_server.devices.raw import GAIN, Binning, Frame, Raw, RawFormat, SensorMode
@@ -115,7 +117,7 @@ class IMX477:
         """Measurement of saturated pixels at the exposure to begin with."""
         self._binning = Binning((mode.rows, mode.columns), shape, PROOF.shape)
         self._asked = exposures.start
-        self._last_stamp = -1
+        self._last_stamp, self._unfit = -1, ""
         self._format: RawFormat
         self._closing: threading.Thread | None = None
         self._camera = open_camera()
@@ -128,14 +130,8 @@ class IMX477:
         does not, as it is given for the exposure to begin with.
         """
         deadline = max(not_before, self._clock()) + timeout
-        try:
+        with Refused(self._failed):
             return self._capture(self._camera, not_before, deadline)
-        except SensorError:
-            raise
-        except Exception as error:  # picamera2 raises whatever it likes
-            raise SensorError(
-                f"the camera failed ({type(error).__name__}): it is opened again"
-            ) from None
 
     def close(self) -> None:
         """Stop the camera."""
@@ -146,37 +142,39 @@ class IMX477:
         if self._closing.is_alive():
             raise SensorHungError("the camera hangs while it is closed: start the daemon again")
 
+    def _failed(self, error: Exception) -> SensorError:
+        if isinstance(error, TimeoutError):
+            unfit = self._unfit
+            reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
+            return SensorTimeoutError(f"the camera is opened again, as {reason} in time: try again")
+        # Its text may tell of the frame.
+        return SensorError(f"the camera failed ({without_text(error)}): it is opened again")
+
     def _capture(self, camera: Picamera, not_before: float, deadline: float) -> Exposure:
         # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
         fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0
-        unfit = ""
+        self._unfit = ""
         while True:
-            try:
-                wait = deadline - self._clock()
-                if unfit and wait <= 0:
-                    raise TimeoutError
-                # A wait of 0 would not wait at all, and give no frame either.
-                with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
-                    frame = Frame.of(request.get_metadata())
-                    if frame.stamp <= self._last_stamp:
-                        raise SensorError("the camera gave the same frame again")
-                    self._last_stamp = frame.stamp
-                    unfit = frame.unfit(fence, self._asked, self._mode.line_time)
-                    if unfit:
-                        continue
-                    raw = self._format.pixels(request, self._mode)
-            except TimeoutError:
-                reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
-                raise SensorTimeoutError(
-                    f"the camera is opened again, as {reason} in time: try again"
-                ) from None
+            wait = deadline - self._clock()
+            if self._unfit and wait <= 0:
+                raise TimeoutError
+            # A wait of 0 would not wait at all, and give no frame either.
+            with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
+                frame = Frame.of(request.get_metadata())
+                if frame.stamp <= self._last_stamp:
+                    raise SensorError("the camera gave the same frame again")
+                self._last_stamp = frame.stamp
+                self._unfit = frame.unfit(fence, self._asked, self._mode.line_time)
+                if self._unfit:
+                    continue
+                raw = self._format.pixels(request, self._mode)
             # From here on the camera has its buffer back, and `raw` is the only copy.
             try:
                 binned = self._binned(raw)
             finally:
                 raw.fill(0)
             if binned.saturated > _SATURATED:
-                unfit = self._shorten(camera)
+                self._unfit = self._shorten(camera)
                 continue
             exposure = self._exposure(frame, binned)
             self._follow(camera, float(np.max(binned.embedding)))
@@ -240,40 +238,40 @@ class IMX477:
         }
 
     def _start(self) -> None:
-        """Pin the mode, read back what was given, and start."""
-        camera = self._camera
+        """Pin the mode, read back what was given, and start; or let go of the camera."""
         try:
-            sensor = {"output_size": self._mode.size, "bit_depth": self._mode.bit_depth}
-            camera.configure(
-                camera.create_video_configuration(
-                    # picamera2 insists on a processed stream; nobody looks at it.
-                    main={"size": (64, 64)},
-                    raw={"format": f"SRGGB{self._mode.bit_depth}", "size": self._mode.size},
-                    sensor=sensor,
-                    buffer_count=4,
-                    queue=False,
-                )
-            )
-            given = camera.camera_configuration()
-            self._format = RawFormat.of(given["raw"], self._mode)
-            if {key: given["sensor"][key] for key in sensor} != sensor:
-                raise SensorError(
-                    f"the camera did not take the mode {self._mode.columns} x {self._mode.rows}, "
-                    f"{self._mode.bit_depth} bit: use a Raspberry Pi HQ camera"
-                )
-            # Not before it is known to be such a camera: others do not know all of these. Until it
-            # is started they are in force from the first frame on.
-            camera.set_controls(self._controls())
-            camera.start()
-        except BaseException as error:
+            with Refused(_not_set_up):
+                self._configure()
+        except BaseException:
             with suppress(SensorHungError):
                 self.close()
-            if isinstance(error, DeviceError) or not isinstance(error, Exception):
-                raise
-            raise SensorError(  # picamera2 raises whatever it likes
-                f"the camera cannot be set up ({type(error).__name__}): use a Raspberry Pi HQ "
-                "camera, and see rpicam-hello --list-cameras"
-            ) from None
+            # Whoever keeps the error has this object by it, and is not to have the camera.
+            del self._camera
+            raise
+
+    def _configure(self) -> None:
+        sensor = {"output_size": self._mode.size, "bit_depth": self._mode.bit_depth}
+        self._camera.configure(
+            self._camera.create_video_configuration(
+                # picamera2 insists on a processed stream; nobody looks at it.
+                main={"size": (64, 64)},
+                raw={"format": f"SRGGB{self._mode.bit_depth}", "size": self._mode.size},
+                sensor=sensor,
+                buffer_count=4,
+                queue=False,
+            )
+        )
+        given = self._camera.camera_configuration()
+        self._format = RawFormat.of(given["raw"], self._mode)
+        if {key: given["sensor"][key] for key in sensor} != sensor:
+            raise SensorError(
+                f"the camera did not take the mode {self._mode.columns} x {self._mode.rows}, "
+                f"{self._mode.bit_depth} bit: use a Raspberry Pi HQ camera"
+            )
+        # Not before it is known to be such a camera: others do not know all of these. Until it
+        # is started they are in force from the first frame on.
+        self._camera.set_controls(self._controls())
+        self._camera.start()
 
     def _close(self) -> None:
         # Not stop(): that waits for picamera2's own thread, for ever if it has died. close() ends
@@ -281,6 +279,13 @@ class IMX477:
         for step in (self._camera.cancel_all_and_flush, self._camera.close):
             with suppress(Exception):
                 step()
+
+
+def _not_set_up(error: Exception) -> SensorError:
+    return SensorError(
+        f"the camera cannot be set up ({in_one_line(error)}): use a Raspberry Pi HQ camera, and "
+        "see rpicam-hello --list-cameras"
+    )
 
 
 def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:

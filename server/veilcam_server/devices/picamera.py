@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
@@ -10,8 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from veilcam_server.devices.errors import DeviceMissingError
-from veilcam_server.devices.extras import import_extra
+from veilcam_server.devices.errors import DeviceMissingError, Refused, in_one_line
+from veilcam_server.devices.extras import import_extra, reinstall
 
 
 class Request(Protocol):
@@ -71,20 +72,32 @@ def open_picamera2(number: int = 0) -> Picamera:
         DeviceMissingError: it is not there or not to be had, or there is no picamera2 to import.
     """
     picamera2 = import_extra("picamera2")
-    return opened(partial(picamera2.Picamera2, number), number)
+    return opened(lambda: picamera2.Picamera2(number), number)
 
 
 def opened(make: Callable[[], Picamera], number: int) -> Picamera:
     """Return the camera that ``make`` opens; raises :class:`DeviceMissingError`."""
     try:
-        return make()
-    except (RuntimeError, IndexError, OSError) as error:
-        if isinstance(error, OSError) or "dmaHeap" in str(error):
-            reason = "its memory /dev/dma_heap cannot be opened: be in the group video"
-        elif "did not complete" in str(error):
-            reason = "end whatever else uses it, and be in the group video"
-        else:
-            raise DeviceMissingError(
-                f"there is no camera {number}: check its cable, and see rpicam-hello --list-cameras"
-            ) from None
-        raise DeviceMissingError(f"camera {number} cannot be opened: {reason}") from None
+        with Refused(partial(_not_opened, number)):
+            return make()
+    except DeviceMissingError:
+        # A half-made camera refers to itself, and has the camera until it is collected.
+        gc.collect()
+        raise
+
+
+def _not_opened(number: int, error: Exception) -> DeviceMissingError:
+    told = in_one_line(error)
+    if "did not complete" in told or "busy" in told:
+        reason = "end whatever else uses it, and be in the group video"
+    elif isinstance(error, OSError) or "dmaHeap" in told:
+        reason = "its memory /dev/dma_heap cannot be opened: be in the group video"
+    elif isinstance(error, IndexError) or "No camera" in told:
+        return DeviceMissingError(
+            f"there is no camera {number}: check its cable, and see rpicam-hello --list-cameras"
+        )
+    elif isinstance(error, RuntimeError):
+        reason = "check its cable, and see rpicam-hello --list-cameras"
+    else:
+        reason = reinstall("picamera2")
+    return DeviceMissingError(f"camera {number} cannot be opened ({told}): {reason}")

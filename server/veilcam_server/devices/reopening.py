@@ -10,8 +10,10 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+from veilcam_client.wire.status import Remedy
 from veilcam_server.devices.base import Exposure, Levels, OpenDisplay, Sensor, Shown
 from veilcam_server.devices.errors import (
     DeviceError,
@@ -29,6 +31,18 @@ PartT = TypeVar("PartT", bound="_Closable")
 
 class _Closable(Protocol):
     def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Failure:
+    """Error as it is remembered: the exception itself would keep what could not be opened."""
+
+    kind: type[DisplayError | SensorError]
+    text: str
+    remedy: Remedy
+
+    def error(self) -> DisplayError | SensorError:
+        return self.kind(self.text, remedy=self.remedy)
 
 
 class _Part(Generic[PartT]):
@@ -49,7 +63,7 @@ class _Part(Generic[PartT]):
         self._open_part, self._kind, self._clock = open_part, kind, clock
         self._part: PartT | None = None
         self._hung: PartT | None = None
-        self._failure: DisplayError | SensorError | None = None
+        self._failure: _Failure | None = None
         self._pause, self._not_before = 0.0, -math.inf
         self.closings = 0
         """How often it was let go."""
@@ -68,7 +82,7 @@ class _Part(Generic[PartT]):
             raise
         except BaseException as error:
             if isinstance(error, self._kind):
-                self._failure = error
+                self._failure = _Failure(type(error), str(error), error.remedy)
             self.close()
             raise
         self._pause, self._not_before = 0.0, -math.inf
@@ -82,7 +96,8 @@ class _Part(Generic[PartT]):
         try:
             part.close()
         except SensorHungError as error:
-            self._hung, self._failure = part, error
+            self._hung = part
+            self._failure = _Failure(type(error), str(error), error.remedy)
         except Exception:  # noqa: S110 - it is opened anew, come what may
             pass
 
@@ -93,18 +108,18 @@ class _Part(Generic[PartT]):
         begun = self._clock()
         if not at_once:
             if begun < self._not_before and self._failure is not None:
-                raise type(self._failure)(str(self._failure), remedy=self._failure.remedy)
+                raise self._failure.error()
             self._pause = min(2 * self._pause, LONGEST_PAUSE) or FIRST_PAUSE
             self._not_before = begun + self._pause
         try:
             self._part = self._open_part()
+            return self._part
         except (DisplayError, SensorError) as error:
-            self._failure = error
-            raise
+            self._failure = _Failure(type(error), str(error), error.remedy)
         except DeviceError as error:
-            self._failure = self._kind(str(error), remedy="run_doctor")
-            raise self._failure from None
-        return self._part
+            self._failure = _Failure(self._kind, str(error), "run_doctor")
+        # Not from within: an error's context is kept as long as itself.
+        raise self._failure.error()
 
 
 class ReopeningDisplay:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -20,8 +20,8 @@ import numpy.typing as npt
 from veilcam_optics.camera.geometry import Camera
 from veilcam_server.devices.base import Levels, OpenDisplay, Shown
 from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel
-from veilcam_server.devices.errors import DisplayError
-from veilcam_server.devices.spi import Lines, Spi, open_bus
+from veilcam_server.devices.errors import DisplayError, Refused
+from veilcam_server.devices.spi import Lines, Spi, bus_failed, open_bus
 from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, TABS, Tab
 from veilcam_server.devices.st7735r_status import identify, require_sound
 from veilcam_server.settings import Wiring
@@ -110,7 +110,7 @@ class ST7735R:
         self._pixels = np.zeros((window.columns, (last - first + 1) * COLOURS), np.uint8)
         lead = window.first_row - first * COLOURS
         self._window: npt.NDArray[np.uint8] = self._pixels[:, lead : lead + window.rows]
-        with self._bus():
+        with Refused(bus_failed), self._wiped():
             self._initialise()
             self._confirm()
 
@@ -120,7 +120,7 @@ class ST7735R:
             raise DisplayError(f"the panel takes uint8 levels of shape {self._shape}")
         if int(np.max(levels)) >= self._levels:
             raise DisplayError(f"the panel takes levels 0 to {self._levels - 1}")
-        with self._bus():
+        with Refused(bus_failed), self._wiped():
             np.left_shift(levels.T, _BITS, out=self._window)
             self._address(self._columns, self._rows)
             self._send(_Command(_RAMWR))
@@ -131,28 +131,21 @@ class ST7735R:
 
     def blank(self) -> None:
         """Make all visible pixels opaque, not the window alone."""
-        with self._bus():
+        with Refused(bus_failed), self._wiped():
             self._blank()
             self._confirm()
 
     def close(self) -> None:
         """Let go of the bus; the panel goes on showing what it shows."""
         self._pixels.fill(0)
-        try:
+        with closing(self._lines):
             self._spi.close()
-        finally:
-            self._lines.close()
 
     @contextmanager
-    def _bus(self) -> Iterator[None]:
-        """Whatever goes wrong on the bus is one error."""
+    def _wiped(self) -> Iterator[None]:
+        """Leave no mask behind, whatever goes wrong."""
         try:
             yield
-        except OSError as error:
-            raise DisplayError(
-                f"the panel's bus failed ({error.strerror or type(error).__name__}): "
-                "check its wiring and power"
-            ) from None
         finally:
             self._pixels.fill(0)
 
@@ -227,8 +220,8 @@ def _open(wiring: Wiring, camera: Camera) -> ST7735R:
 def _identify(wiring: Wiring) -> str:
     with open_bus(wiring) as (spi, lines):
         answer = identify(spi, lines)
-    spi.close()
-    lines.close()
+    with closing(lines):
+        spi.close()
     return answer
 
 

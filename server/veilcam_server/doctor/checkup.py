@@ -244,8 +244,8 @@ def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Findi
     for name, line in lines:
         try:
             user = machine.line_user(chips[label], line)
-        except (OSError, ValueError) as error:
-            yield Finding(name, "bad", f"line {line}: {error}", "give a line that the chip has")
+        except DeviceError as error:
+            yield Finding(name, "bad", *_halves(error))
             continue
         if user is None:
             yield Finding(name, "ok", f"{line}, free")

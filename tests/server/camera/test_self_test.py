@@ -43,12 +43,13 @@ from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import NotReadyError, SelfTestError, UndecidedError
 from veilcam_server.masks.source import Evidence, Mask, Terms
 from veilcam_server.sealing.identity import DeviceKey
+from veilcam_server.settings import SELF_TEST
 
 pytestmark = pytest.mark.numerical
 
 CAMERA, SCENE, EMBEDDING = Camera(), Scene(rows=5, columns=5), Embedding(12, 16)
 FENCE = Fence(settle=0.05)
-CAPTURES = 9
+CAPTURES = SELF_TEST
 """Of one test."""
 LIGHT, REPEATED = Embedding(24, 32), 2
 """How finely light is computed, and how often each value is repeated along both axes."""

@@ -54,7 +54,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "raw_budget": (("--raw-budget", "3"), 3),
     "settle": (("--settle", "0"), 0.0),
     "exposure": (("--exposure", "0.02"), 0.02),
-    "snr_db": (("--snr-db", "30"), 30.0),
+    "snr_db": (("--simulate", "--snr-db", "30"), 30.0),
     "imperfections": ((*SIMULATED, "--imperfections", "b.json"), Path("b.json")),
     "capture_timeout": (("--capture-timeout", "7"), 7.0),
     "self_test_every": (("--self-test-every", "9"), 9.0),

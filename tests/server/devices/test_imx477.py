@@ -192,7 +192,7 @@ def test_a_camera_that_cannot_be_set_up_is_let_go(monkeypatch: pytest.MonkeyPatc
 
     refused: list[FakePicamera2] = []
     monkeypatch.setattr(FakePicamera2, "set_controls", refuse)
-    with pytest.raises(SensorError, match=r"cannot be set up \(RuntimeError\)"):
+    with pytest.raises(SensorError, match=r"cannot be set up \(RuntimeError: Control AnalogueGain"):
         Bench()
     assert refused[0].closed
 
@@ -329,7 +329,7 @@ def test_what_picamera2_raises_tells_nothing_of_the_frame() -> None:
     with pytest.raises(SensorError) as caught:
         bench.capture()
     assert "4095" not in str(caught.value)
-    assert caught.value.__suppress_context__
+    assert caught.value.__context__ is None
 
 
 def test_a_camera_that_cannot_even_be_closed_is_not_opened_again_before_it_is(

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from veilcam_server.devices import DeviceMissingError
+from veilcam_server.devices import DeviceMissingError, DisplayError
 from veilcam_server.devices import spi as linux_bus
 from veilcam_server.devices.spi import LinuxLines, LinuxSpi
 
@@ -146,7 +146,7 @@ def test_a_bus_that_fails_when_it_is_read_is_an_error(
         raise OSError(22, "Invalid argument")
 
     monkeypatch.setattr(fcntl, "ioctl", kernel)
-    with pytest.raises(OSError, match="Invalid argument"):
+    with pytest.raises(DisplayError, match=r"bus failed \(Invalid argument\)"):
         LinuxSpi.open("/dev/spidev0.0", 1_000_000).read(0x09, 5)
 
 
@@ -242,7 +242,7 @@ def test_a_chip_is_found_by_its_label(
         def get_info(self) -> Chip:
             return self
 
-    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=Chip))
+    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=Chip, request_lines=None))
     monkeypatch.setattr(Path, "glob", lambda folder, _: [folder / name for name in labels])
     assert linux_bus._chip_path("pinctrl-rp1") == "/dev/gpiochip4"
     assert linux_bus._chip_path(None) == "/dev/gpiochip4"
@@ -269,7 +269,7 @@ def test_who_has_a_line(
             get_line_info=lambda line: SimpleNamespace(used=used, consumer=consumer)
         )
 
-    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=chip))
+    monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=chip, request_lines=None))
     assert linux_bus.line_user(Path("/dev/gpiochip4"), 25) == told
 
 
