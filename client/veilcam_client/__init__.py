@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from veilcam_client.discovery import FoundCamera
     from veilcam_client.errors import (
         ApiError,
+        ArgumentError,
         BusyError,
         CatalogueError,
         ConnectError,
@@ -111,6 +112,7 @@ _OWNERS = {
     "discovery": ("FoundCamera",),
     "errors": (
         "ApiError",
+        "ArgumentError",
         "BusyError",
         "CatalogueError",
         "ConnectError",
@@ -220,6 +222,7 @@ the words of the wire alone, as the daemon does, need not wait for HTTP."""
 __all__ = [
     "DEFAULT_URL",
     "ApiError",
+    "ArgumentError",
     "AsyncCamera",
     "AsyncEventStream",
     "Belief",
