@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from veilcam_client.discovery import FoundCamera
     from veilcam_client.errors import (
         ApiError,
+        ArgumentError,
         BusyError,
         ConnectError,
         DeviceError,
@@ -108,6 +109,7 @@ _OWNERS = {
     "discovery": ("FoundCamera",),
     "errors": (
         "ApiError",
+        "ArgumentError",
         "BusyError",
         "ConnectError",
         "DeviceError",
@@ -216,6 +218,7 @@ the words of the wire alone, as the daemon does, need not wait for HTTP."""
 __all__ = [
     "DEFAULT_URL",
     "ApiError",
+    "ArgumentError",
     "AsyncCamera",
     "AsyncEventStream",
     "Belief",

@@ -1,6 +1,7 @@
 """What can go wrong between a program and its camera.
 
 ``VeilcamError``
+    ``ArgumentError``: an argument that cannot be used, or a camera that is closed.
     ``ConnectError``: nobody answers at that address.
     ``RequestTimeoutError``: connected or not, no answer in time.
     ``ProtocolError``: an answer that this SDK cannot read.
@@ -57,6 +58,13 @@ class VeilcamError(Exception):
         self.request_id = request_id
         self.retryable = retryable
         self.retry_after = retry_after
+
+
+class ArgumentError(VeilcamError, ValueError):
+    """An argument that cannot be used; the message names it."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, code="invalid_argument")
 
 
 class ConnectError(VeilcamError):

@@ -15,6 +15,7 @@ from veilcam_client.camera import Camera
 from veilcam_client.cli.profiles import URL
 from veilcam_client.errors import (
     ApiError,
+    ArgumentError,
     BusyError,
     ConnectError,
     DeviceError,
@@ -37,6 +38,7 @@ USAGE, DEVICE = 2, 7
 FORGED = 17
 """A log of captures does not hold."""
 EXIT_CODES: tuple[tuple[type[VeilcamError], int], ...] = (
+    (ArgumentError, USAGE),
     (ConnectError, 3),
     (RequestTimeoutError, 4),
     (InvalidRequestError, 5),

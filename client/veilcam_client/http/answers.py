@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from veilcam_client.errors import ProtocolError, RequestTimeoutError, VeilcamError
 from veilcam_client.http.sse import Message
-from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, Problem
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
 from veilcam_client.wire.events import EVENT, Event
 
@@ -59,6 +60,21 @@ def raw_response(received: Received | None, result: ResultT) -> RawResponse[Resu
     if received is None:
         raise TypeError("this method asks the daemon for nothing")
     return RawResponse(received.status_code, received.headers, received.content, result)
+
+
+def new_call() -> dict[str, str]:
+    """Return the header that names one request, and no repetition of it."""
+    return {CALL_HEADER: secrets.token_hex(16)}
+
+
+def check_call(response: httpx.Response) -> None:
+    """Raise ProtocolError for the answer to another request; an older daemon names none."""
+    named = response.headers.get(CALL_HEADER)
+    if named is not None and named != response.request.headers.get(CALL_HEADER):
+        raise ProtocolError(
+            "this is the answer to another request: share no connection between processes, and "
+            "check proxies on the way"
+        )
 
 
 class Body:

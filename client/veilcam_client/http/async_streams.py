@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from types import TracebackType
@@ -11,7 +12,7 @@ from typing import Self
 import httpx
 
 from veilcam_client.errors import ConnectError, VeilcamError
-from veilcam_client.http.answers import Body, error_of, event_of
+from veilcam_client.http.answers import Body, check_call, error_of, event_of, new_call
 from veilcam_client.http.async_transport import AsyncTransport
 from veilcam_client.http.deadline import CAMERA_TIMEOUT
 from veilcam_client.http.resumption import Resumption
@@ -28,7 +29,9 @@ class AsyncEventStream:
         self._transport = transport
         self._closed = False
         self._waiting: asyncio.Timeout | None = None
-        self._events = self._follow(Resumption(transport.options, last_event_id, reconnect))
+        self._resumption = Resumption(transport.options, last_event_id, reconnect)
+        self._before_fork: list[object] = []
+        self._begin()
 
     async def __aenter__(self) -> Self:
         return self
@@ -45,6 +48,7 @@ class AsyncEventStream:
         return self
 
     async def __anext__(self) -> Event:
+        self._leave_parent()
         if self._closed:
             raise StopAsyncIteration
         try:
@@ -58,11 +62,24 @@ class AsyncEventStream:
 
     async def close(self) -> None:
         """End the stream, also while another task waits for an event."""
+        self._leave_parent()
         self._closed = True
         if self._waiting is None:
             await self._events.aclose()
         else:
             self._waiting.reschedule(asyncio.get_running_loop().time())
+
+    def _begin(self) -> None:
+        self._process = os.getpid()
+        self._events = self._follow(self._resumption)
+
+    def _leave_parent(self) -> None:
+        """After a fork, go on over a connection of this process."""
+        if self._process != os.getpid():
+            # Kept, as :class:`EventStream` does.
+            self._before_fork.append(self._events)
+            self._waiting = None
+            self._begin()
 
     async def _follow(self, resumption: Resumption) -> AsyncGenerator[Event, None]:
         while True:
@@ -81,9 +98,10 @@ class AsyncEventStream:
             async with self._transport.client.stream(
                 "GET",
                 f"{options.base}/v1/events",
-                headers=resumption.headers(),
+                headers={**resumption.headers(), **new_call()},
                 timeout=options.limits(stream=True),
             ) as response:
+                check_call(response)
                 if response.status_code != httpx.codes.OK:
                     body = Body(response, options.until(CAMERA_TIMEOUT))
                     async for piece in response.aiter_bytes():

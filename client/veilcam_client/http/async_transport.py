@@ -13,8 +13,9 @@ import httpx
 from pydantic import BaseModel
 
 from veilcam_client.errors import VeilcamError
-from veilcam_client.http.answers import Body, Received, read
+from veilcam_client.http.answers import Body, Received, check_call, new_call, read
 from veilcam_client.http.calls import Call
+from veilcam_client.http.clients import ClientHolder
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
 from veilcam_client.http.options import Attempts, Options
 from veilcam_client.http.transport import headers_of, note, trusted
@@ -30,8 +31,12 @@ class AsyncTransport:
         self.options: Options = options
         self.last: Received | None = None
         """As of ``Transport``."""
-        self._owned = client is None
-        self.client: AsyncHttpClient = client or _own_client(options)
+        self._holder = ClientHolder(client, lambda: _own_client(options), asyncio.get_running_loop)
+
+    @property
+    def client(self) -> AsyncHttpClient:
+        """Client of this process and event loop; raises ArgumentError where it is closed."""
+        return self._holder.client()
 
     def for_one_caller(self) -> Self:
         """A view of this one that keeps the last answer."""
@@ -69,10 +74,11 @@ class AsyncTransport:
                     call.method,
                     options.base + call.path,
                     content=call.content(),
-                    headers=headers,
+                    headers={**headers, **new_call()},
                     timeout=options.limits(deadline),
                 ) as response,
             ):
+                check_call(response)
                 body = Body(response, deadline)
                 async for piece in response.aiter_bytes():
                     body.add(piece)
@@ -81,9 +87,10 @@ class AsyncTransport:
         return received
 
     async def close(self) -> None:
-        """Close the connections, unless the client was handed in."""
-        if self._owned:
-            await self.client.aclose()
+        """Close the connections of this process and loop, unless the client was handed in."""
+        client = self._holder.close()
+        if client is not None:
+            await client.aclose()
 
 
 def _own_client(options: Options) -> httpx.AsyncClient:

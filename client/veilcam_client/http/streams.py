@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 from collections.abc import Callable, Generator, Iterator
@@ -13,7 +14,7 @@ from typing import Self
 import httpx
 
 from veilcam_client.errors import ConnectError, VeilcamError
-from veilcam_client.http.answers import Body, error_of, event_of
+from veilcam_client.http.answers import Body, check_call, error_of, event_of, new_call
 from veilcam_client.http.deadline import CAMERA_TIMEOUT
 from veilcam_client.http.resumption import Resumption
 from veilcam_client.http.sse import Decoder
@@ -35,9 +36,9 @@ class EventStream:
 
     def __init__(self, transport: Transport, last_event_id: str | None, reconnect: bool) -> None:
         self._transport = transport
-        self._closed = threading.Event()
-        self._hang_up: Callable[[], None] = _nothing
-        self._events = self._follow(Resumption(transport.options, last_event_id, reconnect))
+        self._resumption = Resumption(transport.options, last_event_id, reconnect)
+        self._before_fork: list[object] = []
+        self._begin()
 
     def __enter__(self) -> Self:
         return self
@@ -54,17 +55,35 @@ class EventStream:
         return self
 
     def __next__(self) -> Event:
+        self._leave_parent()
         if self._closed.is_set():
             raise StopIteration
         return next(self._events)
 
     def close(self) -> None:
         """End the stream; from whatever thread, also while another waits for an event."""
+        self._leave_parent()
         self._closed.set()
         self._hang_up()
         # One that another thread is within ends by itself.
         with suppress(ValueError):
             self._events.close()
+
+    def _begin(self) -> None:
+        self._process = os.getpid()
+        self._closed = threading.Event()
+        self._hang_up: Callable[[], None] = _nothing
+        self._events = self._follow(self._resumption)
+
+    def _leave_parent(self) -> None:
+        """After a fork, go on over a connection of this process."""
+        if self._process != os.getpid():
+            closed = self._closed.is_set()
+            # Kept: to let go of it would end a connection of the parent, whose locks may be held.
+            self._before_fork.append(self._events)
+            self._begin()
+            if closed:
+                self._closed.set()
 
     def _follow(self, resumption: Resumption) -> Generator[Event, None, None]:
         while True:
@@ -87,10 +106,11 @@ class EventStream:
             self._transport.client.stream(
                 "GET",
                 f"{options.base}/v1/events",
-                headers=resumption.headers(),
+                headers={**resumption.headers(), **new_call()},
                 timeout=options.limits(stream=True),
             ) as response,
         ):
+            check_call(response)
             if response.status_code != httpx.codes.OK:
                 body = Body(response, options.until(CAMERA_TIMEOUT))
                 for piece in response.iter_bytes():

@@ -13,8 +13,9 @@ import httpx
 from pydantic import BaseModel
 
 from veilcam_client.errors import VeilcamError
-from veilcam_client.http.answers import Body, Received, read
+from veilcam_client.http.answers import Body, Received, check_call, new_call, read
 from veilcam_client.http.calls import Call
+from veilcam_client.http.clients import ClientHolder
 from veilcam_client.http.deadline import CAMERA_TIMEOUT, CallTimeout
 from veilcam_client.http.options import Attempts, Options, log
 
@@ -35,8 +36,12 @@ class Transport:
         self.last: Received | None = None
         """Answer of the last call that went well, where this is kept for one caller alone."""
         self._sleep = sleep
-        self._owned = client is None
-        self.client: HttpClient = client or _own_client(options)
+        self._holder = ClientHolder(client, lambda: _own_client(options), lambda: None)
+
+    @property
+    def client(self) -> HttpClient:
+        """Client of this process; raises ArgumentError where the camera is closed."""
+        return self._holder.client()
 
     def for_one_caller(self) -> Self:
         """A view of this one that keeps the last answer."""
@@ -76,10 +81,11 @@ class Transport:
                 call.method,
                 options.base + call.path,
                 content=call.content(),
-                headers=headers,
+                headers={**headers, **new_call()},
                 timeout=options.limits(deadline),
             ) as response,
         ):
+            check_call(response)
             body = Body(response, deadline)
             for piece in response.iter_bytes():
                 body.add(piece)
@@ -88,9 +94,10 @@ class Transport:
         return received
 
     def close(self) -> None:
-        """Close the connections, unless the client was handed in."""
-        if self._owned:
-            self.client.close()
+        """Close the connections of this process, unless the client was handed in."""
+        client = self._holder.close()
+        if client is not None:
+            client.close()
 
 
 def _own_client(options: Options) -> httpx.Client:

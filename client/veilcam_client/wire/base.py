@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 API_VERSION = 1
 PROBLEM_MEDIA_TYPE = "application/problem+json"
+CALL_HEADER = "Veilcam-Call"
+"""Header that names a request: 128 random bits, 32 hexadecimal digits. Its answer repeats it."""
 _BY_CODE: Mapping[str, type[ApiError]] = {
     "unauthorized": UnauthorizedError,
     "forbidden": ForbiddenError,

@@ -18,6 +18,7 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from veilcam_client.wire.base import CALL_HEADER
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.problems import (
     DefectError,
@@ -26,6 +27,7 @@ from veilcam_server.api.problems import (
     problem_response,
 )
 from veilcam_server.errors import AuditError, ProblemError
+from veilcam_server.gate.protocol import echoed
 from veilcam_server.security.admission import Admission
 from veilcam_server.system.logs import log_defect
 
@@ -100,6 +102,7 @@ class RequestContext:
         request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
         state = scope.setdefault("state", {})
         state.update(request_id=request_id, caller=None, problem=None, noted={})
+        state["echoed"] = echoed(headers.getlist(CALL_HEADER))
         peer = _peer(scope)
         body = self._uploads.get((scope["method"], scope["path"]), self._body)
         begun = time.monotonic()
@@ -157,6 +160,7 @@ class RequestContext:
                 answer.status = message["status"]
                 fields = MutableHeaders(scope=message)
                 fields["X-Request-Id"] = state["request_id"]
+                fields.update(state["echoed"])
                 # A page says itself what it loads.
                 for name, value in self._headers.items():
                     fields.setdefault(name, value)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, cast
@@ -14,6 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
+from veilcam_client.wire.base import CALL_HEADER
 from veilcam_server.gate.connections import Connection, Place, Reason
 
 PORTION = 16 * 1024
@@ -32,6 +35,8 @@ FOR_BROWSERS = {
     "X-Content-Type-Options": "nosniff",
 }
 """What the application says with each of its answers; here stands what it never hears of."""
+
+_CALL = re.compile(r"[0-9A-Fa-f]{32}")
 
 # Whoever sends what is no HTTP may do so without end: that is worth no line.
 _quiet = logging.getLogger("veilcam_server.gate.uvicorn")
@@ -127,6 +132,12 @@ class GateProtocol(H11Protocol):
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP, and close."""
         headers = {"Content-Type": "text/plain", "Connection": "close", **FOR_BROWSERS}
+        # The body is at fault: its headers came before.
+        if self.cycle is not None and not self.cycle.response_complete:
+            name = CALL_HEADER.lower().encode()
+            headers |= echoed(
+                [value.decode("latin-1") for key, value in self.headers if key == name]
+            )
         for event in (
             h11.Response(status_code=400, headers=list(headers.items()), reason=b"Bad Request"),
             h11.Data(data=msg.encode()),
@@ -224,6 +235,16 @@ class GateProtocol(H11Protocol):
             return message
 
         await self._application(scope, receive_all, send)
+
+
+def echoed(given: Sequence[str]) -> Mapping[str, str]:
+    """Return the header that names the request in its answer, where the request has a valid one.
+
+    Args:
+        given: values of the header in the request.
+    """
+    valid = len(given) == 1 and _CALL.fullmatch(given[0])
+    return {CALL_HEADER: given[0]} if valid else {}
 
 
 def _cancel(timer: asyncio.TimerHandle | None) -> None:

@@ -22,6 +22,7 @@ from veilcam_client import (
     ProtocolError,
     UnauthorizedError,
 )
+from veilcam_client.wire.base import CALL_HEADER
 
 if TYPE_CHECKING:
     from tests.client.conftest import Problem
@@ -131,6 +132,17 @@ async def test_a_refused_stream_is_the_error_of_its_problem(
     both.daemon.first = [make_problem(422, "invalid_request")]
     with pytest.raises(InvalidRequestError):
         await both(kind, lambda camera: collect(camera, 1))
+
+
+@KINDS
+async def test_stream_of_another_call_is_a_protocol_error(both: Both, kind: type) -> None:
+    foreign = events(event(2))
+    foreign.headers[CALL_HEADER] = "0" * 32
+    both.daemon.first = [events(event(1)), foreign]
+    with pytest.raises(ProtocolError, match="answer to another request"):
+        await both(kind, lambda camera: collect(camera, 2))
+    one, two = (request.headers[CALL_HEADER] for request in both.daemon.requests)
+    assert one != two
 
 
 @KINDS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,7 @@ from veilcam_client import (
     Watching,
 )
 from veilcam_client.http.options import RetryPolicy
+from veilcam_client.wire.base import CALL_HEADER
 
 if TYPE_CHECKING:
     from tests.client.conftest import Daemon, Problem
@@ -151,6 +153,33 @@ async def test_what_may_succeed_later_is_repeated_with_the_same_key(
     assert 0 <= both.waits[1] <= 0.5
     await both(kind, lambda camera: camera.capture())
     assert both.daemon.requests[-1].headers["idempotency-key"] not in keys
+
+
+@KINDS
+async def test_call_is_named_anew_for_every_attempt(
+    both: Both, kind: type, make_problem: Problem
+) -> None:
+    both.daemon.first = [make_problem(503, "sensor_failed", retryable=True)]
+    await both(kind, lambda camera: camera.capture())
+    await both(kind, lambda camera: camera.status())
+    named = [request.headers[CALL_HEADER] for request in both.daemon.requests]
+    assert all(re.fullmatch("[0-9a-f]{32}", each) for each in named)
+    assert len(set(named)) == 3
+
+
+@KINDS
+@pytest.mark.parametrize("status", [200, 401, 503])
+async def test_answer_to_another_call_is_a_protocol_error(
+    both: Both, kind: type, status: int, make_problem: Problem
+) -> None:
+    for named in ("0" * 32, "", "0" * 31):
+        foreign = make_problem(status, "unauthorized", retryable=True)
+        foreign.headers[CALL_HEADER] = named
+        both.daemon.first = [foreign]
+        both.daemon.requests.clear()
+        with pytest.raises(ProtocolError, match="answer to another request"):
+            await both(kind, lambda camera: camera.status())
+        assert len(both.daemon.requests) == 1
 
 
 @KINDS

@@ -184,3 +184,22 @@ async def _dribbles_in_vain(behind: Behind, one: socket.socket) -> str:
     [(reason, count)] = behind.connections.dropped.items()
     assert count == 1
     return reason
+
+
+async def test_call_with_a_broken_body_is_named_in_the_answer(
+    serving: Serving, knock: Knock
+) -> None:
+    named = b"Veilcam-Call: " + b"0f" * 16 + b"\r\n"
+    head = b"POST / HTTP/1.1\r\nHost: a\r\n" + named
+    async with serving() as behind:
+        broken = knock(behind, head + b"Transfer-Encoding: chunked\r\n\r\nno number\r\n")
+        answer = await heard(broken)
+        assert answer.startswith(b"HTTP/1.1 400")
+        assert named in answer
+        # One that was answered names no other request.
+        second = knock(behind, head + b"Content-Length: 0\r\n\r\n")
+        assert await is_served(second)
+        second.sendall(b"no HTTP\r\n\r\n")
+        answer = await heard(second)
+        assert answer.startswith(b"HTTP/1.1 400")
+        assert b"veilcam-call" not in answer.lower()

@@ -1,0 +1,70 @@
+"""HTTP client of a camera: a process that was forked gets its own, and so does each event loop."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Hashable
+from typing import Generic, Protocol, TypeVar
+
+from veilcam_client.errors import ArgumentError
+
+
+class Closable(Protocol):
+    """A client of httpx."""
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was closed."""
+
+
+ClientT = TypeVar("ClientT", bound=Closable)
+
+
+class ClientHolder(Generic[ClientT]):
+    """Client of the present process. All views of one camera share it.
+
+    A client of another process is never closed here: its sockets and locks belong to that process.
+
+    Args:
+        given: client of the caller, None where the camera makes its own.
+        make: makes an own client.
+        place: name of the process, and of the event loop where there is one.
+    """
+
+    def __init__(
+        self, given: ClientT | None, make: Callable[[], ClientT], place: Callable[[], Hashable]
+    ) -> None:
+        self._given, self._make, self._place = given, make, place
+        # Made at once, so that a file that cannot be used is found where it is named.
+        self._client = given or make()
+        self._used_in: tuple[int, Hashable] | None = None
+        self._closed = False
+
+    def client(self) -> ClientT:
+        """Return the client to ask with here.
+
+        Raises:
+            ArgumentError: the camera or the given client is closed, or the given client was used
+                before this process was forked.
+        """
+        if self._closed:
+            raise ArgumentError("the camera is closed: make another one")
+        if self._given is not None and self._given.is_closed:
+            raise ArgumentError("http_client is closed: give one that is open")
+        here = (os.getpid(), self._place())
+        if self._used_in not in (None, here):
+            if self._given is None:
+                self._client = self._make()
+            elif self._used_in is not None and self._used_in[0] != here[0]:
+                raise ArgumentError(
+                    "http_client was used before this process was forked: make a client and a "
+                    "camera in each process"
+                )
+        self._used_in = here
+        return self._client
+
+    def close(self) -> ClientT | None:
+        """Note that the camera is closed; return the client that is to be closed here."""
+        self._closed = True
+        ours = self._given is None and self._used_in in (None, (os.getpid(), self._place()))
+        return self._client if ours else None
