@@ -80,7 +80,13 @@ if TYPE_CHECKING:
         RotationPolicy,
     )
     from veilcam_client.wire.sealing import PairedReceiver, Receivers
-    from veilcam_client.wire.simulation import Faults, HeldScene, PanelFaults, SensorFaults
+    from veilcam_client.wire.simulation import (
+        Faults,
+        HeldScene,
+        LightFaults,
+        PanelFaults,
+        SensorFaults,
+    )
     from veilcam_client.wire.status import Diagnostics, Status
     from veilcam_client.wire.tokens import NewToken, Scope, Token
     from veilcam_client.wire.watch import (
@@ -192,6 +198,7 @@ _OWNERS = {
     "wire.simulation": (
         "Faults",
         "HeldScene",
+        "LightFaults",
         "PanelFaults",
         "SensorFaults",
     ),
@@ -254,6 +261,7 @@ __all__ = [
     "KeyFileError",
     "Lease",
     "LeasedError",
+    "LightFaults",
     "LogFileError",
     "LogHead",
     "LogRecord",

@@ -233,7 +233,6 @@ class Rig:
             mode=MODE,
             full_scale=1.1,
             seed=0,
-            began_at=0.0,
         )
         sensor = ReopeningSensor(
             "IMX477",

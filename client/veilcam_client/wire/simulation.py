@@ -27,7 +27,9 @@ class PanelFaults(Question):
     """What is wrong with a simulated panel."""
 
     dead: bool = False
-    """No power: it ignores everything and is transparent."""
+    """No power: it ignores everything and is transparent all over the glass."""
+    open_window: bool = False
+    """Its window is transparent, whatever is written to it."""
     gone: bool = False
     """Unplugged: its bus fails, and nothing is in front of the sensor."""
     lost: int = Field(default=0, ge=0, le=1_000_000)
@@ -36,6 +38,12 @@ class PanelFaults(Question):
     """It goes on showing what it shows."""
     inverted: bool = False
     """It shows light for dark."""
+    asleep: bool = False
+    """It fell asleep: transparent, until it is reset."""
+    half: bool = False
+    """Every write of pixels ends half-way."""
+    shifted: bool = False
+    """Every write of pixels lands one line too far."""
 
 
 class SensorFaults(Question):
@@ -49,11 +57,21 @@ class SensorFaults(Question):
     """It gives the same frame again and again."""
 
 
+class LightFaults(Question):
+    """Light of a simulated camera."""
+
+    bypass: float = Field(default=0.0, ge=0, le=1)
+    """Light that comes past the mask, as a share of the open window's."""
+    lamp: float = Field(default=1.0, ge=0, le=1)
+    """Brightness of the lamp, from now on."""
+
+
 class Faults(Question):
     """What is wrong with a simulated camera; nothing, unless it is said."""
 
     panel: PanelFaults = Field(default_factory=PanelFaults)
     sensor: SensorFaults = Field(default_factory=SensorFaults)
+    light: LightFaults = Field(default_factory=LightFaults)
 
 
 def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:

@@ -2,7 +2,8 @@
 
 One project column is one gate line of the panel, and three project rows, R, G and B, are one of its
 pixels. A mask change writes the pixels of the window and nothing else; all others were made opaque
-when the panel was initialised and stay so.
+when the panel was initialised and stay so. Nothing on the bus is acknowledged, so a window is
+written twice, each time with its addresses: one lost transfer then changes nothing.
 """
 
 from __future__ import annotations
@@ -122,9 +123,7 @@ class ST7735R:
             raise DisplayError(f"the panel takes levels 0 to {self._levels - 1}")
         with Refused(bus_failed), self._wiped():
             np.left_shift(levels.T, _BITS, out=self._window)
-            self._address(self._columns, self._rows)
-            self._send(_Command(_RAMWR))
-            self._spi.write(self._pixels.data.cast("B"))
+            self._write_window()
             shown = Shown(self._clock())
             self._confirm()
         return shown
@@ -170,6 +169,15 @@ class ST7735R:
         self._send(_Command(_RAMWR))
         for begin in range(0, FULL_FRAME, len(_OPAQUE)):
             self._spi.write(_OPAQUE[: FULL_FRAME - begin])
+        # From here on the addresses are those of masks: one that is lost leaves them right.
+        self._pixels.fill(0)
+        self._write_window()
+
+    def _write_window(self) -> None:
+        for _ in range(2):
+            self._address(self._columns, self._rows)
+            self._send(_Command(_RAMWR))
+            self._spi.write(self._pixels.data.cast("B"))
 
     def _confirm(self) -> None:
         if self._read_back:

@@ -139,7 +139,6 @@ class Rig:
             mode=MODE,
             full_scale=1.2,
             seed=0,
-            began_at=0.0,
         )
         self.frames: Callable[[float, float], Raw] = self.light
         sensor = IMX477(

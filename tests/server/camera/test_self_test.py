@@ -128,7 +128,6 @@ class Rig:
             mode=MODE,
             full_scale=FULL_SCALE,
             seed=1,
-            began_at=0.0,
         )
 
         def frames(begin: float, end: float) -> npt.NDArray[np.uint16]:

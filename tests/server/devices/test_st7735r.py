@@ -157,7 +157,7 @@ def test_a_mask_change_sends_the_window_and_nothing_else(
         for line in range(22)
         for pixel in range(17)
     )
-    assert wire.sent == [
+    assert wire.sent == 2 * [
         (False, b"\x2a"),
         (True, columns),
         (False, b"\x2b"),
@@ -214,17 +214,41 @@ SETUP = """
     2A 00 {left} 00 {right}   # CASET
     2B 00 {top} 00 {bottom}   # RASET
     2C {black}                # RAMWR
+    2A {window_columns}       # the window, twice: its addresses stay
+    2B {window_rows}
+    2C {window}
+    2A {window_columns}
+    2B {window_rows}
+    2C {window}
     29        wait 0.1        # DISPON
 """
 """All from power to picture: no emulator shows a wrong voltage, a wrong gamma, a missing pause."""
+PLAIN = {"window_columns": "00 38 00 48", "window_rows": "00 45 00 5A"}
 
 
 @pytest.mark.parametrize(
     ("tab", "places"),
     [
-        ("red", {"turned": "C8", "left": "00", "right": "7F", "top": "00", "bottom": "9F"}),
-        ("black", {"turned": "00", "left": "00", "right": "7F", "top": "00", "bottom": "9F"}),
-        ("green", {"turned": "C8", "left": "02", "right": "81", "top": "01", "bottom": "A0"}),
+        (
+            "red",
+            {"turned": "C8", "left": "00", "right": "7F", "top": "00", "bottom": "9F", **PLAIN},
+        ),
+        (
+            "black",
+            {"turned": "00", "left": "00", "right": "7F", "top": "00", "bottom": "9F", **PLAIN},
+        ),
+        (
+            "green",
+            {
+                "turned": "C8",
+                "left": "02",
+                "right": "81",
+                "top": "01",
+                "bottom": "A0",
+                "window_columns": "00 3A 00 4A",
+                "window_rows": "00 46 00 5B",
+            },
+        ),
     ],
 )
 def test_the_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock: Clock) -> None:
@@ -260,7 +284,7 @@ def test_the_set_up_is_the_data_sheet_s(tab: str, places: dict[str, str], clock:
             wanted.append(("reset", rest == ["1"]))
         else:
             wanted.append(("command", bytes.fromhex(first)))
-            filled = " ".join(rest).format(black="00" * 61_440, **places)
+            filled = " ".join(rest).format(black="00" * 61_440, window="00" * 1122, **places)
             wanted += [("data", bytes.fromhex(filled))] if filled else []
         wanted += [("wait", float(wait))] if wait else []
     noting = Noting()
@@ -342,7 +366,7 @@ def test_the_time_of_completion_is_after_the_last_byte(wire: Wire) -> None:
     panel = driver(wire)
     wire.took = 0.5
     began = wire.clock.now
-    assert panel.show(draw()).completed_at == began + 6 * 0.5
+    assert panel.show(draw()).completed_at == began + 12 * 0.5
 
 
 def test_a_wrong_tab_shows_another_mask(clock: Clock) -> None:
@@ -424,6 +448,42 @@ def test_masks_are_not_in_any_repr(clock: Clock) -> None:
     panel, emulator = emulated(clock, TABS["green"])
     panel.show(np.full(CAMERA.mask_shape, 37, np.uint8))
     assert not any("37" in repr(turn) or "array" in repr(turn) for turn in emulator._turns)
+
+
+class Losing:
+    """A bus that loses one transfer."""
+
+    def __init__(self, emulator: PanelEmulator) -> None:
+        self._emulator, self.sent, self.lose = emulator, 0, -1
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        if self.sent != self.lose:
+            self._emulator.write(buffer)
+        self.sent += 1
+
+    def read(self, command: int, count: int) -> bytes:
+        return self._emulator.read(command, count)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("tab", TABS.values(), ids=TABS)
+def test_one_lost_transfer_of_a_change_leaves_the_right_mask(tab: Tab, clock: Clock) -> None:
+    emulator = PanelEmulator(tab, clock=clock)
+    bus = Losing(emulator)
+    panel = ST7735R(bus, emulator, camera=CAMERA, tab=tab, sleep=clock.sleep, clock=clock)
+    opaque = np.zeros(CAMERA.mask_shape, np.uint8)
+    transfers = 24
+    for before in (panel.blank, lambda: panel.show(draw())):
+        for lost in range(transfers):
+            before()
+            bus.sent, bus.lose, levels = 0, lost, draw()
+            panel.show(opaque)
+            panel.show(levels)
+            assert bus.sent == transfers
+            bus.lose = -1
+            assert np.array_equal(emulator.framebuffer(), on_glass(levels, CAMERA.window))
 
 
 def test_lost_writes_leave_another_picture(clock: Clock) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
@@ -38,14 +38,15 @@ from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 from veilcam_server.devices.simulated.scenes import Scenes, SceneSource
 from veilcam_server.system.memory import share_one_heap
 
-_CACHED_MASKS = 2
-"""Of a real camera's size, one takes 4.5 MiB; a mask drawn from a key never comes back anyway, and
-a stored one after captures that took longer."""
+_CACHED_MASKS = 3
+"""Masks whose light is kept, of 4.5 MiB each: opaque, open, and the one that is shown."""
 _INSTANTS = 5
 """At how many instants an exposure over a turning crystal is evaluated."""
 _FINER = 4
 """Raw pixels along each side of an embedding's box, at least; each stands for many of a real
 sensor's."""
+_SWITCHES = 16
+"""Switches of the lamp that are remembered, for exposures that began before them."""
 _HEADROOM = 1.1
 """What saturated pixels give, over the brightest one of a white scene through an open panel."""
 
@@ -159,17 +160,32 @@ class SimulatedLight:
         mode: SensorMode,
         full_scale: float,
         seed: int | None,
-        began_at: float,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._panel, self._scenes, self._light = panel, scenes, light
         self._camera, self._embedding, self._conditions = camera, embedding, conditions
-        self._mode, self._full_scale, self._began_at = mode, full_scale, began_at
+        self._mode, self._full_scale = mode, full_scale
+        self._clock, self._began_at = clock, clock()
         self._generator = torch.Generator()
         if seed is None:
             self._generator.seed()
         else:
             self._generator.manual_seed(seed)
         self._settled = _Responses(light, camera)
+        window, panel, sensor = camera.window, camera.panel, camera.sensor
+        size = window.rows * panel.pitch_y * window.columns * panel.pitch_x
+        # An even light on the whole sensor, where a window gives it to its shadow alone.
+        self._beyond = max(0.0, sensor.height * sensor.width / size - 1)
+        self._past, self._open_window = 0.0, False
+        self._lamp = deque([(-math.inf, 1.0)], maxlen=_SWITCHES)
+
+    def set_faults(self, faults: Faults) -> None:
+        """Open the window, let light come past it, and switch the lamp, from now on."""
+        panel, light = faults.panel, faults.light
+        self._open_window = panel.open_window
+        self._past = light.bypass + self._beyond * (panel.dead or panel.gone)
+        if light.lamp != self._lamp[-1][1]:
+            self._lamp.append((self._clock(), light.lamp))
 
     def __call__(self, begin: float, end: float) -> Raw:
         """Collect the light of an exposure, and convert it."""
@@ -177,6 +193,10 @@ class SimulatedLight:
         conditions, mode = self._conditions, self._mode
         with torch.no_grad():
             irradiance = self._collected(scene, begin, end)[0].double()
+            if self._past:
+                opened = np.full(self._camera.mask_shape, self._camera.panel.levels - 1, np.uint8)
+                irradiance += self._past * self._settled.collect(scene, opened)[0].double().mean()
+        irradiance *= self._brightness(begin, end)
         missing = math.exp(-max(0.0, begin - self._began_at) / conditions.warm_up_time)
         irradiance = irradiance * (1 - conditions.warm_up * missing)
         if conditions.exposure > 0:
@@ -200,6 +220,16 @@ class SimulatedLight:
         noise = torch.randn(irradiance.shape, generator=self._generator, dtype=irradiance.dtype)
         return irradiance + (irradiance.clamp(min=0) * (share * unit)).sqrt() * noise
 
+    def _brightness(self, begin: float, end: float) -> float:
+        """Mean brightness of the lamp over an exposure."""
+        end = max(end, begin + 1e-9)
+        total, since = 0.0, end
+        for at, level in reversed(tuple(self._lamp)):
+            if at < since:
+                total += level * (since - max(at, begin))
+                since = max(at, begin)
+        return total / (end - begin)
+
     def _collected(self, scene: torch.Tensor, begin: float, end: float) -> torch.Tensor:
         """Light on the sensor, mean over the exposure."""
         if self._panel.settled(begin):
@@ -213,6 +243,8 @@ class SimulatedLight:
 
     def _window(self, shown: npt.NDArray[Number]) -> npt.NDArray[Number]:
         """The part of the whole panel that is the mask."""
+        if self._open_window:
+            return np.full(self._camera.mask_shape, self._camera.panel.levels - 1, shown.dtype)
         window = self._camera.window
         rows = slice(window.first_row, window.first_row + window.rows)
         return shown[rows, window.first_column : window.first_column + window.columns].copy()
@@ -304,7 +336,7 @@ def simulated_device(
         mode=mode,
         full_scale=full_scale,
         seed=seed,
-        began_at=clock(),
+        clock=clock,
     )
     start_sensor, break_sensor = sensor.emulate(
         *(frames, mode),
@@ -318,6 +350,7 @@ def simulated_device(
     def set_faults(faults: Faults) -> None:
         emulated.faults = faults.panel
         break_sensor(faults.sensor)
+        frames.set_faults(faults)
 
     return Device(
         ReopeningDisplay(display.name, open_display, clock=clock),

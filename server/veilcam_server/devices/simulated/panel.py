@@ -95,7 +95,7 @@ class PanelEmulator:
         self.bytes_received = 0
         self._writes = 0
         self._is_data = False
-        self._in_reset = False
+        self._in_reset = self._fell = False
         self._busy_until = -math.inf
         self._madctl = 0
         self._reset()
@@ -176,6 +176,10 @@ class PanelEmulator:
 
     @faults.setter
     def faults(self, faults: PanelFaults) -> None:
+        if faults.asleep != self._faults.asleep:
+            # Falling asleep is an event: a reset wakes the panel up, whatever is said here.
+            self._asleep = faults.asleep or (self._asleep and not self._fell)
+            self._fell = faults.asleep
         self._faults = faults
         self._changed()
 
@@ -246,6 +250,7 @@ class PanelEmulator:
 
     def _reset(self) -> None:
         self._asleep, self._on, self._inverted = True, False, False
+        self._fell = False
         self._bits = 18
         columns, rows = self.tab.memory
         self._window = {_CASET: [0, columns - 1], _RASET: [0, rows - 1]}
@@ -298,6 +303,8 @@ class PanelEmulator:
         unit = {12: 3, 16: 2, 18: 3}[self._bits]
         whole = joined.size // unit * unit
         pixels = _decode(joined[:whole], self._bits)
+        if self._faults.half:
+            pixels = pixels[: len(pixels) // 2]
         rest = joined[whole:]
         self._store(pixels)
         if self._bits == 12 and rest.size == 2:
@@ -313,7 +320,7 @@ class PanelEmulator:
         width, height = right - left + 1, bottom - top + 1
         place = (self._pointer + np.arange(len(pixels))) % (width * height)
         self._pointer = int((self._pointer + len(pixels)) % (width * height))
-        x, y = left + place % width, top + place // width
+        x, y = left + place % width, top + place // width + self._faults.shifted
         if self._madctl & _MV:
             x, y = y, x
         columns, rows = self.tab.memory

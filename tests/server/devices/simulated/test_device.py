@@ -13,6 +13,7 @@ import pytest
 import torch
 from tests.server.devices.clock import Clock
 
+from veilcam_client.wire.simulation import Faults, LightFaults, PanelFaults
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Window
 from veilcam_optics.camera.imperfections import Imperfections
 from veilcam_optics.camera.masks import to_weights
@@ -277,6 +278,48 @@ def test_it_warms_up() -> None:
 
 
 @pytest.mark.slow
+def test_light_comes_past_the_mask_as_a_share_of_the_open_window() -> None:
+    simulation = Simulation(SHADOW)
+    assert simulation.device.set_faults is not None
+    simulation.display.show(np.full(CAMERA.mask_shape, 63, np.uint8))
+    opened = simulation.capture().mean()
+    simulation.device.set_faults(Faults(light=LightFaults(bypass=0.1)))
+    simulation.display.blank()
+    assert simulation.capture().mean() == pytest.approx(0.1 * opened, rel=1e-2)
+
+
+def test_a_transparent_panel_lets_light_through_all_over_the_glass() -> None:
+    simulation = Simulation(SHADOW)
+    assert simulation.device.set_faults is not None
+    opened = 0.0
+    # In the light of a hundredth, as all of the glass saturates the sensor.
+    for panel in (PanelFaults(), PanelFaults(dead=True), PanelFaults(open_window=True)):
+        simulation.device.set_faults(Faults(panel=panel, light=LightFaults(lamp=0.01)))
+        simulation.display.show(np.full(CAMERA.mask_shape, 63, np.uint8))
+        seen = simulation.capture().mean()
+        window = CAMERA.window.rows * CAMERA.panel.pitch_y
+        window *= CAMERA.window.columns * CAMERA.panel.pitch_x
+        whole = CAMERA.sensor.height * CAMERA.sensor.width / window
+        opened = opened or seen
+        assert seen == pytest.approx(opened * (whole if panel.dead else 1), rel=0.05)
+
+
+def test_a_lamp_that_is_switched_within_an_exposure_lights_a_part_of_it() -> None:
+    simulation = Simulation(SHADOW, replace(QUIET, exposure=0.02))
+    simulation.display.show(NEW)
+    lit = simulation.capture().mean()
+
+    def switched() -> None:
+        assert simulation.device.set_faults is not None
+        # The clock of this simulation is half-way through its sleep to the end of the frame.
+        simulation.clock.now = 102.005
+        simulation.device.set_faults(Faults(light=LightFaults(lamp=0.0)))
+
+    simulation.clock.now, simulation.during = 101.0, switched
+    seen = simulation.sensor.capture(102.0, 5.0).embedding.mean()
+    assert seen == pytest.approx(lit / 4, rel=0.01)
+
+
 def test_what_a_decoder_need_not_know_changes_the_light(light: Light) -> None:
     other = Simulation(
         planned_light(

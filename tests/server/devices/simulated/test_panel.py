@@ -304,6 +304,36 @@ def test_faults_are_seen_at_once_and_may_end(host: Host) -> None:
     assert np.array_equal(panel.visible(host.clock.now + 10), shown)
 
 
+def test_one_that_fell_asleep_is_transparent_until_a_reset(host: Host) -> None:
+    shown = host.panel.framebuffer()
+    for wake in (host.wake, lambda: setattr(host.panel, "faults", PanelFaults())):
+        host.panel.faults = PanelFaults(asleep=True)
+        assert host.panel.transparent
+        host.panel.faults = PanelFaults(asleep=True, inverted=True)
+        assert host.panel.transparent
+        wake()
+        host.panel.faults = PanelFaults()
+        assert np.array_equal(host.panel.framebuffer(), shown)
+
+
+@pytest.mark.parametrize(
+    ("faults", "lit"),
+    [
+        (PanelFaults(), {(0, 0), (1, 0), (0, 1), (1, 1)}),
+        (PanelFaults(half=True), {(0, 0), (1, 0)}),
+        (PanelFaults(shifted=True), {(0, 1), (1, 1), (0, 2), (1, 2)}),
+    ],
+)
+def test_a_write_may_end_half_way_or_land_elsewhere(
+    faults: PanelFaults, lit: set[tuple[int, int]], host: Host
+) -> None:
+    host.panel.faults = faults
+    host.window(0, 1, 0, 1)
+    host.send(0x2C)
+    host.panel.write(b"\xff" * 12)
+    assert set(host.lit()) == lit
+
+
 def test_one_that_is_gone_fails_on_its_bus(host: Host) -> None:
     host.panel.faults = PanelFaults(gone=True)
     with pytest.raises(OSError, match="No such device"):
