@@ -50,7 +50,7 @@ _OF_THE_HOUSE = f"{PREFIX}MQTT_"
 
 
 def default_state_dir() -> Path:
-    """Return the directory of the environment, of systemd (``StateDirectory=``), or the user's (XDG)."""
+    """Return the directory of the environment, systemd (``StateDirectory=``) or the user (XDG)."""
     given = os.environ.get(STATE_DIRECTORY) or os.environ.get("STATE_DIRECTORY")
     if given:
         return Path(given)

@@ -44,7 +44,7 @@ class PolicyStore:
         """Policy of mask changes from now on.
 
         Args:
-            default: policy where none was set, or the daemon was started with another setting since.
+            default: policy where none was set, or the daemon was started with another one since.
             renewable: True where the bundle in use has another mask to change to.
             configured: True where that is the bundle that the daemon was started with.
         """

@@ -27,8 +27,8 @@ class Inputs(nn.Module):
     measurement is computed once.
 
     Args:
-        model: that is fitted.
-        images: to fit it to.
+        model: model that is fitted.
+        images: images to fit it to.
         transform: changes them at random; None takes them as they are.
         mixup: both parameters of the beta distribution that says how much of another image of the
             step is laid over each; 0 lays none.
@@ -112,10 +112,10 @@ def train_step(
     """One step on the images at ``chosen``; their mean loss and how many were right before it.
 
     Args:
-        model: what is fitted.
-        network: its :class:`Inputs`, as one process or several train them.
+        model: model that is fitted.
+        network: network: its :class:`Inputs`, as one process or several train them.
         chosen: indices of images, int64 (count,).
-        optimiser: of the model.
+        optimiser: optimiser of the model.
         label_smoothing: share of the wanted probability that all classes have in common.
 
     Raises:
