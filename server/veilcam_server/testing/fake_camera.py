@@ -43,7 +43,7 @@ class FakeCamera:
     ``camera().set_faults(...)`` what is wrong with it. It logs as ``logging`` is told to.
 
     Args:
-        settings: settings of ``veilcamd serve``, by the names of docs and environment in lower case, as
+        settings: settings of ``veilcamd serve``, by the names of the environment in lower case, as
             ``{"auth": "tokens"}``. What the environment says does not count.
 
     Raises:

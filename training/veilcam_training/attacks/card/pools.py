@@ -39,8 +39,8 @@ class Pool:
         right: decoded with the key, (masks, captures, rows, columns).
         wrong: decoded with the key of another mask, likewise.
         listed: decoded with what a leaked list has that fits best, likewise.
-        scores: scores of the bundle's classifier, (masks, captures, labels); of none, where there is
-            no classifier of these masks.
+        scores: scores of the bundle's classifier, (masks, captures, labels); of none, where there
+            is no classifier of these masks.
         places: int64 (masks,): among stored masks; -1 for one that never comes again.
     """
 
