@@ -89,7 +89,7 @@ class AsyncCamera:
         return await self._transport.send(calls.STATUS, timeout)
 
     async def calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
-        """What the camera found out about itself, and how finding out goes on."""
+        """Return the calibration in use, and how a running one goes on."""
         return await self._transport.send(calls.CALIBRATION, timeout)
 
     async def start_calibration(
@@ -130,7 +130,7 @@ class AsyncCamera:
         return opened(answer, self._opener)
 
     async def rotation(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
-        """The rotation policy and the present mask epoch."""
+        """Return the rotation policy and the present mask epoch."""
         return await self._transport.send(calls.ROTATION, timeout)
 
     async def set_rotation(
@@ -150,7 +150,7 @@ class AsyncCamera:
         return await self._transport.send(calls.ROTATE, timeout, wait=wait)
 
     async def watch(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
-        """When the camera looks by itself, and what it believes to see."""
+        """Return the policy of the watch, and what the camera believes to see."""
         return await self._transport.send(calls.WATCH, timeout)
 
     async def set_watch(
@@ -203,7 +203,7 @@ class AsyncCamera:
         return await self._transport.send(calls.release_lease(force=True), timeout)
 
     async def lease_state(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
-        """Who holds the camera, and how long."""
+        """Return the holder of the camera, and the remaining time."""
         return await self._transport.send(calls.LEASE_STATE, timeout)
 
     async def diagnostics(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Diagnostics:
@@ -245,14 +245,14 @@ class AsyncCamera:
         """Return signed records of what was answered, the oldest first; see docs/capture-log.md.
 
         Args:
-            limit: so many at most.
-            after: those that follow this position, as ``next`` of an answer names it.
-            timeout: of the call in all [s].
+            limit: greatest number of records.
+            after: position after which records are wanted, as ``next`` of an answer names it.
+            timeout: time-out of the call in all [s].
         """
         return await self._transport.send(calls.log(limit, after), timeout)
 
     async def log_head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
-        """Where the log ends now, signed: keep it, and what is dropped from that end shows."""
+        """Return the signed end of the log: keep it, and what is dropped from that end shows."""
         return await self._transport.send(calls.LOG_HEAD, timeout)
 
     async def receivers(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:

@@ -44,7 +44,7 @@ TakenT = TypeVar("TakenT", Capture, Classification)
 
 
 def receiver_key(source: KeySource) -> ReceiverKey:
-    """A receiver's private key; raises ``KeyFileError``."""
+    """Read a receiver's private key; raises ``KeyFileError``."""
     # Late: whoever opens nothing need not wait for the cryptography to load.
     from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
 
@@ -52,7 +52,7 @@ def receiver_key(source: KeySource) -> ReceiverKey:
 
 
 def opener_of(key: KeySource | None, device: str | None) -> Opener | None:
-    """What opens sealed embeddings; None: nothing does."""
+    """Return the reader of sealed embeddings; None: there is no key."""
     if key is None:
         if device is not None:
             raise ValueError("device= is checked when embeddings are opened: give key= as well")
@@ -63,7 +63,7 @@ def opener_of(key: KeySource | None, device: str | None) -> Opener | None:
 
 
 def opened(answer: TakenT, opener: Opener | None) -> TakenT:
-    """An answer with its embedding opened, where there is what opens it."""
+    """Return an answer with its embedding opened, where there is a key for it."""
     return answer if opener is None else opener.open(answer)
 
 
@@ -79,11 +79,11 @@ class Camera:
     Args:
         url: ``http://HOST:PORT``, or ``unix:///PATH`` for a unix socket; that in ``VEILCAM_URL`` if
             None, else that of a daemon on this machine.
-        timeout: for a call in all, repetitions and their pauses included [s]; None: no limit. Every
+        timeout: time-out of a call with repetitions and their pauses [s]; None: no limit. Every
             method takes one of its own.
-        connect_timeout: to reach the daemon [s].
+        connect_timeout: time-out of a connection to the daemon [s].
         read_timeout: between two pieces of an answer [s]; it must cover settling and exposure.
-        max_retries: how often a request that may succeed later is repeated.
+        max_retries: number of repetitions of a request that may succeed later.
         key: private key of a receiver, or its file: embeddings come opened, each with its notes,
             and one that is not sealed to it, or that came before or later than the next one of its
             mask, raises ``SealedError``. So ask for one after the other.
@@ -137,7 +137,7 @@ class Camera:
         """Cameras that announce themselves on the local network; none is asked or told anything.
 
         Args:
-            seconds: how long to listen [s].
+            seconds: time to listen [s].
 
         Raises:
             DiscoveryError: the extra ``discover`` is not installed, or there is no network.
@@ -153,7 +153,7 @@ class Camera:
         return self._transport.send(calls.STATUS, timeout)
 
     def calibration(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> CalibrationStatus:
-        """What the camera found out about itself, and how finding out goes on."""
+        """Return the calibration in use, and how a running one goes on."""
         return self._transport.send(calls.CALIBRATION, timeout)
 
     def start_calibration(
@@ -194,7 +194,7 @@ class Camera:
         return opened(answer, self._opener)
 
     def rotation(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Rotation:
-        """The rotation policy and the present mask epoch."""
+        """Return the rotation policy and the present mask epoch."""
         return self._transport.send(calls.ROTATION, timeout)
 
     def set_rotation(
@@ -214,7 +214,7 @@ class Camera:
         return self._transport.send(calls.ROTATE, timeout, wait=wait)
 
     def watch(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Watch:
-        """When the camera looks by itself, and what it believes to see."""
+        """Return the policy of the watch, and what the camera believes to see."""
         return self._transport.send(calls.WATCH, timeout)
 
     def set_watch(
@@ -267,7 +267,7 @@ class Camera:
         return self._transport.send(calls.release_lease(force=True), timeout)
 
     def lease_state(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Lease:
-        """Who holds the camera, and how long."""
+        """Return the holder of the camera, and the remaining time."""
         return self._transport.send(calls.LEASE_STATE, timeout)
 
     def diagnostics(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Diagnostics:
@@ -284,9 +284,9 @@ class Camera:
         """Return tokens, the oldest first, revoked and expired ones included.
 
         Args:
-            limit: so many at most.
-            after: those that follow the token of this id, as ``next`` of an answer names it.
-            timeout: of the call in all [s].
+            limit: greatest number of tokens.
+            after: id of the token after which others are wanted, as ``next`` of an answer names it.
+            timeout: time-out of the call in all [s].
         """
         return self._transport.send(calls.tokens(limit, after), timeout)
 
@@ -315,14 +315,14 @@ class Camera:
         """Return signed records of what was answered, the oldest first; see docs/capture-log.md.
 
         Args:
-            limit: so many at most.
-            after: those that follow this position, as ``next`` of an answer names it.
-            timeout: of the call in all [s].
+            limit: greatest number of records.
+            after: position after which records are wanted, as ``next`` of an answer names it.
+            timeout: time-out of the call in all [s].
         """
         return self._transport.send(calls.log(limit, after), timeout)
 
     def log_head(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> LogHead:
-        """Where the log ends now, signed: keep it, and what is dropped from that end shows."""
+        """Return the signed end of the log: keep it, and what is dropped from that end shows."""
         return self._transport.send(calls.LOG_HEAD, timeout)
 
     def receivers(self, *, timeout: CallTimeout = CAMERA_TIMEOUT) -> Receivers:
@@ -335,9 +335,9 @@ class Camera:
         """Seal to one receiver more, from the next mask on.
 
         Args:
-            label: for whom or what it is; it stands in the status and in the audit log.
-            key: its public key, as ``veilcam receiver keygen`` prints it.
-            timeout: of the call in all [s].
+            label: label for people; it stands in the status and in the audit log.
+            key: public key of the receiver, as ``veilcam receiver keygen`` prints it.
+            timeout: time-out of the call in all [s].
         """
         return self._transport.send(calls.add_receiver(label, str(key)), timeout)
 
@@ -353,7 +353,7 @@ class Camera:
         Args:
             picture: the content of a PNG, JPEG or ``.npy`` file, or an array (rows, columns) or
                 (rows, columns, 3), uint8, or floats in [0, 1].
-            timeout: of the call in all [s].
+            timeout: time-out of the call in all [s].
         """
         if picture is None:
             return self._transport.send(calls.TAKE_SCENE_AWAY, timeout)
@@ -406,7 +406,7 @@ class Camera:
 
         Args:
             last_event_id: go on after this event; None: from now on.
-            reconnect: whether it is opened again; False: what broke it is raised.
+            reconnect: True: a broken stream is opened again; False: the error is raised.
         """
         return EventStream(self._transport, last_event_id, reconnect)
 

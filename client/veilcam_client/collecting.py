@@ -32,7 +32,7 @@ _RECEIVER = "pair a receiver with 'veilcam receiver add', and give its private k
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What is before the camera, and what it is."""
+    """Scene before the camera, and its label."""
 
     label: str
     picture: Path | None = None
@@ -85,13 +85,13 @@ def held_before(camera: SceneHolder) -> Show:
 
 
 def labelled_pictures(folder: Path, *, per_class: int | None = None) -> tuple[Shot, ...]:
-    """The pictures ``folder/LABEL/...``, one of each label after the other.
+    """Yield the pictures ``folder/LABEL/...``, one of each label after the other.
 
     So a collection that is broken off has about as many of each.
 
     Args:
-        folder: whose folders are named as the labels are.
-        per_class: so many of each at most.
+        folder: folder whose subfolders are named as the labels are.
+        per_class: greatest number of pictures of each label.
 
     Raises:
         RecordingError: there are none.
@@ -135,8 +135,8 @@ def collect(
     Args:
         camera: without a ``key`` of its own; it needs the scopes ``read:status`` and
             ``read:embedding``, with ``raw`` embeddings ``read:embedding:raw`` as well.
-        path: of the file.
-        shots: what to measure, in this order.
+        path: path of the file.
+        shots: shots to measure, in this order.
         show: shows each while it is measured.
         key: private key of a receiver, or its file, where embeddings leave sealed.
         device: public key that the camera must have; None: that of its status.
@@ -215,7 +215,7 @@ class _Taker:
         )
 
     def _opened(self, taken: Capture, sealed: SealedEmbedding) -> tuple[Capture, str | None]:
-        """A capture with its embedding as it was read, and what a fresh mask was drawn from."""
+        """Return a capture with its embedding as it was read, and the key of its mask."""
         from veilcam_client.keys.envelopes import open_key  # noqa: PLC0415 - late, as in camera
 
         if self._key is None or self._opener is None:
@@ -236,7 +236,7 @@ class _Taker:
 
 
 def _header(status: Status, key: ReceiverKey | None) -> MeasurementsHeader:
-    """The first line of what this camera measures, if a classifier can be adapted with it."""
+    """Return the first line of this camera's file, if a classifier can be adapted with it."""
     fresh = status.bundle.mode == "fresh"
     for wrong, why in (
         (status.state == "replay", "this daemon replays a recording: collect from a camera"),
@@ -279,7 +279,7 @@ def _inside(folder: Path) -> list[Path]:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[BinaryIO]:
-    """The file, which nobody else adds to meanwhile."""
+    """Open the file so that nobody else adds to it meanwhile."""
     try:
         stream = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b")
     except OSError as error:

@@ -34,7 +34,7 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
     """Listen for cameras, and return them by name.
 
     Args:
-        seconds: how long to listen [s].
+        seconds: time to listen [s].
         interfaces: addresses of this machine to listen on; all of them if None.
 
     Raises:
@@ -76,7 +76,7 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
 
 
 def _camera(info: ServiceInfo) -> FoundCamera | None:
-    """What is announced, None where it is no camera that this SDK can ask."""
+    """Return the address that is announced, None where this SDK cannot use it."""
     told = info.decoded_properties
     host = (info.server or "").removesuffix(".")
     scheme = told.get("scheme")

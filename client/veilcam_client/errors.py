@@ -1,4 +1,4 @@
-"""What can go wrong between a program and its camera.
+"""Errors between a program and its camera.
 
 ``VeilcamError``
     ``ArgumentError``: an argument that cannot be used, or a camera that is closed.
@@ -38,8 +38,8 @@ class VeilcamError(Exception):
         code: stable, machine-readable; for an :class:`ApiError` that of the problem.
         status: HTTP status, None when there was no answer.
         request_id: names the request in the daemon's log, None when there was no answer.
-        retryable: whether the same request may succeed later.
-        retry_after: what the daemon asked to wait [s], None when it did not.
+        retryable: True where the same request may succeed later.
+        retry_after: pause that the daemon asked for [s], None when it did not.
     """
 
     def __init__(

@@ -27,7 +27,7 @@ class Logging(Protocol):
         """Return records, the oldest first."""
 
     def log_head(self) -> LogHead:
-        """Where the log ends."""
+        """End of the log."""
 
 
 def fetch_log(camera: Logging, path: Path) -> tuple[int, LogHead]:
@@ -77,7 +77,7 @@ def verify_log(
     """Check a file that :func:`fetch_log` wrote.
 
     Args:
-        path: of the log.
+        path: path of the log.
         device: public key that has to have signed it, 64 hexadecimal digits; that of the first
             record if None.
         head: file of a signed head, as JSON.
@@ -106,7 +106,7 @@ def verify_log(
 
 
 def _last_of(path: Path) -> LogRecord | None:
-    """The record that a file ends with; None: there is no file, or nothing in it."""
+    """Return the last record of a file; None: there is no file, or nothing in it."""
     from veilcam_client.keys.capture_log import read_line  # noqa: PLC0415 - late, as above
 
     content = _content(path) if path.exists() else b""

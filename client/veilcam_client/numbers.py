@@ -24,7 +24,7 @@ _PICTURE = 256
 
 
 def npy_bytes(picture: npt.ArrayLike) -> bytes:
-    """A picture as a ``.npy`` file."""
+    """Return a picture as a ``.npy`` file."""
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(picture), allow_pickle=False)
     return buffer.getvalue()
@@ -34,7 +34,7 @@ def list_schema(numbers: CoreSchema) -> CoreSchema:
     """Return how pydantic reads and writes a flat array of float32.
 
     Args:
-        numbers: how it reads and writes a list of numbers, which the array is in JSON.
+        numbers: format of a list of numbers, which the array is in JSON.
     """
     listed = core_schema.no_info_after_validator_function(_held, numbers)
     given = core_schema.no_info_after_validator_function(
@@ -87,7 +87,7 @@ def npy_array(content: bytes) -> Float32:
 
 
 def converted(held: Float32, dtype: npt.DTypeLike | None, copy: bool | None) -> npt.NDArray[Any]:
-    """What ``__array__`` gives of an array that is not to be written to."""
+    """Return the result of ``__array__`` for an array that is not to be written to."""
     if copy is False:
         if dtype is not None and np.dtype(dtype) != held.dtype:
             raise ValueError(f"float32 cannot become {np.dtype(dtype)} without a copy")

@@ -43,7 +43,7 @@ class Recorded(Answer):
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What is in a file."""
+    """Contents of a recording."""
 
     header: Header
     captures: tuple[Recorded, ...]
@@ -76,7 +76,7 @@ def record(
         camera: needs the scopes ``read:status``, ``read:embedding``, with ``raw`` embeddings
             ``read:embedding:raw``, and with labels ``classify``.
         path: readable by its owner alone.
-        count: how many captures.
+        count: number of captures.
         labels: have each classified as well.
         advance: called after each.
 

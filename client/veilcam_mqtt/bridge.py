@@ -32,9 +32,9 @@ class Bridge:
     """Tells a house of a camera until it is cancelled.
 
     Args:
-        camera: that repeats nothing by itself.
-        broker: where the house listens.
-        hooks: who else is told of events.
+        camera: camera that repeats nothing by itself.
+        broker: broker of the house.
+        hooks: webhooks that get events.
         node: name of the camera in the house; made of its key if None.
         base: first level of its topics.
         discovery: prefix under which Home Assistant looks.

@@ -179,7 +179,7 @@ async def _bridged(
 
 
 def _log_forgotten(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """What nobody waits for: paho-mqtt leaves one such error with each broker that goes."""
+    """Ignore the error that paho-mqtt leaves, with nobody to wait for it, when a broker goes."""
     error = context.get("exception")
     log.debug("not awaited: %s", context["message"] if error is None else type(error).__name__)
 

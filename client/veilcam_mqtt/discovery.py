@@ -1,4 +1,4 @@
-"""What Home Assistant is told of the device: MQTT device discovery, one retained message.
+"""MQTT device discovery for Home Assistant: one retained message.
 
 https://www.home-assistant.io/integrations/mqtt/#device-discovery-payload, full names throughout.
 """
@@ -30,8 +30,8 @@ def discovery(status: Status, names: Names) -> dict[str, Any]:
     """Describe the device.
 
     Args:
-        status: of the camera.
-        names: of its topics.
+        status: status of the camera.
+        names: names of its topics.
     """
     device = status.device
     return {

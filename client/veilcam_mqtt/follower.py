@@ -24,7 +24,7 @@ class Follower:
     """Tells what is known of a camera whenever that changes.
 
     Args:
-        camera: that repeats nothing by itself, so that what fails is known at once.
+        camera: camera that repeats nothing by itself, so that failures are known at once.
         on_view: called with what is known now.
         on_event: called with every event.
         clock: monotonic time [s].

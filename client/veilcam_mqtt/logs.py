@@ -12,7 +12,7 @@ class JsonFormatter(logging.Formatter):
     """One JSON object a line."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line; where an error was raised, its kind, and not its text."""
+        """Return the line; of an error that was raised, its kind, and not its text."""
         entry = {
             "event": record.getMessage(),
             "level": record.levelname.lower(),

@@ -36,8 +36,8 @@ class Publisher:
     broker that was killed has lost it. Events wait for no broker.
 
     Args:
-        broker: where it is.
-        names: of the topics.
+        broker: address of the broker.
+        names: names of the topics.
         on_press: called with the name of a button that was pressed.
         clock: monotonic time [s].
     """

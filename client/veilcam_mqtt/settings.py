@@ -1,4 +1,4 @@
-"""Where a bridge finds its camera, its broker and its webhooks."""
+"""Settings of a bridge: its camera, its broker and its webhooks."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Broker:
 
     Attributes:
         url: ``mqtt://HOST:PORT`` or ``mqtts://HOST:PORT``; without a port, 1883 or 8883.
-        username: where the broker wants one.
-        password: that goes with it.
+        username: user name, if the broker wants one.
+        password: password of the user.
         ca_file: PEM file of the authority that vouches for the broker; the system's if None.
         certificate: PEM file, where the broker wants to see one.
         key: PEM file of its private key.
@@ -69,11 +69,11 @@ class Broker:
 
     @property
     def encrypted(self) -> bool:
-        """Whether it is reached over TLS."""
+        """True where the broker is reached over TLS."""
         return urlsplit(self.url).scheme == "mqtts"
 
     def tls(self) -> ssl.SSLContext | None:
-        """What TLS trusts and shows, None without TLS; raises ValueError for an unfit file."""
+        """Return the certificates of TLS, None without TLS; raises ValueError for an unfit file."""
         if not self.encrypted:
             return None
         try:
@@ -87,7 +87,7 @@ class Broker:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What a camera is called in the house.
+    """Names of a camera in the house.
 
     Attributes:
         node: id of the device, and a level of its topics.
@@ -113,12 +113,12 @@ class Names:
 
     @property
     def config(self) -> str:
-        """Where the device is described."""
+        """Topic of the device's description."""
         return f"{self.discovery}/device/{self.node}/config"
 
     @property
     def birth(self) -> str:
-        """Where Home Assistant says that it came up."""
+        """Topic of Home Assistant's birth message."""
         return f"{self.discovery}/status"
 
 

@@ -1,4 +1,4 @@
-"""What a bridge knows of its camera, and what the house is told of that."""
+"""State of the camera as a bridge knows it, and its form for the house."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ AGE_STEP = 10
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the camera said last.
+    """Last state of the camera.
 
     Attributes:
         status: as it answered, with what events told of since.

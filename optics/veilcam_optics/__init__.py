@@ -1,4 +1,4 @@
-"""What a lensless camera does to light: geometry, masks, propagation, transfer operator, plans.
+"""Optics of a lensless camera: geometry, masks, propagation, transfer operator, plans.
 
 from veilcam_optics import Camera, Embedding, Scene, plan
 

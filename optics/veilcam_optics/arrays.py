@@ -49,30 +49,30 @@ _STANDARD = hasattr(np, "cumulative_sum")
 
 
 def namespace(array: Array) -> Any:
-    """The functions of the array's library, as the standard has them."""
+    """Return the functions of the array's library, as the standard has them."""
     # What makes older ones compatible loads all that NumPy has, its front of Fortran included.
     return np if _STANDARD and isinstance(array, np.ndarray) else array_namespace(array)
 
 
 def as_type(array: Array, name: str) -> Array:
-    """The same numbers as ``float32`` or ``float64``; the array itself where it is of that type."""
+    """Return the same numbers as ``float32`` or ``float64``; no copy where the type is right."""
     xp = namespace(array)
     same: Array = xp.astype(array, getattr(xp, name), copy=False)
     return same
 
 
 def as_numpy(array: Array) -> npt.NDArray[Any]:
-    """The same numbers in NumPy, in the same memory where that is possible."""
+    """Return the same numbers in NumPy, in the same memory where that is possible."""
     return np.asarray(to_device(detached(array), "cpu"))
 
 
 def detached(array: Array) -> Array:
-    """The same numbers, without what a gradient needs."""
+    """Return the same numbers, without their gradient."""
     return array.detach() if is_torch_array(array) else array
 
 
 def needs_gradient(array: Array) -> bool:
-    """Whether torch records what is made of it."""
+    """Return whether torch records what is made of it."""
     return is_torch_array(array) and bool(array.requires_grad)
 
 

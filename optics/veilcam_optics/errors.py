@@ -76,7 +76,7 @@ def require_shape(argument: str, array: _HasShape, *axes: int | str | EllipsisTy
 
     Args:
         argument: name of the array.
-        array: of torch or NumPy.
+        array: array of torch or NumPy.
         axes: lengths; a name stands for an axis of any length, a leading ``...`` for any axes.
     """
     shape = tuple(array.shape)

@@ -16,8 +16,8 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[BinaryIO]:
     random one: what a killed writer leaves can be told from what another one is writing.
 
     Args:
-        path: in a folder that exists.
-        private: its owner alone may read the file; else the umask says who may.
+        path: path in a folder that exists.
+        private: True: only its owner may read the file; else the umask decides.
 
     Raises:
         OSError: the disk refuses; ``path`` holds what it held before.

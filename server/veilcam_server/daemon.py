@@ -1,4 +1,4 @@
-"""From settings to a daemon that serves: every reason not to start is one :class:`StartError`."""
+"""Daemon from its settings: every reason not to start is one :class:`StartError`."""
 
 from __future__ import annotations
 

@@ -8,16 +8,16 @@ from veilcam_client.wire.status import Remedy
 
 
 class ProblemError(Exception):
-    """What a caller is told of as a problem. Every kind has a stable code of its own.
+    """Problem that a caller is told of. Every kind has a stable code of its own.
 
     Attributes:
         code: stable, machine-readable.
-        status: of the answer in HTTP.
-        title: what the code always means.
-        detail: what is told where nothing more is known.
-        retryable: whether the same request may succeed later.
-        remedy: what helps.
-        retry_after: what to wait before that [s].
+        status: status of the answer in HTTP.
+        title: meaning of the code, always the same.
+        detail: text where nothing more is known.
+        retryable: True where the same request may succeed later.
+        remedy: advice that helps.
+        retry_after: pause before that [s].
     """
 
     code: ClassVar[str]
@@ -87,7 +87,7 @@ class AuditError(
     retryable=True,
     remedy="check_disk",
 ):
-    """What was done cannot be written down durably, so no change is made, or acknowledged."""
+    """Record of a change that cannot be written: the change is not made, or not acknowledged."""
 
 
 class CaptureLogError(
@@ -264,7 +264,7 @@ class DoneBeforeRestartError(
         "restarted: look what is the case now, or ask again with a new key"
     ),
 ):
-    """What is asked for was done, and a restart lost the answer."""
+    """Request that was carried out, whose answer a restart lost."""
 
 
 class AnswerNotKeptError(
@@ -277,7 +277,7 @@ class AnswerNotKeptError(
         "look what is the case now, or ask again with a new key"
     ),
 ):
-    """What is asked for was done, and the answer is not kept any more."""
+    """Request that was carried out, whose answer is not kept any more."""
 
 
 class TooManyKeysError(
@@ -395,7 +395,7 @@ class ReplayingError(
     title="A recording cannot do this",
     detail="there is no panel and no sensor: this daemon replays a recording",
 ):
-    """What is asked for needs a camera, and there is a recording only."""
+    """Request that needs a camera, where there is a recording only."""
 
 
 class ReplayOverError(
@@ -418,7 +418,7 @@ class SceneApiOffError(
 
 
 class SceneInvalidError(ProblemError, code="scene_invalid", status=422, title="This is no picture"):
-    """What should be held up is no picture."""
+    """Scene that is no picture."""
 
 
 class UnknownTokenError(
@@ -462,7 +462,7 @@ class NoReceiverError(
 class ReceiverInvalidError(
     ProblemError, code="receiver_invalid", status=422, title="This is no receiver's key"
 ):
-    """What should be paired with is no public key of a receiver."""
+    """Receiver whose public key is none."""
 
 
 class ReceiverKnownError(

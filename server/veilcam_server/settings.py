@@ -50,7 +50,7 @@ _OF_THE_HOUSE = f"{PREFIX}MQTT_"
 
 
 def default_state_dir() -> Path:
-    """Where the environment or systemd says (``StateDirectory=``), or that of the user (XDG)."""
+    """Return the directory of the environment, systemd (``StateDirectory=``) or the user (XDG)."""
     given = os.environ.get(STATE_DIRECTORY) or os.environ.get("STATE_DIRECTORY")
     if given:
         return Path(given)
@@ -59,7 +59,7 @@ def default_state_dir() -> Path:
 
 
 class Wiring(BaseSettings):
-    """What ``veilcamd`` can be told of a real device."""
+    """Settings of ``veilcamd`` for a real device."""
 
     # Of the docstrings below 'veilcamd --help' is made, one command-line option of each.
     model_config = SettingsConfigDict(
@@ -99,7 +99,7 @@ class Wiring(BaseSettings):
 
 
 class DoctorSettings(Wiring):
-    """What ``veilcamd doctor`` is told of the daemon that is going to be."""
+    """Settings of ``veilcamd doctor``, about the daemon to come."""
 
     bundle: Path | None = None
     """That of 'veilcamd serve'."""
@@ -300,7 +300,7 @@ class Settings(Wiring):
     @model_validator(mode="before")
     @classmethod
     def _no_unknown_name(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """A setting that is misspelled would be one that is silently left out."""
+        """Refuse a setting that is misspelled: it would be left out silently."""
         unknown = unknown_names()
         if unknown:
             lines = (
@@ -317,7 +317,7 @@ class Settings(Wiring):
     @model_validator(mode="before")
     @classmethod
     def _demo_bundle(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """A simulated camera may do without a bundle of its own."""
+        """Let a simulated camera do without a bundle of its own."""
         if given.get("device") == "simulated":
             return {"bundle": BUNDLE, **given}
         return given
@@ -462,7 +462,7 @@ class Settings(Wiring):
 
     @property
     def watch_policy(self) -> WatchPolicy:
-        """When the camera looks, unless a caller said otherwise."""
+        """Policy of the watch, unless a caller set another."""
         quiet = None if self.quiet_hours is None else parse_hours(self.quiet_hours)
         if self.watch == "off":
             return WatchOff()
@@ -486,12 +486,12 @@ class Settings(Wiring):
 
     @property
     def serves_others(self) -> bool:
-        """Whether it may listen where other machines reach it."""
+        """Return whether the daemon listens where other machines reach it."""
         return self.tls_certificate is not None and self.auth == "tokens"
 
     @property
     def scene_file(self) -> Path:
-        """What 'veilcamd show' writes, and a simulated camera without --scenes sees."""
+        """Path that 'veilcamd show' writes, and a simulated camera without --scenes sees."""
         return self.state_dir / SCENE_NAME
 
 
@@ -507,7 +507,7 @@ class GivenSettings(Settings):
         dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """What was given, and nothing else."""
+        """Return the settings that were given, and nothing else."""
         return (init_settings,)
 
 
@@ -531,7 +531,7 @@ def unknown_names() -> dict[str, str]:
 
 
 def _remedy(name: str, known: Set[str]) -> str:
-    """The nearest known name: one that goes on where this one ends, or one that looks like it."""
+    """Return the nearest known name: one that goes on where this one ends, or looks like it."""
     rests = sorted(each.removeprefix(PREFIX) for each in known)
     rest = name.removeprefix(PREFIX)
     near = [each for each in rests if rest and each.startswith(rest)]

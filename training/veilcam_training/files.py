@@ -25,7 +25,7 @@ def write_private(path: Path, content: bytes) -> None:
 
 
 def read_private(path: Path) -> bytes | None:
-    """What :func:`write_private` wrote to ``path``, or None where there is no file.
+    """Return the contents of a file of :func:`write_private`, or None where there is none.
 
     Raises:
         TrainingError: it cannot be read, is damaged or truncated, or is no such file.
@@ -43,7 +43,7 @@ def read_private(path: Path) -> bytes | None:
 
 
 def unreadable(path: Path, reason: str) -> TrainingError:
-    """What is said of a file that a run cannot be taken up from."""
+    """Say why a run cannot be taken up from a file."""
     return TrainingError(f"{path} cannot be read ({reason}): remove it to start again")
 
 

@@ -12,13 +12,13 @@ import torch
 
 
 def derive(seed: int, *purpose: str | int) -> int:
-    """A seed for one purpose, e.g. ``derive(seed, "noise", epoch)``; 0 to 2^63 - 1."""
+    """Return a seed for one purpose, e.g. ``derive(seed, "noise", epoch)``; 0 to 2^63 - 1."""
     text = ":".join(map(str, (seed, *purpose)))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 1
 
 
 def stream(seed: int, *purpose: str | int, device: torch.device | str = "cpu") -> torch.Generator:
-    """A generator for one purpose on ``device``."""
+    """Return a generator for one purpose on ``device``."""
     return torch.Generator(device).manual_seed(derive(seed, *purpose))
 
 

@@ -100,7 +100,7 @@ def remove(
 
 
 def _whole(camera: Camera, start: str) -> str:
-    """The one digest that begins so."""
+    """Return the one digest that begins so."""
     found = [one.digest for one in camera.bundles() if one.digest.startswith(start)]
     if len(found) != 1:
         raise ValueError(f"{len(found)} bundles begin with {start!r}: see 'veilcam bundle list'")

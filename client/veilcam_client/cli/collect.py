@@ -76,7 +76,7 @@ def collect_command(
 
 
 def _by_hand(labels: tuple[str, ...]) -> Iterator[Shot]:
-    """What a person says is there; a word that is no label is asked for again."""
+    """Ask a person what is there; a word that is no label is asked for again."""
     while True:
         told = typer.prompt(f"what is before the camera ({', '.join(labels)})", "", err=True)
         if not told:
@@ -88,7 +88,7 @@ def _by_hand(labels: tuple[str, ...]) -> Iterator[Shot]:
 
 
 def _viewed(command: list[str], pause: float) -> Show:
-    """What shows pictures on a screen before the camera."""
+    """Show pictures on a screen before the camera."""
 
     @contextmanager
     def show(shot: Shot) -> Iterator[None]:

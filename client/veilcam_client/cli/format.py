@@ -76,7 +76,7 @@ def record_in_words(record: CalibrationRecord) -> str:
 
 
 def run_in_words(run: CalibrationRun) -> str:
-    """How a calibration goes on, in one line."""
+    """Return the progress of a calibration, in one line."""
     if run.stage in ("waiting", "failed"):
         return f"{run.stage}  {run.instruction or run.detail}"
     scene = f" of {run.scene}" if run.scene else ""
@@ -105,7 +105,7 @@ def refusal(error: ValidationError) -> str:
 
 
 def policy_in_words(policy: RotationPolicy) -> str:
-    """When masks change."""
+    """Return the policy of mask changes in words."""
     if isinstance(policy, RotationOff):
         return "off"
     if isinstance(policy, EverySeconds):
@@ -117,12 +117,12 @@ def policy_in_words(policy: RotationPolicy) -> str:
 
 
 def masks_in_words(bundle: BundleInfo) -> str:
-    """Which masks there are."""
+    """Return the kind of masks in words."""
     return "fresh masks" if bundle.mode == "fresh" else f"{bundle.pairs} masks"
 
 
 def next_in_words(preparation: Preparation) -> str:
-    """Whether the next mask is ready, and how often it was not."""
+    """Say whether the next mask is ready, and how often it was late."""
     ready = "ready" if preparation.ready else "not ready"
     if not preparation.late:
         return ready
@@ -130,21 +130,21 @@ def next_in_words(preparation: Preparation) -> str:
 
 
 def replay_in_words(answer: Capture | Classification) -> str:
-    """That a capture comes from a recording, and from when; nothing if it was taken now."""
+    """Say that a capture comes from a recording, and its time; empty for a new capture."""
     if answer.replay is None:
         return ""
     return f"  replay of {answer.taken_at:%Y-%m-%d %H:%M:%S}"
 
 
 def epoch_in_words(rotation: Rotation) -> str:
-    """The present epoch."""
+    """Return the present epoch in words."""
     if rotation.epoch is None:
         return "none: no mask is shown"
     return f"{rotation.epoch}, {rotation.captures} captures"
 
 
 def status_in_words(status: Status) -> str:
-    """What the camera is and what it is doing."""
+    """Return the camera and its state in words."""
     rows, columns = status.bundle.embedding_shape[-2:]
     masks = masks_in_words(status.bundle)
     lines = [f"state     {status.state}{f' ({status.detail})' if status.detail else ''}"]
@@ -173,17 +173,17 @@ def release_in_words(status: Status) -> str:
 
 
 def receiver_in_words(receiver: PairedReceiver) -> str:
-    """What a receiver is, in one line."""
+    """Return a receiver, in one line."""
     return f"{receiver.id[:16]}  since {receiver.added_at:%Y-%m-%d}  {receiver.label}"
 
 
 def rotation_in_words(rotation: Rotation) -> str:
-    """When masks change, and the present epoch, in two lines."""
+    """Return the policy of mask changes and the present epoch, in two lines."""
     return f"rotation  {policy_in_words(rotation.policy)}\nepoch     {epoch_in_words(rotation)}"
 
 
 def lease_in_words(lease: Lease) -> str:
-    """Who holds the camera, and how long."""
+    """Return the holder of the camera, and the remaining time."""
     if not lease.held or lease.expires_in_s is None:
         return "nobody holds the camera"
     return f"held by {lease.owner!r} for another {lease.expires_in_s:.0f} s"
@@ -200,7 +200,7 @@ def capture_in_words(capture: Capture) -> str:
 
 
 def classification_in_words(found: Classification) -> str:
-    """What is in front of the camera."""
+    """Return the belief in words."""
     label = f"{found.label}{sure_in_words(found.confidence)}"
     return f"{label}  epoch {found.epoch}{replay_in_words(found)}"
 
@@ -231,12 +231,12 @@ def diagnostics_in_words(found: Diagnostics) -> str:
 
 
 def dated_in_words(event: Event) -> str:
-    """When what happened, in one line."""
+    """Return an event with its time, in one line."""
     return f"{event.at:%H:%M:%S}  {event.kind:<14}  {event_in_words(event)}"
 
 
 def event_in_words(event: Event) -> str:
-    """What happened, in one line."""
+    """Return an event, in one line."""
     match event:
         case Classified() | CaptureTaken():
             return _taken_in_words(event)
@@ -259,7 +259,7 @@ def _sight_in_words(event: Seen | Gone) -> str:
 
 
 def activity_in_words(policy: WatchPolicy, activity: Activity, detail: str | None) -> str:
-    """When it looks, and what it does now."""
+    """Return the policy of the watch and its present activity."""
     words = "off"
     if not isinstance(policy, WatchOff):
         rate = f"looks {policy.rate_hz:.3g}/s" if isinstance(policy, Watching) else "on request"
@@ -269,7 +269,7 @@ def activity_in_words(policy: WatchPolicy, activity: Activity, detail: str | Non
 
 
 def sure_in_words(confidence: float | None) -> str:
-    """How probable, where that is told."""
+    """Return the probability, where it is told."""
     return "" if confidence is None else f"  {100 * confidence:.1f} %"
 
 
@@ -297,7 +297,7 @@ def _remedy(remedy: Remedy | None) -> str:
 
 
 def bundle_in_words(installed: InstalledBundle) -> str:
-    """What a bundle is, in one line; a star stands at the one in use."""
+    """Return a bundle, in one line; a star stands at the one in use."""
     star, held = ("*" if installed.active else " "), installed.bundle
     content = "damaged" if held is None else f"{held.task}, {masks_in_words(held)}"
     if held is not None and held.version:

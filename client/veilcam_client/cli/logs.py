@@ -86,7 +86,7 @@ def verify(
 
 
 def _in_words(found: Examination, *, whose: str | None) -> Iterator[str]:
-    """What was found, a line each."""
+    """Return the findings, a line each."""
     for said in found.said:
         yield f"the camera says: {said}"
     for finding in found.findings:

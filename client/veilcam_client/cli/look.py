@@ -70,7 +70,7 @@ def look(
 
 
 def watch_in_words(found: Watch) -> str:
-    """Whether the camera looks, what it believes to see, and what it saw, a line each."""
+    """Print the policy, the belief and the sightings of the camera, a line each."""
     lines = [activity_in_words(found.policy, found.activity, found.detail)]
     if found.belief is not None:
         label = "nothing" if found.belief.label is None else found.belief.label

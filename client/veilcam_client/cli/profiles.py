@@ -28,14 +28,14 @@ class Profile(BaseModel):
     ca_file: Path | None = None
 
     def environment(self, folder: Path) -> dict[str, str | None]:
-        """The variables that it stands for, None for one that must not be set."""
+        """Return the variables that it stands for, None for one that must not be set."""
         token = None if self.token_file is None else read_secret(folder / self.token_file)
         authority = None if self.ca_file is None else str(folder / self.ca_file)
         return {URL: self.url, TOKEN: token, CA_FILE: authority}
 
 
 class _File(BaseModel):
-    """What the file holds."""
+    """Contents of the file of profiles."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
@@ -49,7 +49,7 @@ def profiles_path() -> Path:
 
 
 def variables_of(name: str) -> dict[str, str | None]:
-    """What a profile stands for; raises ValueError for a profile or a file that cannot be used.
+    """Return the variables of a profile; raises ValueError for one that cannot be used.
 
     A profile counts as a whole: no token reaches another camera than that which it is for.
     """

@@ -111,7 +111,7 @@ def remove(
 
 
 def _public(key: str) -> str:
-    """The line itself, checked before anybody is asked."""
+    """Return the line itself, checked before anybody is asked."""
     from veilcam_client.keys.receivers import Receiver  # noqa: PLC0415 - as above
 
     if not key.startswith("veilcam-receiver"):
@@ -123,7 +123,7 @@ def _public(key: str) -> str:
 
 
 def _whole(camera: Camera, start: str) -> str:
-    """The one id that begins so."""
+    """Return the one id that begins so."""
     if len(start) < LEAST_DIGITS:
         raise ValueError(f"{start!r} is too short: give {LEAST_DIGITS} digits or more")
     found = [one.id for one in camera.receivers().receivers if one.id.startswith(start)]

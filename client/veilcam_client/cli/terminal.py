@@ -1,4 +1,4 @@
-"""What the commands have in common: options, answers, and errors with exit codes."""
+"""Common parts of the commands: options, answers, and errors with exit codes."""
 
 import json as encoder
 import os

@@ -6,7 +6,7 @@ from veilcam_client.wire.tokens import Token
 
 
 def token_in_words(token: Token) -> str:
-    """What a token is, in two lines."""
+    """Return a token in two lines."""
     used = f"used {token.last_used_on}" if token.last_used_on else "never used"
     scopes = " ".join(token.scopes)
     return f"{token.id}  {_validity(token):<24}  {used:<15}  {token.label}\n{'':14}{scopes}"

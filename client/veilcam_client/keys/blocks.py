@@ -49,8 +49,8 @@ class Sealer:
     """Seals the embeddings of one epoch, each number once; any thread may ask.
 
     Args:
-        key: of the epoch.
-        envelope: that goes with every embedding.
+        key: key of the epoch.
+        envelope: envelope that goes with every embedding.
     """
 
     def __init__(self, key: EpochKey, envelope: Envelope) -> None:
@@ -65,10 +65,10 @@ class Sealer:
         """Seal one embedding.
 
         Args:
-            number: of the capture in its epoch, above all that were sealed before.
-            taken_at: to the second, UTC.
+            number: number of the capture in its epoch, above all that were sealed before.
+            taken_at: time of the capture, to the second, UTC.
             values: float32, any shape.
-            notes: that go with it.
+            notes: notes that go with it.
 
         Raises:
             ValueError: the number was used, the key was erased, the time is no whole second of UTC,
@@ -124,10 +124,10 @@ class Opener:
     the way could have put it there.
 
     Args:
-        key: of the receiver.
+        key: key of the receiver.
         device: public key of the camera, 64 hexadecimal digits; None: that of the first envelope
             that comes, from then on.
-        epochs: so many are remembered.
+        epochs: number of epochs that are remembered.
 
     Raises:
         ValueError: ``device`` is no such key.
@@ -175,7 +175,7 @@ class Opener:
         return answer.model_copy(update={"embedding": embedding, "notes": notes})
 
     def _epoch(self, answer: Capture | Classification, sealed: SealedEmbedding) -> _Opened:
-        """The epoch of an answer: known, or from its envelope."""
+        """Return the epoch of an answer: known, or from its envelope."""
         envelope = hashlib.sha256(sealed.envelope.model_dump_json().encode()).digest()
         known = self._epochs.get(answer.epoch)
         if known is not None and known.envelope == envelope:
@@ -213,9 +213,9 @@ def open_block(
     """Open the embedding of one answer, whether it came before or not.
 
     Args:
-        key: that embeddings of the epoch are sealed under.
-        answer: as it came.
-        sealed: its embedding.
+        key: key that embeddings of the epoch are sealed under.
+        answer: answer as it came.
+        sealed: sealed embedding of the answer.
 
     Raises:
         SealedError: it was changed.

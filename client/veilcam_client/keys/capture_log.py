@@ -37,9 +37,9 @@ def sign_record(signer: Signer, position: int, previous: str, entry: Entry) -> L
 
     Args:
         signer: the device.
-        position: in the log.
+        position: position in the log.
         previous: digest of the line before.
-        entry: what it says.
+        entry: entry of the record.
     """
     message = _record_message(signer.public, position, previous, entry)
     return LogRecord(
@@ -52,7 +52,7 @@ def sign_record(signer: Signer, position: int, previous: str, entry: Entry) -> L
 
 
 def is_genuine(signed: LogRecord | LogHead) -> bool:
-    """Whether the device that a record or a head names signed it."""
+    """Return whether the device that a record or a head names signed it."""
     if isinstance(signed, LogHead):
         message = _head_message(signed)
     else:
@@ -82,7 +82,7 @@ def sign_head(
 
 
 def line_of(record: LogRecord) -> bytes:
-    """The one line that a record is, without its end."""
+    """Return a record as one line, without its end."""
     return json.dumps(record.model_dump(mode="json"), separators=(",", ":")).encode()
 
 
@@ -126,8 +126,8 @@ def mask_commitment(key: EpochKey, levels: npt.NDArray[np.uint8]) -> str:
     """Commit to the mask of an epoch without telling it: 64 hexadecimal digits.
 
     Args:
-        key: of the epoch.
-        levels: of the mask, (rows, columns), uint8.
+        key: key of the epoch.
+        levels: levels of the mask, (rows, columns), uint8.
 
     Raises:
         ValueError: the levels are of another type, or the key was erased.
@@ -144,11 +144,11 @@ def mask_commitment(key: EpochKey, levels: npt.NDArray[np.uint8]) -> str:
 def logged_mask(
     entry: LoggedCapture, key: EpochKey, masks: Iterable[npt.NDArray[np.uint8]]
 ) -> int | None:
-    """Which of ``masks`` a record commits to, from 0 on; None: none of them.
+    """Return which of ``masks`` a record commits to, from 0 on; None: none of them.
 
     Args:
-        entry: of the record.
-        key: of its epoch, from the envelope of a sealed answer
+        entry: entry of the record.
+        key: key of its epoch, from the envelope of a sealed answer
             (:func:`~veilcam_client.keys.envelopes.open_key`).
         masks: levels, (rows, columns), uint8: those of the bundle, or the one drawn from ``key``.
     """

@@ -44,9 +44,9 @@ def seal_key(
     """Seal an epoch's key to its receivers.
 
     Args:
-        key: of the epoch.
+        key: key of the epoch.
         signer: the device.
-        epoch: its name.
+        epoch: name of the epoch.
         bundle: SHA-256 of the bundle in use, as the key has it.
         receivers: 1 to 8, none of them twice.
 
@@ -73,8 +73,8 @@ def open_key(envelope: Envelope, key: ReceiverKey, *, device: str | None) -> Epo
     """Return the key of an epoch, once it is sure whose it is.
 
     Args:
-        envelope: as it came.
-        key: of a receiver.
+        envelope: envelope as it came.
+        key: key of a receiver.
         device: public key that has to have signed it, 64 hexadecimal digits; None: any.
 
     Raises:

@@ -66,7 +66,7 @@ class EpochKey:
         return self._derived(b"veilcam mask commitment 1")
 
     def reveal(self) -> bytearray:
-        """The key itself, to be sealed to receivers; not a copy, so that :meth:`erase` gets it."""
+        """Return the key itself, to be sealed to receivers; :meth:`erase` reaches it."""
         self._require()
         return self._value
 

@@ -1,4 +1,4 @@
-"""Whether a capture log holds: who signed it, what was changed, and what is missing."""
+"""Check of a capture log: its signer, its changes, and its missing records."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Finding:
 
 @dataclass(slots=True)
 class Examination:
-    """What was found of a log."""
+    """Findings about a log."""
 
     device: str | None = None
     """Public key that its records must be signed with; None: there is no record."""
@@ -91,8 +91,8 @@ def examine(
     Args:
         content: lines, as ``veilcam log`` writes them.
         device: public key that has to have signed it; that of the first record if None.
-        head: that must be the head of this log, fetched then or earlier.
-        answer: that must be in it, as it left.
+        head: head that must be the head of this log, fetched then or earlier.
+        answer: answer that must be in it, as it left.
 
     Raises:
         ValueError: the answer was opened, or is of a camera that kept no log.
@@ -143,7 +143,7 @@ def _check_line(each: _Read, found: Examination) -> None:
 
 
 def _check_begin(lines: list[_Read], found: Examination) -> None:
-    """A log begins at position 0, or where the camera says that it dropped what was before."""
+    """Check that a log begins at position 0, or where the camera dropped what was before."""
     if not lines:
         found.findings.append(Finding("there is no record"))
         return
@@ -189,7 +189,7 @@ def _missing(begin: int, end: int) -> str:
 
 
 def _tell(sound: list[_Read], found: Examination) -> None:
-    """What the camera itself says."""
+    """List the faults that the camera itself admits."""
     records = [each.record for each in sound if each.record is not None]
     if records:
         found.first, found.last = records[0].position, records[-1].position

@@ -41,7 +41,7 @@ class ArrayAnswer(Answer):
     """An answer that ``np.asarray`` takes."""
 
     def array(self) -> Float32:
-        """The array, not to be written to."""
+        """Return the array, not to be written to."""
         raise NotImplementedError
 
     def __array__(

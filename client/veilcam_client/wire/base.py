@@ -44,7 +44,7 @@ ExampleT = TypeVar("ExampleT")
 
 
 class Answer(BaseModel):
-    """What a daemon answers: checked strictly, and open to what a newer one adds."""
+    """Base of answers: checked strictly, and open to fields that a newer daemon adds."""
 
     # Deferred: of some sixty answers a program reads a few, and each takes a millisecond to build.
     # Questions are few, and FastAPI warns of those that it cannot build where it defines a route.
@@ -92,7 +92,7 @@ class Problem(Answer):
 
 
 class Question(BaseModel):
-    """What a client asks: checked strictly, and closed to what is not known."""
+    """Base of requests: checked strictly, and closed to unknown fields."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
         strict=True, frozen=True, extra="forbid", allow_inf_nan=False

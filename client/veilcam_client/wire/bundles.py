@@ -24,7 +24,7 @@ class CardFinding(Answer):
 
 
 class CardSummary(Answer):
-    """What attacks on a bundle found, as whoever made it says."""
+    """Card of a bundle: results of attacks on it, as its maker states them."""
 
     outcome: str
     """``PASS``: all that is claimed held; ``FAIL``; ``NOT CLAIMED``: nothing is claimed; ``VOID``:
@@ -40,7 +40,7 @@ class CardSummary(Answer):
 
 
 class BundleInfo(Answer):
-    """What training handed over, without its secrets."""
+    """Bundle of masks and classifiers, without its secrets."""
 
     digest: str
     """SHA-256 of the file."""

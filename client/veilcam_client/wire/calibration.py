@@ -1,4 +1,4 @@
-"""What a camera found out about itself, and how it goes on finding out."""
+"""Calibration of a camera, and its progress."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class SceneConfirmation(Question):
 
 
 class CalibrationRun(Answer):
-    """How a calibration goes on, or ended."""
+    """Progress of a calibration, or its end."""
 
     stage: Stage
     scene: SceneName | None
@@ -117,7 +117,7 @@ class CalibrationRun(Answer):
 
 
 class CalibrationStatus(Answer):
-    """What a camera knows of itself."""
+    """Calibration in use."""
 
     signed: SignedCalibration | None
     """The record in use; None: the camera is taken to be nominal."""

@@ -24,7 +24,7 @@ NPY_MEDIA_TYPE = "application/x-npy"
 
 
 class ClassificationRequest(Question):
-    """What to send back beside the label."""
+    """Wishes for the answer beside the label."""
 
     include_embedding: bool = False
 
@@ -95,7 +95,7 @@ AnyEmbedding = Annotated[Embedding | SealedEmbedding, Field(discriminator="form"
 
 
 class Exposure(Answer):
-    """When one mask alone was exposed."""
+    """Times between which one mask alone was exposed."""
 
     started_after_shown_s: float
     """From the end of the write to the panel to the start of the exposure; >= ``settle_s``."""
@@ -105,7 +105,7 @@ class Exposure(Answer):
 
 
 class Timing(Answer):
-    """Where the time of one capture went, as the server saw it."""
+    """Times of the steps of one capture, as the server saw them."""
 
     queue_s: float
     rotation_s: float
@@ -116,7 +116,7 @@ class Timing(Answer):
 
 
 class ProofNote(Answer):
-    """What a capture itself says of the mask that it names."""
+    """Verdict of a capture about the mask that it names."""
 
     verdict: Literal["seen", "undecided"]
     """``undecided``: at this light a mask that is not there would be missed too often."""
@@ -131,7 +131,7 @@ class ProofNote(Answer):
 
 
 class Notes(Answer):
-    """What is sealed with an embedding, because it depends on the light or tells of others."""
+    """Notes that are sealed with an embedding, because they depend on the light or on others."""
 
     exposure: Exposure
     timing: Timing
@@ -147,7 +147,7 @@ What that came to depends on the light, and is in the notes."""
 
 
 class Replay(Answer):
-    """Where a capture comes from that was not taken now: from a recording."""
+    """Origin of a capture that comes from a recording."""
 
     capture: str
     """Its id when it was taken."""
@@ -210,7 +210,7 @@ class Capture(ArrayAnswer):
 
 
 class Prediction(Answer):
-    """What a classifier makes of one embedding."""
+    """Classification of one embedding."""
 
     label: str
     confidence: float | None = None

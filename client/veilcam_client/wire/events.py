@@ -1,4 +1,4 @@
-"""What happens, as the daemon tells of it on its event stream."""
+"""Events of the daemon's event stream."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Seen(_Event):
 
 
 class Gone(_Event):
-    """What was seen last is there no longer, or the camera looks no longer."""
+    """End of a sighting: the object is gone, or the camera stopped to look."""
 
     kind: Literal["gone"] = "gone"
     label: str

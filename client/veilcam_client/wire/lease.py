@@ -17,7 +17,7 @@ class LeaseRequest(Question):
 
 
 class Lease(Answer):
-    """Whether somebody holds the camera."""
+    """Lease of the camera, if there is one."""
 
     held: bool
     owner: str | None

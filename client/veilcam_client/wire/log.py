@@ -29,7 +29,7 @@ Second = Annotated[datetime, AfterValidator(_whole_second)]
 
 
 class _Signed(BaseModel):
-    """What is signed is closed: all of it is known, and nothing stands beside it."""
+    """Base of signed models: closed, so that nothing unknown stands beside what is signed."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
         strict=True, frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True
@@ -107,7 +107,7 @@ class LogRecord(_Signed):
 
 
 class LogHead(_Signed):
-    """Where the log ends, signed: what was dropped from its end since is found with it."""
+    """Signed end of the log: it shows what was dropped from its end since."""
 
     version: Literal[1] = LOG_VERSION
     device: str = Field(pattern=_DIGEST)

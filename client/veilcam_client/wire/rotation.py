@@ -1,4 +1,4 @@
-"""When masks change, and which one is shown."""
+"""Rotation of masks: its policy, and the mask that is shown."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ POLICY: TypeAdapter[RotationPolicy] = TypeAdapter(
 
 
 class Preparation(Answer):
-    """Of the epoch that comes next: done in the background, so that no capture waits for it."""
+    """Preparation of the next epoch, in the background, so that no capture waits for it."""
 
     ready: bool
     prepared: int
@@ -65,7 +65,7 @@ class Preparation(Answer):
 
 
 class Rotation(Answer):
-    """How masks change, and which one is shown."""
+    """Policy of mask changes, and the present epoch."""
 
     policy: RotationPolicy
     epoch: str | None

@@ -1,4 +1,4 @@
-"""How embeddings leave, the envelopes of sealed ones, and who receives them."""
+"""Sealing of embeddings: forms, envelopes and receivers."""
 
 from __future__ import annotations
 

@@ -17,14 +17,14 @@ PICTURE_MEDIA_TYPES = tuple(_BEGINNINGS.values())
 
 
 class HeldScene(Answer):
-    """What a simulated camera looks at from now on."""
+    """Scene of a simulated camera from now on."""
 
     scene: int
     """Its number, as captures name it that see it."""
 
 
 class PanelFaults(Question):
-    """What is wrong with a simulated panel."""
+    """Faults of a simulated panel."""
 
     dead: bool = False
     """No power: it ignores everything and is transparent all over the glass."""
@@ -47,7 +47,7 @@ class PanelFaults(Question):
 
 
 class SensorFaults(Question):
-    """What is wrong with a simulated sensor."""
+    """Faults of a simulated sensor."""
 
     gone: bool = False
     """Unplugged: it gives no frame, and cannot be opened again."""
@@ -67,7 +67,7 @@ class LightFaults(Question):
 
 
 class Faults(Question):
-    """What is wrong with a simulated camera; nothing, unless it is said."""
+    """Faults of a simulated camera; none, unless they are given."""
 
     panel: PanelFaults = Field(default_factory=PanelFaults)
     sensor: SensorFaults = Field(default_factory=SensorFaults)

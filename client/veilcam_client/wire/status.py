@@ -141,7 +141,7 @@ class Diagnostics(Answer):
 
 
 class DoctorFinding(Answer):
-    """What one check of the machine found."""
+    """Result of one check of the machine."""
 
     name: str
     outcome: Literal["ok", "bad", "skipped"]

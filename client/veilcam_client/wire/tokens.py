@@ -1,4 +1,4 @@
-"""Who may do what: scopes, the tokens that carry them, and sessions of a page."""
+"""Tokens with their scopes, and sessions of a page."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TokenRequest(Question):
 
 
 class Token(Answer):
-    """What the daemon knows of a token; its secret is not among it."""
+    """Token as the daemon knows it, without its secret."""
 
     id: str
     label: str
@@ -71,7 +71,7 @@ class Tokens(Answer):
 
 
 class Session(Answer):
-    """Who asks, and what it may do."""
+    """Caller and its scopes."""
 
     tokens: bool
     """Whether this daemon wants tokens; without, there is nothing to log in to."""

@@ -1,4 +1,4 @@
-"""When the camera looks by itself, and what it believes to see.
+"""Watch of a camera that looks by itself: its policy and its belief.
 
 ``GET /v1/watch`` answers with :class:`Watch`, and ``PUT /v1/watch`` takes a :data:`WatchPolicy`.
 """
@@ -23,7 +23,7 @@ TIME_OF_DAY = r"^([01][0-9]|2[0-3]):[0-5][0-9]$"
 
 
 class QuietHours(Question):
-    """From one time of day to another, by the clock on the wall where the camera is.
+    """Part of a day, from one time to another, by the wall clock of the camera.
 
     Over midnight where the end comes first. The end itself is not among them.
     """
@@ -38,7 +38,7 @@ class QuietHours(Question):
         return self
 
     def include(self, now: time) -> bool:
-        """Whether a time of day is among them."""
+        """Return whether a time of day is among them."""
         begin, end = time.fromisoformat(self.begin), time.fromisoformat(self.end)
         if begin < end:
             return begin <= now < end
@@ -104,7 +104,7 @@ for the camera, which is busy or not ready."""
 
 
 class Belief(Answer):
-    """What is in front of the camera, by all that it has seen so far."""
+    """Belief about the scene, by all captures so far."""
 
     label: str | None
     """None: nothing that it knows."""
@@ -137,7 +137,7 @@ MOST_SIGHTINGS = 64
 
 
 class Watch(Answer):
-    """Whether the camera looks, and what it believes to see."""
+    """Policy of the watch, and the belief."""
 
     policy: WatchPolicy
     activity: Activity

@@ -25,7 +25,7 @@ MAX_BYTES = 2**16
 
 @dataclass(frozen=True, slots=True)
 class _Key:
-    """What a key holds: its kind of value, unit and plausible range."""
+    """Key of a camera file: its kind of value, unit and plausible range."""
 
     kind: type
     unit: str
@@ -65,7 +65,7 @@ KEYS: Mapping[str, _Key] = {
 
 
 def read_camera(path: Path) -> Camera:
-    """The camera that a file describes.
+    """Read the camera that a file describes.
 
     Raises:
         OpticsError: a file that cannot be read or is no TOML; a key that is missing, unknown or of
@@ -84,7 +84,7 @@ def read_camera(path: Path) -> Camera:
 
 
 def parse_camera(text: str) -> Camera:
-    """The camera that a TOML text describes; errors as for :func:`read_camera`, without a file."""
+    """Read the camera that a TOML text describes; errors as for :func:`read_camera`."""
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -115,7 +115,7 @@ def parse_camera(text: str) -> Camera:
 
 
 def _panel(values: dict[str, Any]) -> Panel:
-    """Of its apertures or of its fill factor."""
+    """Make a panel of its apertures or of its fill factor."""
     share = values.pop("fill_factor", None)
     for axis in ("y", "x"):
         name = f"aperture_{axis}"
@@ -137,7 +137,7 @@ def write_camera(path: Path, camera: Camera) -> None:
 
 
 def describe_camera(camera: Camera) -> str:
-    """A camera as TOML, with the unit and the plausible range of every key."""
+    """Write a camera as TOML, with the unit and the plausible range of every key."""
     lines = [_line("distance", camera.distance), _line("wavelengths", camera.wavelengths)]
     for name in TABLES:
         part = getattr(camera, name)
@@ -187,7 +187,7 @@ def _of_kind(name: str, value: object) -> object:
 
 
 def _numbers(name: str, values: list[Any]) -> tuple[object, ...]:
-    """A list of numbers, or of lists of numbers, as tuples."""
+    """Return a list of numbers, or of lists of numbers, as tuples."""
     rows = values if name == "panel.filter_amplitudes" else [values]
     for row in rows:
         if type(row) is not list or any(type(value) not in {int, float} for value in row):

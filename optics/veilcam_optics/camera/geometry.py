@@ -1,4 +1,4 @@
-"""What the camera is made of: panel, window, sensor, scene. Lengths in metres.
+"""Geometry of a camera: panel, window, sensor, scene. Lengths in metres.
 
 Axis order is (rows, columns) everywhere. Rows run along the panel's fine axis, which lies along
 the sensor's short side. The origin of every plane is the optical axis.
@@ -88,10 +88,10 @@ class Panel:
         return self.aperture_y * self.aperture_x / (self.pitch_y * self.pitch_x)
 
     def with_fill_factor(self, share: float) -> Self:
-        """The same panel with apertures as wide for their pitch along both axes.
+        """Return the same panel with apertures as wide for their pitch along both axes.
 
         Args:
-            share: of the panel's area that is open, above 0 and at most 1.
+            share: share of the panel's area that is open, above 0 and at most 1.
         """
         require(0 < share <= 1, "panel.fill_factor", share, "", "a share above 0, at most 1")
         side = math.sqrt(share)
@@ -183,7 +183,7 @@ class Camera:
         )
 
     def monochrome(self, wavelength: float) -> Self:
-        """The same camera under light of one ``wavelength`` [m], without colours anywhere.
+        """Return the same camera under light of one ``wavelength`` [m], without colours anywhere.
 
         The panel has no filters, and a measurement is that of one channel: the others, of the same
         wavelength, count nothing and cost nothing.
@@ -291,7 +291,7 @@ class Embedding:
 
     @property
     def size(self) -> int:
-        """How many numbers one embedding has."""
+        """Number of values of one embedding."""
         return self.rows * self.columns
 
 

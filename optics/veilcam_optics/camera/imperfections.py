@@ -22,7 +22,7 @@ MOST_OFF_AXIS = 1.4
 
 @dataclass(frozen=True, slots=True)
 class Spreads:
-    """How far built cameras may be from the nominal one. A zero: not at all.
+    """Spreads of built cameras around the nominal one. Zero means none.
 
     Attributes:
         shift: displacement of the mask along each axis, to either side [m].
@@ -42,13 +42,13 @@ class Spreads:
 
 @dataclass(frozen=True, slots=True)
 class Imperfections:
-    """How a camera as it was built departs from the nominal one.
+    """Departures of a camera as built from the nominal one.
 
     Attributes:
         shift_y: displacement of the mask along y [m].
         shift_x: displacement of the mask along x [m].
-        rotation: of the mask around the axis, from x towards y [rad].
-        distance_error: how much farther than ``camera.distance`` the sensor is [m].
+        rotation: rotation of the mask around the axis, from x towards y [rad].
+        distance_error: distance by which the sensor is farther than ``camera.distance`` [m].
         gamma: the panel shows the amplitude ``w^gamma``.
         contrast_floor: amplitude of a sub-pixel that is told to be dark.
         dead_rows: mask rows that do not obey, from 0.
@@ -93,7 +93,7 @@ class Imperfections:
         """One camera drawn at random; what has no spread takes no random number.
 
         Args:
-            spreads: how far it may be from the nominal one.
+            spreads: spreads around the nominal camera.
             generator: None is torch's own.
         """
         import torch  # noqa: PLC0415 - training draws cameras, and a device is one
@@ -130,7 +130,7 @@ class Imperfections:
         self._check_lines(camera.mask_shape)
 
     def actual(self, camera: Camera) -> Camera:
-        """The camera with the distance that it really has."""
+        """Return the camera with the distance that it really has."""
         return replace(camera, distance=camera.distance + self.distance_error)
 
     def shown(self, weights: Array) -> Array:
@@ -175,8 +175,8 @@ class Conditions:
         off_axis: angle between the axis and the scene's upper edge up to which the point spread
             function is let change and fade over the field [rad]; None: a plan takes the scene's
             own, see :func:`half_field`, and a model that was not planned none. 0: a paraxial scene.
-        imperfections: of the camera as it was built.
-        levels: how many amplitudes the panel can show; 0 for any.
+        imperfections: departures of the camera as built.
+        levels: number of amplitudes that the panel can show; 0 for any.
         bayer: every sensor pixel reads one colour (RGGB), and embedding pixels cut through them.
         snr_db: signal-to-noise ratio of shot noise in every embedding [dB], where photons are not
             counted; infinite for none.

@@ -27,7 +27,7 @@ def check_scenes(scenes: Array, *axes: int | str | EllipsisType) -> None:
 
     Args:
         scenes: real floating-point numbers.
-        axes: of the shape, as :func:`~veilcam_optics.errors.require_shape` takes them.
+        axes: lengths of the axes, as :func:`~veilcam_optics.errors.require_shape` takes them.
     """
     require_shape("scenes", scenes, *axes)
     _check_values("scenes", scenes, "reflectances")

@@ -63,7 +63,7 @@ PRESETS = {
 
 
 def preset(name: str) -> Camera:
-    """The camera of that name.
+    """Return the camera of that name.
 
     Raises:
         OpticsError: a name that is not in :data:`PRESETS`.

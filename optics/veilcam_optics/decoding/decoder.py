@@ -118,7 +118,7 @@ class Decoder(Generic[Array]):
         (Bar-Shalom, Estimation with Applications to Tracking and Navigation, eq. 5.4.2-9.)
 
         Args:
-            measurements: as of :meth:`__call__`.
+            measurements: measurements as for :meth:`__call__`.
 
         Returns:
             (batch,), not negative.
@@ -138,7 +138,7 @@ class Decoder(Generic[Array]):
         How far a scene is from those to be expected, whatever its brightness; huge without light.
 
         Args:
-            measurements: as of :meth:`__call__`.
+            measurements: measurements as for :meth:`__call__`.
 
         Returns:
             (batch,), not negative.
@@ -195,14 +195,14 @@ def prepare_decoder(
     gain: float | Array = 1.0,
     wanted: SceneStatistics[Array] | None = None,
 ) -> Decoder[Array]:
-    """Decoder for a transfer matrix; differentiable in it where it is torch's.
+    """Prepare a decoder for a transfer matrix; differentiable in it where it is torch's.
 
     Args:
         transfer: (scene pixels, embedding pixels), of the type of ``precision.products``.
-        statistics: of the scenes, of the same type.
-        noise: to expect in measurements.
-        scene: whose pixels are estimated: those that the matrix takes, unless others are wanted.
-        embedding: whose pixels it gives.
+        statistics: statistics of the scenes, of the same type.
+        noise: noise to expect in measurements.
+        scene: scene whose pixels are estimated; by default those of the matrix.
+        embedding: embedding that the matrix gives.
         precision: a dial of accuracy against time.
         gain: measurement per unit of irradiance, a number or one per embedding pixel (E,).
         wanted: statistics of what is to be estimated in the place of the scene, in the same
@@ -257,23 +257,23 @@ def prepare_decoder(
 
 
 class Operator(Protocol):
-    """What gives the transfer matrix of a mask: in NumPy or, as a module, in torch."""
+    """Operator that gives the transfer matrix of a mask: in NumPy or, as a module, in torch."""
 
     @property
     def scene(self) -> Scene:
-        """Whose pixels the matrix takes."""
+        """Scene whose pixels the matrix takes."""
 
     @property
     def embedding(self) -> Embedding:
-        """Whose pixels it gives."""
+        """Embedding whose pixels the matrix gives."""
 
     @property
     def colour(self) -> bool:
-        """Whether it gives three matrices."""
+        """True where it gives three matrices."""
 
     @property
     def dtype(self) -> Any:
-        """Of the matrix."""
+        """Type of the matrix."""
 
     def __call__(self, weights: Any, /) -> Any:
         """Transfer matrix (scene pixels, embedding pixels) of a mask."""
@@ -287,8 +287,8 @@ class SceneDecoding(Generic[OperatorT]):
 
     Args:
         operator: gray transfer operator of the camera; its type is set by ``precision``.
-        statistics: of the scenes; their rank is a dial of accuracy against time.
-        noise: to expect in measurements.
+        statistics: statistics of the scenes; their rank is a dial of accuracy against time.
+        noise: noise to expect in measurements.
         precision: a dial of accuracy against time.
 
     Raises:
@@ -319,7 +319,7 @@ class SceneDecoding(Generic[OperatorT]):
         self.operator, self.noise, self.precision = operator, noise, precision
 
     def prepare(self, weights: Array, *, gain: float | Array = 1.0) -> Decoder[Array]:
-        """Decoder for one mask; differentiable in the weights.
+        """Prepare the decoder of one mask; differentiable in the weights.
 
         Args:
             weights: amplitude transmittances as the panel shows them (quantised, with dead rows),
@@ -336,7 +336,7 @@ class SceneDecoding(Generic[OperatorT]):
         return decoder
 
     def prepare_transfer(self, transfer: Array, *, gain: float | Array = 1.0) -> Decoder[Array]:
-        """Decoder for a transfer matrix (scene pixels, embedding pixels), e.g. a measured one."""
+        """Prepare the decoder of a transfer matrix (scene pixels, embedding pixels)."""
         decoder: Decoder[Array] = prepare_decoder(
             transfer,
             self.statistics,
@@ -350,7 +350,7 @@ class SceneDecoding(Generic[OperatorT]):
 
 
 def _gain(gain: float | Array, transfer: Array, size: int) -> Any:
-    """A number, or a column (E, 1) in the place and of the type of ``transfer``."""
+    """Return a number, or a column (E, 1) in the place and of the type of ``transfer``."""
     if isinstance(gain, int | float):
         if not (math.isfinite(gain) and gain > 0):
             raise OpticsError("gain is not valid: use finite numbers > 0")

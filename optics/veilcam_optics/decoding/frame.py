@@ -72,7 +72,7 @@ class SceneFrame(Generic[Array]):
     """Of the camera as it was built; whatever reads it takes out the stray light."""
 
     def in_torch(self) -> SceneFrame[Tensor]:
-        """The same frame, for training."""
+        """Return the same frame, for training."""
         known = (self.statistics.in_torch(), self.noise, self.reach, self.distribution)
         return SceneFrame(self.camera, self.scene, self.embedding, *known, self.imperfections)
 
@@ -95,7 +95,7 @@ class SceneFrame(Generic[Array]):
     def decoding(
         self, *, rank: int | None = None, precision: Precision = Precision.MIXED
     ) -> SceneDecoding[Any]:
-        """What prepares decoders, with fewer components of the statistics if ``rank`` says so.
+        """Prepare decoders, with fewer components of the statistics if ``rank`` says so.
 
         Of torch, its operator is a module.
         """
@@ -174,7 +174,7 @@ def read_frame(path: Path) -> SceneFrame[Values]:
 
 
 def dump_frame(frame: SceneFrame[Array]) -> bytes:
-    """The bytes that :func:`write_frame` writes; the same frame gives the same bytes."""
+    """Return the bytes that :func:`write_frame` writes; the same frame gives the same bytes."""
     header = _Header(
         camera=frame.camera,
         scene=frame.scene,

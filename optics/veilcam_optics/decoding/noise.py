@@ -1,4 +1,4 @@
-"""What a decoder expects of the noise in a measurement."""
+"""Noise that a decoder expects in a measurement."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class MeasurementNoise:
         require_within("noise.model_error", self.model_error, "", 0, math.inf)
 
     def variance(self, mean: Array, spread: Array) -> Array:
-        """Expected variance of the noise in each pixel of a measurement.
+        """Return the expected variance of the noise in each pixel of a measurement.
 
         The variance of shot noise is proportional to the measurement, its share such that the
         energy of signal and noise have the ratio ``snr_db``

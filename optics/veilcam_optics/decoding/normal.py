@@ -56,7 +56,7 @@ _AT_ONCE = 2**13
 
 
 def normal(drawn: npt.NDArray[np.uint8]) -> Values:
-    """Normal numbers, float64, one from every 8 uniform bytes."""
+    """Draw normal numbers, float64, one from every 8 uniform bytes."""
     words = drawn.view("<u8") >> np.uint64(11)
     # The last of 2^53 words would be rounded to a probability of 1, whose number is infinite.
     numbers: Values = np.minimum((words + 0.5) * 2.0**-53, 1 - 2.0**-53)
@@ -67,10 +67,10 @@ def normal(drawn: npt.NDArray[np.uint8]) -> Values:
 
 
 def inverse_normal(probability: Values) -> Values:
-    """Where the standard normal distribution is ``probability``, element by element.
+    """Return the quantile of the standard normal distribution, element by element.
 
     Args:
-        probability: in (0, 1), any shape.
+        probability: probabilities in (0, 1), any shape.
     """
     centred = probability - 0.5
     square = np.square(centred)
@@ -86,7 +86,7 @@ def inverse_normal(probability: Values) -> Values:
 
 
 def _quotient(coefficients: tuple[tuple[float, ...], tuple[float, ...]], at: Values) -> Values:
-    """Of two polynomials."""
+    """Return the quotient of two polynomials."""
     quotient = _polynomial(coefficients[0], at)
     quotient /= _polynomial(coefficients[1], at)
     return quotient

@@ -31,7 +31,7 @@ from veilcam_optics.keys.masks import KeyStream
 
 
 class ReleaseForm(Enum):
-    """How much of an embedding is released in the clear."""
+    """Form of an embedding that is released in the clear."""
 
     WHITE = "white"
     """A direction alone: decorrelated, turned in secret and of length 1."""
@@ -50,8 +50,8 @@ class Whitening(Generic[Array]):
     factored in float64.
 
     Args:
-        decoder: of the mask.
-        key: of the rotation, 32 bytes, used for nothing else and never again.
+        decoder: decoder of the mask.
+        key: key of the rotation, 32 bytes, used for nothing else and never again.
 
     Raises:
         OpticsError: a key of another length, or a decoder that is not finite.

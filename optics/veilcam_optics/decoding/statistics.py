@@ -48,12 +48,12 @@ class SceneStatistics(Generic[Array]):
 
     @property
     def pixels(self) -> int:
-        """How many pixels a scene has."""
+        """Number of pixels of a scene."""
         return int(self.mean.shape[0])
 
     @property
     def rank(self) -> int:
-        """How many principal components are kept."""
+        """Number of principal components that are kept."""
         return int(self.basis.shape[1])
 
     @property
@@ -70,21 +70,21 @@ class SceneStatistics(Generic[Array]):
         return float(xp.sum(_squares(self.basis))) / total if total > 0 else 1.0
 
     def truncate(self, rank: int) -> Self:
-        """The ``rank`` strongest components alone; the others' variance goes to the residual."""
+        """Keep the ``rank`` strongest components; the others' variance goes to the residual."""
         require(1 <= rank <= self.rank, "rank", rank, "", f"1 to {self.rank}, as many as there are")
         dropped = _squares(self.basis[:, rank:])
         return type(self)(self.mean, self.basis[:, :rank], self.residual + dropped)
 
     def to(self, name: str) -> Self:
-        """The same as ``float32`` or ``float64``."""
+        """Return the same statistics as ``float32`` or ``float64``."""
         return type(self)(*(as_type(each, name) for each in self._all))
 
     def in_numpy(self) -> SceneStatistics[npt.NDArray[Any]]:
-        """The same in NumPy: what a device computes with."""
+        """Return the same statistics in NumPy, for a device."""
         return SceneStatistics(*(as_numpy(each) for each in self._all))
 
     def in_torch(self) -> SceneStatistics[Tensor]:
-        """The same in torch: what training computes with."""
+        """Return the same statistics in torch, for training."""
         import torch  # noqa: PLC0415 - who asks for it has it
 
         return SceneStatistics(*(torch.as_tensor(each) for each in self._all))

@@ -44,13 +44,13 @@ class Comparison(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """What one effect does to one camera, scene and embedding.
+    """Assessment of one effect for one camera, scene and embedding.
 
     Attributes:
-        name: of the effect.
-        matters: whether it is computed.
+        name: name of the effect.
+        matters: True where the effect is computed.
         error: relative L2 at the embedding if it were ignored.
-        cost_ms: what it adds to a step when it is computed [ms].
+        cost_ms: time that the effect adds to a step when it is computed [ms].
         reason: why, in words.
     """
 
@@ -68,8 +68,8 @@ class Effect:
     :data:`~veilcam_optics.effects.EFFECTS`. What it does is applied where it is present alone.
 
     Attributes:
-        name: in the field's terms.
-        free: whether computing it adds (next to) nothing to a step.
+        name: name in the field's terms.
+        free: True where computing the effect adds (next to) nothing to a step.
         absent: why a model may not have it, in words.
         neutral: conditions, with the values at which the effect is not there.
     """
@@ -80,12 +80,12 @@ class Effect:
     neutral: Mapping[str, object] = MappingProxyType({})
 
     def present(self, model: Model) -> bool:
-        """Whether this camera, scene or these conditions have it at all; by default its own."""
+        """Return whether this camera, scene or these conditions have the effect at all."""
         conditions = model.conditions
         return any(getattr(conditions, field) != value for field, value in self.neutral.items())
 
     def without(self, model: Model) -> Model:
-        """The same model with the effect ignored: nothing of it is computed."""
+        """Return the same model with the effect ignored: nothing of it is computed."""
         neutral: dict[str, Any] = dict(self.neutral)
         return replace(model, conditions=replace(model.conditions, **neutral))
 
@@ -94,15 +94,15 @@ class Effect:
         return comparison.error(self.without(comparison.model))
 
     def reason(self, model: Model) -> str:
-        """What makes it large or small here, in words; for a model that has it."""
+        """Say in words what makes the effect large or small in a model that has it."""
         raise NotImplementedError
 
     def shown(self, weights: Tensor, model: Model) -> Tensor:  # noqa: ARG002 - part of the interface
-        """What the panel makes of a mask's amplitudes, same shape."""
+        """Return the amplitudes that the panel shows for a mask, same shape."""
         return weights
 
     def beams(self, beams: list[Beam], model: Model) -> list[Beam]:  # noqa: ARG002 - part of the interface
-        """What becomes of the light of each channel."""
+        """Return the light of each channel with the effect."""
         return beams
 
     def fade(self, model: Model) -> Tensor | None:  # noqa: ARG002 - part of the interface
@@ -115,7 +115,7 @@ class Effect:
         axes: tuple[int, ...],  # noqa: ARG002 - part of the interface
         model: Model,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
-        """What becomes of the light on the sensor; embedding pixels run along ``axes``. Linear."""
+        """Return the light on the sensor; embedding pixels run along ``axes``. Linear."""
         return values
 
     def electrons(
@@ -124,7 +124,7 @@ class Effect:
         model: Model,  # noqa: ARG002 - part of the interface
         generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
-        """What a pixel makes of its photo-electrons, where they are counted."""
+        """Return the electrons that a pixel reads, where electrons are counted."""
         return electrons
 
     def measurement(
@@ -133,7 +133,7 @@ class Effect:
         model: Model,  # noqa: ARG002 - part of the interface
         generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
-        """What the camera makes of embedding values, after the electrons."""
+        """Return the embedding values that the camera reads, after the electrons."""
         return values
 
 
@@ -141,25 +141,25 @@ class Imperfection(Effect):
     """An effect of how the camera was built.
 
     Attributes:
-        fields: of :class:`~veilcam_optics.camera.imperfections.Imperfections`, its own.
+        fields: fields of :class:`~veilcam_optics.camera.imperfections.Imperfections` that it owns.
     """
 
     fields: tuple[str, ...]
 
     def present(self, model: Model) -> bool:
-        """Where one of its fields is not nominal."""
+        """Return whether one of its fields is not nominal."""
         imperfections = model.conditions.imperfections
         return any(getattr(imperfections, name) != getattr(NOMINAL, name) for name in self.fields)
 
     def without(self, model: Model) -> Model:
-        """The same model, nominal in its fields."""
+        """Return the same model, nominal in its fields."""
         conditions = model.conditions
         nominal: dict[str, Any] = {name: getattr(NOMINAL, name) for name in self.fields}
         imperfections = replace(conditions.imperfections, **nominal)
         return replace(model, conditions=replace(conditions, imperfections=imperfections))
 
     def shown(self, weights: Tensor, model: Model) -> Tensor:
-        """What a panel shows that is nominal in everything else."""
+        """Return the amplitudes of a panel that is nominal in everything else."""
         imperfections = model.conditions.imperfections
         own: dict[str, Any] = {name: getattr(imperfections, name) for name in self.fields}
         return replace(NOMINAL, **own).shown(weights)

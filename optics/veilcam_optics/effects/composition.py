@@ -1,4 +1,4 @@
-"""What all effects of a model do together, stage by stage, each where it is present alone."""
+"""All effects of a model together, stage by stage; each acts only where it is present."""
 
 from functools import lru_cache
 
@@ -13,18 +13,18 @@ from veilcam_optics.transfer.tables import Beam
 
 
 def present(model: Model) -> tuple[Effect, ...]:
-    """The effects that a model has."""
+    """List the effects that a model has."""
     return _present(model, effects.EFFECTS)
 
 
 @lru_cache(maxsize=64)
 def _present(model: Model, every: tuple[Effect, ...]) -> tuple[Effect, ...]:
-    """A plan asks for those of the same few models again and again."""
+    """Cache the effects of the few models that a plan asks for again and again."""
     return tuple(effect for effect in every if effect.present(model))
 
 
 def beams(model: Model, zone: Zone | None = None) -> tuple[Beam, ...]:
-    """What each channel adds up: samples of its spectrum times samples of the depth."""
+    """List the beams of each channel: samples of its spectrum times samples of the depth."""
     return _beams(model, (1.0, 1.0) if zone is None else zone.stretch, present(model))
 
 
@@ -57,14 +57,14 @@ def fade(model: Model) -> Tensor | None:
 
 
 def collected(model: Model, values: Tensor, axes: tuple[int, ...]) -> Tensor:
-    """The light on the sensor; embedding pixels run along ``axes`` of ``values``."""
+    """Return the light on the sensor; embedding pixels run along ``axes`` of ``values``."""
     for effect in present(model):
         values = effect.collected(values, axes, model)
     return values
 
 
 def read(model: Model, values: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """What the camera reads of noiseless embeddings.
+    """Return the camera's reading of noiseless embeddings.
 
     Counting and rounding pass the gradient of the identity on (straight-through).
 

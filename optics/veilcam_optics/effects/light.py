@@ -34,7 +34,7 @@ def _tangents(side: float, shape: tuple[int, int]) -> tuple[Tensor, Tensor]:
 
 
 def scene_pixel_tangent(model: Model) -> float:
-    """How far apart the tangents of neighbouring scene pixels are."""
+    """Return the distance between the tangents of neighbouring scene pixels."""
     return math.tan(model.conditions.off_axis or 0.0) * 2 / model.scene.rows
 
 
@@ -94,7 +94,7 @@ def zone_counts(model: Model) -> tuple[int, int]:
 
 
 def zones(model: Model) -> list[list[Zone]]:
-    """The parts of the scene that have a point spread function each, by rows and columns."""
+    """List the parts of the scene that have a point spread function each, by rows and columns."""
     scale = scene_pixel_tangent(model)
     parts = []
     for length, count in zip(model.scene.shape, zone_counts(model), strict=True):
@@ -113,7 +113,7 @@ class Diffraction(Effect):
     free = False
 
     def present(self, model: Model) -> bool:
-        """Always."""
+        """Return True: every model has it."""
         return bool(model)
 
     def without(self, model: Model) -> Model:
@@ -147,11 +147,11 @@ class NonParaxial(Effect):
         return replace(model, sampling=replace(model.sampling, method="transfer"))
 
     def error(self, comparison: Comparison) -> float:
-        """What the factored field leaves out."""
+        """Return the error of the factored field."""
         return comparison.paraxial()
 
     def reason(self, model: Model) -> str:
-        """How far an aperture spreads light."""
+        """Say by how much an aperture spreads light."""
         panel = model.camera.panel
         angle = max(model.camera.wavelengths) / min(panel.aperture_y, panel.aperture_x)
         return f"an aperture spreads light by {angle:.2g} rad; the grid alone counts it"
@@ -163,11 +163,11 @@ class SphericalWavefront(Effect):
     name = "spherical wavefront"
 
     def present(self, model: Model) -> bool:
-        """Always."""
+        """Return True: every model has it."""
         return bool(model)
 
     def without(self, model: Model) -> Model:
-        """A scene at infinity."""
+        """Return the model of a scene at infinity."""
         return replace(model, sampling=replace(model.sampling, spherical=False))
 
     def reason(self, model: Model) -> str:
@@ -290,7 +290,7 @@ class OffAxis(Effect):
     neutral = MappingProxyType({"off_axis": 0.0})
 
     def present(self, model: Model) -> bool:
-        """Where an angle is given."""
+        """Return whether an angle is given."""
         return bool(model.conditions.off_axis)
 
     def error(self, comparison: Comparison) -> float:
@@ -318,7 +318,7 @@ def _fading(side: float, shape: tuple[int, int]) -> Tensor:
 
     Args:
         side: tangent of a scene pixel.
-        shape: of the scene.
+        shape: shape of the scene.
     """
     with torch.inference_mode(mode=False):  # it is kept, and some who ask need a gradient
         y, x = _tangents(side, shape)
@@ -352,7 +352,7 @@ class Binning(Effect):
     name = "pixel binning"
 
     def present(self, model: Model) -> bool:
-        """Always."""
+        """Return True: every model has it."""
         return bool(model)
 
     def without(self, model: Model) -> Model:

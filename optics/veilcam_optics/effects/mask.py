@@ -19,7 +19,7 @@ class DeadSpace(Effect):
     absent = "apertures as wide as their pitch"
 
     def present(self, model: Model) -> bool:
-        """Where apertures are smaller than their pitch."""
+        """Return whether apertures are smaller than their pitch."""
         panel = model.camera.panel
         return panel.aperture_y < panel.pitch_y or panel.aperture_x < panel.pitch_x
 
@@ -43,7 +43,7 @@ class ColourFilters(Effect):
     absent = "panel without filters"
 
     def present(self, model: Model) -> bool:
-        """Where the panel has them."""
+        """Return whether the panel has colour filters."""
         return bool(model.camera.panel.filter_cycle)
 
     def without(self, model: Model) -> Model:
@@ -65,7 +65,7 @@ class FilterLeakage(Effect):
     absent = "no filters, or ideal ones"
 
     def present(self, model: Model) -> bool:
-        """Where the panel has filters that are not ideal."""
+        """Return whether the panel has filters that are not ideal."""
         panel = model.camera.panel
         return bool(panel.filter_cycle) and bool(panel.filter_leakage or panel.filter_amplitudes)
 
@@ -94,7 +94,7 @@ class Quantisation(Effect):
         return f"{model.conditions.levels} amplitudes"
 
     def shown(self, weights: Tensor, model: Model) -> Tensor:
-        """Rounded, with the gradient of the identity."""
+        """Round, with the gradient of the identity."""
         return quantise(weights, replace(model.camera.panel, levels=model.conditions.levels))
 
 
@@ -106,7 +106,7 @@ class Gamma(Imperfection):
     fields = ("gamma",)
 
     def reason(self, model: Model) -> str:
-        """What half becomes."""
+        """Say what half a weight becomes."""
         half = 0.5**model.conditions.imperfections.gamma
         return f"an amplitude of 0.5 shows as {half:.3g}"
 
@@ -131,12 +131,12 @@ class DeadLines(Imperfection):
     fields = ("dead_rows", "dead_columns", "dead_transmittance")
 
     def present(self, model: Model) -> bool:
-        """Where there are some."""
+        """Return whether there are dead lines."""
         imperfections = model.conditions.imperfections
         return bool(imperfections.dead_rows or imperfections.dead_columns)
 
     def reason(self, model: Model) -> str:
-        """How many, and what they pass."""
+        """Say how many lines are dead, and what they pass."""
         imperfections = model.conditions.imperfections
         rows, columns = len(imperfections.dead_rows), len(imperfections.dead_columns)
         passed = imperfections.dead_transmittance
@@ -151,7 +151,7 @@ class MaskShift(Imperfection):
     fields = ("shift_y", "shift_x")
 
     def reason(self, model: Model) -> str:
-        """How far."""
+        """Say how far the mask is shifted."""
         imperfections = model.conditions.imperfections
         moved = math.hypot(imperfections.shift_y, imperfections.shift_x)
         return f"mask {moved * 1e6:.3g} um off the axis"
@@ -170,7 +170,7 @@ class MaskRotation(Imperfection):
         return comparison.rotated()
 
     def reason(self, model: Model) -> str:
-        """How far the edge moves."""
+        """Say how far the mask's edge moves."""
         angle, camera = model.conditions.imperfections.rotation, model.camera
         half = (
             max(
@@ -191,7 +191,7 @@ class DistanceError(Imperfection):
     fields = ("distance_error",)
 
     def reason(self, model: Model) -> str:
-        """How far off."""
+        """Say how far the distance is off."""
         error, distance = model.conditions.imperfections.distance_error, model.camera.distance
         return (
             f"sensor {error * 1e6:.3g} um too far, {100 * error / distance:.2g} % of its distance"
@@ -199,5 +199,5 @@ class DistanceError(Imperfection):
 
 
 def actual_camera(model: Model) -> Camera:
-    """The camera with the distance it really has."""
+    """Return the camera with the distance it really has."""
     return model.conditions.imperfections.actual(model.camera)

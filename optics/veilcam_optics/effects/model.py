@@ -16,7 +16,7 @@ Method = Literal["transfer", "factors", "grid"]
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How the light is computed: what is left out, and how finely the rest is sampled.
+    """Sampling of the light: the parts that are left out, and how finely the rest is sampled.
 
     Attributes:
         method: ``"transfer"`` forms the matrix from scene to embedding; ``"factors"`` applies its
@@ -25,13 +25,13 @@ class Sampling:
         spherical: False for a scene at infinity.
         binning: False to read an embedding value at its pixel's centre.
         shot: False to leave the photon noise out.
-        reach: which sub-pixels interfere.
+        reach: distance up to which sub-pixels interfere.
         wavelengths: samples of each channel's spectrum.
         layers: samples of the scene's depth.
         zones: parts of the field along each side, each with a point spread function of its own.
         step: largest distance of integration nodes [m] (not for the grid).
         oversampling: samples per 8 sensor pixels (for the grid alone).
-        dtype: of the result.
+        dtype: type of the result.
     """
 
     method: Method = "transfer"
@@ -101,7 +101,7 @@ class Model:
         zones: int | None = None,
         dtype: torch.dtype | None = None,
     ) -> Self:
-        """The same model computed otherwise; None keeps what is there."""
+        """Return the same model computed otherwise; None keeps the present value."""
         sampling = self.sampling
         return replace(
             self,
@@ -117,13 +117,13 @@ class Model:
         )
 
     def with_samples(self, of: str, count: int) -> Self:
-        """The same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
+        """Return the same model with so many samples ``of`` "wavelengths", "layers" or "zones"."""
         samples: dict[str, Any] = {of: count}
         return replace(self, sampling=replace(self.sampling, **samples))
 
     @property
     def approximation(self) -> Approximation:
-        """What the kernels leave out."""
+        """Approximation of the kernels."""
         sampling = self.sampling
         return Approximation(
             shadow=not sampling.diffraction,

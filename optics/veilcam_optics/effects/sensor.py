@@ -79,7 +79,7 @@ class ShotNoise(Effect):
     absent = "photons not counted"
 
     def present(self, model: Model) -> bool:
-        """Where photons or a signal-to-noise ratio are given."""
+        """Return whether photons or a signal-to-noise ratio are given."""
         conditions = model.conditions
         return model.sampling.shot and (conditions.electrons > 0 or conditions.snr_db != math.inf)
 
@@ -96,7 +96,7 @@ class ShotNoise(Effect):
         return over_light((values.clamp_min(0) / conditions.electrons).sqrt(), values)
 
     def reason(self, model: Model) -> str:
-        """How many."""
+        """Say how many photons there are."""
         conditions = model.conditions
         if not conditions.electrons:
             return f"signal to noise {conditions.snr_db:.3g} dB"
@@ -108,7 +108,7 @@ class ShotNoise(Effect):
         model: Model,  # noqa: ARG002 - part of the interface
         generator: torch.Generator | None,
     ) -> Tensor:
-        """Counted, where their number is given."""
+        """Count photons, where their number is given."""
         return counted(electrons, generator)
 
     def measurement(
@@ -132,14 +132,14 @@ class ReadNoise(Effect):
         return over_light(noise, comparison.white())
 
     def reason(self, model: Model) -> str:
-        """How much."""
+        """Say how much noise there is."""
         conditions = model.conditions
         return f"{conditions.read_noise:.3g} of {conditions.electrons:.3g} electrons"
 
     def electrons(
         self, electrons: Tensor, model: Model, generator: torch.Generator | None
     ) -> Tensor:
-        """Normal, alike for every pixel."""
+        """Add normal noise, alike for every pixel."""
         noise = torch.randn(
             electrons.shape, generator=generator, dtype=electrons.dtype, device=electrons.device
         )
@@ -163,14 +163,14 @@ class FullWell(Effect):
         return replace(model, conditions=conditions)
 
     def error(self, comparison: Comparison) -> float:
-        """What a white scene loses."""
+        """Return the error that a white scene would have without it."""
         conditions = comparison.model.conditions
         values = comparison.white()
         lost = (values - conditions.full_well / conditions.electrons).clamp_min(0)
         return over_light(lost, values) if float(lost.max()) > 0 else 0.0
 
     def reason(self, model: Model) -> str:
-        """Where it ends."""
+        """Say at which number of electrons a pixel is full."""
         limit = model.conditions.full_well / model.conditions.electrons
         return f"saturates at an embedding value of {limit:.3g}"
 
@@ -197,7 +197,7 @@ class BlackLevel(Effect):
         return over_light(offset, comparison.white())
 
     def reason(self, model: Model) -> str:
-        """How much."""
+        """Say how large the offset is."""
         return f"dark reads {model.conditions.black_level:.3g}"
 
     def measurement(
@@ -206,7 +206,7 @@ class BlackLevel(Effect):
         model: Model,
         generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
-        """Added to every measurement."""
+        """Add the offset to every measurement."""
         return values + model.conditions.black_level
 
 
@@ -218,7 +218,7 @@ class Converter(Effect):
     neutral = MappingProxyType({"adc_bits": 0})
 
     def error(self, comparison: Comparison) -> float:
-        """Rounding (a twelfth of a step squared) and what lies beyond the range.
+        """Return the rounding error (a twelfth of a step squared) and that beyond the range.
 
         What is below half a step is read as nothing: all of it is lost.
         """
@@ -243,5 +243,5 @@ class Converter(Effect):
         model: Model,
         generator: torch.Generator | None,  # noqa: ARG002 - part of the interface
     ) -> Tensor:
-        """Rounded, with the gradient of the identity."""
+        """Round, with the gradient of the identity."""
         return digitised(values, model.conditions.adc_bits, converter_range(model.conditions))

@@ -22,7 +22,7 @@ Levels = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class MaskDistribution:
-    """What a key's masks are drawn from: public, and fixed for as long as a classifier serves.
+    """Distribution of a key's masks: public, and fixed for as long as a classifier serves.
 
     Every sub-pixel draws a whole number uniformly from ``lowest`` to ``highest``, both included,
     independently of the others, and shows the level that ``curve`` holds for it. The default is
@@ -120,19 +120,19 @@ class KeyStream:
         self._encryptor = Cipher(algorithms.ChaCha20(key, bytes(16)), mode=None).encryptor()
 
     def read(self, count: int) -> npt.NDArray[np.uint8]:
-        """The next ``count`` bytes."""
+        """Return the next ``count`` bytes."""
         return np.frombuffer(self._encryptor.update(bytes(count)), np.uint8)
 
 
 def draw_levels(
     key: bytes | bytearray, *, camera: Camera, distribution: MaskDistribution | None = None
 ) -> Levels:
-    """The mask of a key, as levels for the panel.
+    """Draw the mask of a key, as levels for the panel.
 
     Args:
         key: 32 bytes, used for nothing else and never again.
-        camera: its window and the panel's number of levels.
-        distribution: to draw from, uniform over all that the panel can show by default.
+        camera: camera with the window and the panel's number of levels.
+        distribution: distribution to draw from; by default uniform over all levels.
 
     Returns:
         uint8 array of shape ``camera.mask_shape``: a secret, to be logged nowhere.

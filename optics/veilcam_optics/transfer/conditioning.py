@@ -30,7 +30,7 @@ DRAWN = 8
 
 @dataclass(frozen=True, slots=True)
 class Conditioning:
-    """Of one mask, as shares of what masks drawn at random have in the same camera."""
+    """Conditioning of one mask, in shares of that of random masks in the same camera."""
 
     directions: float
     """Singular values of T above the floor, each of its columns less its mean."""
@@ -46,7 +46,7 @@ class ConditioningMeter:
     Args:
         camera: geometry.
         scene: before it.
-        embedding: of it; a finer one than ``FINEST`` is measured as that.
+        embedding: shape of the embedding; a finer one than ``FINEST`` is measured as that.
     """
 
     def __init__(self, camera: Camera, scene: Scene, embedding: Embedding) -> None:
@@ -71,7 +71,7 @@ class ConditioningMeter:
         return Conditioning(*(self._measure(weights) / self._random).tolist())
 
     def _measure(self, weights: Values) -> Values:
-        """Number of singular values, participation ratio and share of energy: shape (3,)."""
+        """Return number of singular values, participation ratio and share of energy, (3,)."""
         transfer = self._transfer(weights).astype(np.float64)
         light = np.square(transfer).sum()
         if light == 0:

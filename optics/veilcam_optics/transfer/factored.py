@@ -14,7 +14,7 @@ from veilcam_optics.transfer.fresnel_integrals import fresnel_integrals
 
 
 def as_number(value: Scalar) -> float:
-    """The plain number in a scalar, whether or not it takes part in a gradient."""
+    """Return the plain number in a scalar, whether or not it takes part in a gradient."""
     return float(value if isinstance(value, int | float) else detached(value))
 
 
@@ -57,7 +57,7 @@ def aperture_fields(
     apertures, is left out: it cancels in every intensity, and without it the phase stays small.
 
     Args:
-        points: where the field is wanted, shape (N,) [m], float64.
+        points: places of the field, shape (N,) [m], float64.
         centres: aperture centres, shape (R,) [m], float64.
         width: aperture width [m].
         wavelength: [m].

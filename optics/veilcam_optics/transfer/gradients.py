@@ -20,7 +20,7 @@ class FresnelIntegrals(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        """What both gradients come to with respect to ``t``."""
+        """Return the part that both gradients share, with respect to ``t``."""
         (t,) = ctx.saved_tensors
         phase = torch.pi / 2 * t * t
         return gradients[0] * torch.cos(phase) + gradients[1] * torch.sin(phase)
@@ -37,5 +37,5 @@ class Joined(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        """Of each part, its own."""
+        """Return the gradient of each part."""
         return None, *torch.split(gradients[0], ctx.lengths)

@@ -41,7 +41,7 @@ def sample_pitch(camera: Camera, oversampling: float = 1) -> float:
 
 
 def cells_in_aperture(camera: Camera, oversampling: float = 1) -> float:
-    """Samples across the narrower side of a sub-pixel's aperture."""
+    """Return the number of samples across the narrower side of a sub-pixel's aperture."""
     panel = camera.panel
     return min(panel.aperture_y, panel.aperture_x) / sample_pitch(camera, oversampling)
 
@@ -64,7 +64,7 @@ def check_oversampling(camera: Camera, oversampling: float) -> None:
 
 
 class MaskOnGrid(Protocol):
-    """From the amplitudes of sub-pixels to those of the cells of a grid."""
+    """Mask on a grid: amplitudes of cells from those of sub-pixels."""
 
     grid: Grid
 
@@ -81,9 +81,9 @@ class SampledMask:
 
     Args:
         camera: panel and window.
-        grid: its cells; see :func:`mask_grid` for the smallest.
-        dtype: of the amplitudes.
-        device: where tensors live.
+        grid: cells of the mask; see :func:`mask_grid` for the smallest.
+        dtype: type of the amplitudes.
+        device: device of all tensors.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class SampledMask:
 
 
 def mask_grid(camera: Camera, pitch: float) -> Grid:
-    """The smallest grid of cells of side ``pitch`` [m] that holds the mask."""
+    """Return the smallest grid of cells of side ``pitch`` [m] that holds the mask."""
     window, panel = camera.window, camera.panel
     return covering_grid(
         (window.rows - 1) * panel.pitch_y + panel.aperture_y,
@@ -117,8 +117,8 @@ class GridLight:
     """Light through one camera from one scene, on a grid.
 
     Attributes:
-        grid: Where the PSF is sampled; it covers the sensor plus the scene's geometric image.
-        spreads: From a transmittance on ``mask_grid`` to its PSF, one per channel.
+        grid: places of the PSF's samples; they cover the sensor plus the scene's geometric image.
+        spreads: operators that turn a transmittance on ``mask_grid`` into its PSF, one per channel.
     """
 
     def __init__(
@@ -140,10 +140,10 @@ class GridLight:
             scene: Size and distance of the object.
             oversampling: Grid samples per 8 sensor pixels; 2 is within 0.5 % at the embedding.
             dtype: torch.float32 or torch.float64, of weights, PSF and embeddings.
-            device: Where tensors live.
-            grid: Where the PSF is sampled, in square cells; None for what ``oversampling`` gives.
-            mask: How the mask lies on its grid; None for the panel in its place.
-            propagator: From the mask to the sensor.
+            device: device of all tensors.
+            grid: places of the PSF's samples, in square cells; None for those of ``oversampling``.
+            mask: mask on its grid; None for the panel in its place.
+            propagator: propagator between mask and sensor.
 
         Raises:
             OpticsError: If ``oversampling`` is too coarse for the apertures, samples do not fit
@@ -183,7 +183,7 @@ class GridLight:
 
     @property
     def mask_grid(self) -> Grid:
-        """Where the field right behind the mask is sampled."""
+        """Grid on which the field right behind the mask is sampled."""
         return self._mask.grid
 
     def mask(self, weights: Tensor, channel: int) -> Tensor:
@@ -221,7 +221,7 @@ class GridLight:
         )
 
     def gray_psf_of_amplitudes(self, amplitudes: Tensor) -> Tensor:
-        """What :meth:`psf_of_amplitudes` comes to in gray, (rows, columns) on ``grid``."""
+        """Return the gray form of :meth:`psf_of_amplitudes`, (rows, columns) on ``grid``."""
         gray = torch.zeros(self.grid.shape, dtype=self.dtype, device=self.device)
         for channel, (share, spread) in enumerate(
             zip(self.camera.sensor.channel_weights, self.spreads, strict=True)
@@ -234,7 +234,7 @@ class GridLight:
 
         Args:
             scenes: Reflectance in [0, 1], shape (..., rows, columns) of the scene.
-            psf: What :meth:`psf` returned.
+            psf: result of :meth:`psf`.
             embedding: The grid to which the whole sensor is averaged.
 
         Returns:
@@ -332,7 +332,7 @@ class GridLight:
 
 
 def _sensor_grid(camera: Camera, scene: Scene, pitch: float) -> Grid:
-    """What covers the sensor plus the scene's geometric image."""
+    """Return a grid that covers the sensor plus the scene's geometric image."""
     height, width = camera.lit_sides(scene)
     # The margin holds the ripple at the edges of the Fourier series away from the sensor.
     margin = 8 * pitch

@@ -21,8 +21,8 @@ def joined(parts: Iterable[Array], length: int) -> Array:
     :class:`~veilcam_optics.transfer.gradients.Joined`.
 
     Args:
-        parts: of one type and shape, but for the length of the first axis.
-        length: of the first axes, all together.
+        parts: arrays of one type and shape, but for the length of the first axis.
+        length: length of all first axes together.
     """
     rest: Iterator[Array] = iter(parts)
     first: Array = next(rest)
@@ -52,7 +52,7 @@ def _new(shape: tuple[int, ...], like: Array) -> Array:
 
 
 def _in_words(*arrays: Array) -> tuple[Array, ...]:
-    """The same memory in words of 16 bytes, where rows are whole words; else as it is.
+    """View the same memory in words of 16 bytes, where rows are whole words.
 
     Rows of few numbers, moved about, are copied a number at a time: in words, three times as fast.
     """
@@ -63,7 +63,7 @@ def _in_words(*arrays: Array) -> tuple[Array, ...]:
 
 
 def _whole(array: Array, count: int) -> bool:
-    """Whether rows lie in memory as words of so many numbers."""
+    """Return whether rows lie in memory as words of so many numbers."""
     if is_torch_array(array):
         places = [array.storage_offset(), *array.stride()]
     else:

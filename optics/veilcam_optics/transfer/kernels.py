@@ -99,7 +99,7 @@ def shadow_kernel(offsets: Array, low: Array, high: Array, *, pixel: float, imag
 
 @dataclass(frozen=True, slots=True)
 class Approximation:
-    """What the kernels leave out. By default nothing.
+    """Approximation of the kernels: the terms that are left out. By default none is.
 
     Attributes:
         shadow: geometric shadows take the place of diffraction; nothing interferes.
@@ -135,7 +135,7 @@ class Axis(Generic[Array]):
         width: open width of a sub-pixel [m].
         shift: displacement of the mask from the optical axis [m].
         step: largest distance of integration nodes [m].
-        approximation: what is left out.
+        approximation: terms that are left out.
         like: any array of the library that computes.
 
     Raises:
@@ -228,7 +228,7 @@ class Axis(Generic[Array]):
         return complex_kernel
 
     def slope(self, fields: Array, first: Array, second: Array) -> Array:
-        """Derivative of :meth:`kernel` with respect to the offset, by a central difference."""
+        """Return the derivative of :meth:`kernel` with respect to the offset (numerically)."""
         offsets, small = self.offsets, self.step / 4
         kernels = []
         for sign in (1, -1):
@@ -239,14 +239,14 @@ class Axis(Generic[Array]):
         return slope
 
     def middles(self, first: Array, second: Array) -> Array:
-        """Where pairs of apertures lie, from the middle of the mask [m]."""
+        """Return the middles of pairs of apertures, from the middle of the mask [m]."""
         middle = self._xp.mean(self.centres)
         middles: Array = (self.centres[first] + self.centres[second]) / 2 - middle
         return middles
 
     @property
     def magnification(self) -> Scalar:
-        """How much larger a shadow is than what casts it."""
+        """Magnification of a shadow."""
         return 1 + self.distance / self.source_distance
 
     def _shadows(self, first: Array, second: Array) -> Array:

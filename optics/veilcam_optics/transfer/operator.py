@@ -28,7 +28,7 @@ class TransferOperator(nn.Module):
     so in NumPy just as well.
 
     Args:
-        dtype: of the result.
+        dtype: type of the result.
 
     All other arguments, and what is raised, are those of :func:`make_transfer`.
     """
@@ -71,32 +71,32 @@ class TransferOperator(nn.Module):
 
     @property
     def camera(self) -> Camera:
-        """Whose transfer it is."""
+        """Camera of the transfer."""
         return self.transfer.camera
 
     @property
     def scene(self) -> Scene:
-        """What is before the camera."""
+        """Scene before the camera."""
         return self.transfer.scene
 
     @property
     def embedding(self) -> Embedding:
-        """What is made of it."""
+        """Embedding of the camera."""
         return self.transfer.embedding
 
     @property
     def colour(self) -> bool:
-        """Whether the three channels are kept apart."""
+        """True where the three channels are kept apart."""
         return self.transfer.colour
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of every result."""
+        """Type of every result."""
         dtype: torch.dtype = self.transfer.dtype
         return dtype
 
     def forward(self, weights: Tensor, region: Region | None = None) -> Tensor:
-        """The transfer matrix of a mask, or of each of several; see :class:`Transfer`."""
+        """Return the transfer matrix of a mask, or of each of several; see :class:`Transfer`."""
         return self.transfer(weights, region)
 
     def embed(self, scenes: Tensor, weights: Tensor) -> Tensor:
@@ -104,7 +104,7 @@ class TransferOperator(nn.Module):
         return self.transfer.embed(scenes, weights)
 
     def embed_by_factors(self, scenes: Tensor, weights: Tensor) -> Tensor:
-        """The same without the matrix; see :meth:`Transfer.embed_by_factors`."""
+        """Embed scenes without forming the matrix; see :meth:`Transfer.embed_by_factors`."""
         return self.transfer.embed_by_factors(scenes, weights)
 
     def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:

@@ -30,7 +30,7 @@ class Group(Generic[Array]):
 
 
 def dark(y: Axis[Array], x: Axis[Array]) -> Group[Array]:
-    """A group without pairs."""
+    """Return a group without pairs."""
     xp = namespace(y.offsets)
     none = xp.zeros(0, dtype=xp.int64)
     columns = xp.zeros((x.centres.shape[0], x.offsets.shape[0]), dtype=xp.float64)
@@ -43,9 +43,9 @@ def stack_groups(
     """One measurement's groups, at least one, stacked where they are of one shape.
 
     Args:
-        groups: of a mask of the shape ``window``.
+        groups: groups of pairs of a mask of the shape ``window``.
         window: rows and columns.
-        dtype: of the tables.
+        dtype: type of the tables.
     """
     xp = namespace(groups[0].rows)
     by_shape: dict[tuple[int, int], list[Group[Array]]] = {}

@@ -45,7 +45,7 @@ class Stack(Generic[Array]):
 
     @classmethod
     def of(cls, first: Array, second: Array, columns: Array, window: tuple[int, int]) -> Self:
-        """From tables alone: pairs some columns apart are as many columns fewer."""
+        """Make a stack from tables alone: pairs some columns apart are as many columns fewer."""
         offset = window[1] - columns.shape[1]
         squares = offset == 0 and bool(namespace(first).all(first == second))
         return cls(first, second, columns, offset, squares)
@@ -54,7 +54,7 @@ class Stack(Generic[Array]):
         """Products of paired weights, spread along x.
 
         Args:
-            weights: of one mask, (rows, columns), or of several, (rows, masks, columns).
+            weights: weights of one mask, (rows, columns), or of several, (rows, masks, columns).
             x: offsets that are wanted.
 
         Returns:
@@ -77,7 +77,7 @@ class Stack(Generic[Array]):
 
 @dataclass(frozen=True, slots=True)
 class Measurement(Generic[Array]):
-    """What one output (gray, or one colour) adds up: stacked groups and their row kernels."""
+    """Terms of one output (gray, or one colour): stacked groups and their row kernels."""
 
     stacks: tuple[Stack[Array], ...]
     rows: Array
@@ -137,16 +137,16 @@ class Transfer(Generic[Array]):
 
     @property
     def colour(self) -> bool:
-        """Whether the three channels are kept apart."""
+        """True where the three channels are kept apart."""
         return len(self.measurements) == len(CHANNELS)
 
     @property
     def dtype(self) -> Any:
-        """Of every result."""
+        """Type of every result."""
         return self.measurements[0].rows.dtype
 
     def __call__(self, weights: Array, region: Region | None = None) -> Array:
-        """The transfer matrix of a mask, or of each of several.
+        """Return the transfer matrix of a mask, or of each of several.
 
         Args:
             weights: amplitude transmittances, ``camera.mask_shape``, or (masks, rows, columns).
@@ -239,7 +239,7 @@ class Transfer(Generic[Array]):
     def from_arrays(
         cls, camera: Camera, scene: Scene, embedding: Embedding, arrays: Mapping[str, Array]
     ) -> Self:
-        """What :meth:`arrays` gave, put together again: of another type, library or place."""
+        """Make a transfer from :meth:`arrays`, also of another type, library or place."""
         measurements = []
         for channel in range(len(CHANNELS)):
             if f"rows_{channel}" not in arrays:

@@ -26,7 +26,7 @@ _ROWS_AT_ONCE = 128
 def transfer_boxes(
     *, length: float, pixels: int, scene_pixels: int, image: float, cells: int, pitch: float
 ) -> Tensor:
-    """How much each cell of one axis counts for each (scene pixel, embedding pixel).
+    """Return the weight of each cell of one axis for each (scene pixel, embedding pixel).
 
     The weight is the integral over the cell of ``kappa``, the overlap of an embedding pixel's box
     with a scene pixel's image, exact for irradiance that is constant on each cell.
@@ -60,11 +60,11 @@ class TransferBinning:
 
     Args:
         camera: gives the sensor's sides and the scene's scale.
-        scene: its pixels are the rows of the matrix.
-        embedding: its pixels are the columns of the matrix.
+        scene: scene whose pixels are the rows of the matrix.
+        embedding: embedding whose pixels are the columns of the matrix.
         shape: cells (rows, columns) of the irradiance; what falls outside counts as dark.
         pitch: side of a cell [m].
-        dtype: of irradiance and matrix.
+        dtype: type of irradiance and matrix.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class TransferBinning:
         self._rows, self._columns = rows.to(dtype), columns.to(dtype).T
 
     def __call__(self, irradiance: Tensor) -> Tensor:
-        """From (..., rows, columns), relative to the irradiance at the mask, to the matrix.
+        """Return the matrix from (..., rows, columns), relative to the irradiance at the mask.
 
         Returns:
             (..., scene pixels, embedding pixels).
@@ -99,7 +99,7 @@ def reference_transfer(
     oversampling: int = 32,
     colour: bool = False,
 ) -> Tensor:
-    """The transfer matrix by brute force, the truth that faster ways are measured against.
+    """Return the transfer matrix by brute force, the truth that faster ways are measured against.
 
     Args:
         camera: geometry, filters and wavelengths.
@@ -153,7 +153,7 @@ def reference_transfer(
 def reference_psf(
     camera: Camera, scene: Scene, weights: Tensor, grid: Grid, *, oversampling: int = 16
 ) -> Tensor:
-    """The point spread function of an on-axis scene point, averaged over each cell of ``grid``.
+    """Return the point spread function of an on-axis scene point, averaged over cells of ``grid``.
 
     Args:
         camera: geometry, filters and wavelengths.
@@ -192,12 +192,12 @@ def reference_psf(
 def sampled_psf(
     camera: Camera, scene: Scene, grid: Grid, dtype: torch.dtype
 ) -> Callable[[Tensor], Tensor]:
-    """The point spread function of an on-axis scene point at a grid's points, made for many masks.
+    """Point spread function of an on-axis scene point at a grid's points, made for many masks.
 
     Args:
         camera: geometry, filters and wavelengths.
         scene: gives the distance of the point.
-        grid: where the irradiance is wanted.
+        grid: places of the irradiance.
         dtype: torch.float32 or torch.float64.
 
     Returns:

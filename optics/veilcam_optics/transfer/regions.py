@@ -43,8 +43,8 @@ def embed_lit(scenes: Array, region: Region, transfer: Callable[[Region], Array]
 
     Args:
         scenes: (batch, rows, columns) of ``region``.
-        region: which part of a scene that is; the rest is black.
-        transfer: from a region to its matrix (pixels, embedding pixels).
+        region: part of a scene that is shown; the rest is black.
+        transfer: function of a region that gives its matrix (pixels, embedding pixels).
 
     Returns:
         (batch, embedding pixels).

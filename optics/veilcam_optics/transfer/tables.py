@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far apart two sub-pixels may be, in sub-pixels, and still be counted as interfering."""
+    """Greatest distance of two sub-pixels that are counted as interfering, in sub-pixels."""
 
     rows: int = 1
     columns: int = 0
@@ -71,7 +71,7 @@ class Beam:
     Attributes:
         channel: 0 (R), 1 (G) or 2 (B).
         wavelength: [m].
-        share: of the channel's light.
+        share: share of the channel's light.
         scene_distance: scene to mask [m]; None keeps the scene's.
         stretch: factors on the wavelength along y and x. A tilted beam spreads like one of a longer
             wavelength, more along the tilt than across it.
@@ -105,15 +105,15 @@ def make_transfer(
         camera: geometry, filters and wavelengths; nominal.
         scene: flat object; a scene pixel needs to be no finer than the embedding can tell apart.
         embedding: shape of the embedding.
-        reach: which pairs of sub-pixels interfere. With ideal colour filters, rows of one colour
+        reach: pairs of sub-pixels that interfere. With ideal colour filters, rows of one colour
             are 3 sub-pixels apart, so a smaller reach along rows counts none.
         step: distance of integration nodes on the sensor [m].
         colour: True keeps the three channels apart, False sums them to a gray measurement.
         variables: tensors to differentiate with respect to, where torch computes.
-        beams: what each channel adds up; by default its one wavelength.
-        approximation: what is left out.
-        centre: where the middle of the scene is, from the optical axis along y and x [m].
-        imperfections: where mask and sensor really are. The rotation counts to first order, so it
+        beams: beams that each channel adds up; by default its one wavelength.
+        approximation: terms that are left out.
+        centre: middle of the scene, from the optical axis along y and x [m].
+        imperfections: real places of mask and sensor. The rotation counts to first order, so it
             has to be small. Weights are what the panel *shows*, and no stray light is added.
         like: any array of the library and type that the result is of; the kernels are made in
             float64 and then cast.
@@ -183,7 +183,7 @@ def make_axes(
     imperfections: Imperfections = NOMINAL,
     like: Array,
 ) -> tuple[Axis[Array], Axis[Array]]:
-    """The two axes (y, x) of a camera, scene and embedding; arguments as for the transfer."""
+    """Return the two axes (y, x) of a camera, scene and embedding."""
     imperfections.check(camera)
     distance: Scalar
     actual = imperfections.actual(camera).distance

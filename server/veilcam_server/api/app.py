@@ -58,9 +58,9 @@ def create_app(
     """Return the API of ``service``; its lifespan opens and closes the service.
 
     Args:
-        service: what the API does.
-        admission: who may ask; without one everybody on this machine may, as tests want it.
-        connections: at the gate, for the metrics; None where there is no gate.
+        service: service behind the API.
+        admission: admission of callers; None, as in tests, lets in everybody on this machine.
+        connections: connections at the gate, for the metrics; None where there is no gate.
         examine: tells what the doctor finds on this machine.
     """
     admission = admission or Admission()

@@ -27,7 +27,7 @@ def unless_known(
     The tag is weak: it tells what an answer says, but for how long something has lasted.
 
     Args:
-        answer: what there is to tell.
+        answer: answer to send.
         if_none_match: header of the request, empty where it has none.
         aging: fields that only tell that time goes by, as pydantic excludes them.
     """
@@ -41,5 +41,5 @@ def unless_known(
 
 
 def has(if_none_match: str, tag: str) -> bool:
-    """Whether a caller who sends this header has the answer with this tag."""
+    """Return whether a caller who sends this header has the answer with this tag."""
     return if_none_match.strip() == "*" or tag in _TAG.findall(if_none_match)

@@ -28,12 +28,12 @@ EXAMPLE = "# TYPE veilcam_captures_total counter\nveilcam_captures_total 1200.0\
 
 
 class Metrics:
-    """Of one daemon, in a registry of its own.
+    """Metrics of one daemon, in a registry of its own.
 
     Args:
-        service: whose events are counted.
-        audit: whose losses are counted; None where there is none.
-        connections: at the gate; None where there is none.
+        service: service whose events are counted.
+        audit: audit log whose losses are counted; None where there is none.
+        connections: connections at the gate; None where there is none.
     """
 
     def __init__(
@@ -56,10 +56,10 @@ class Metrics:
         """Count one answer.
 
         Args:
-            method: of the request.
+            method: method of the request.
             route: template of its path.
-            status: of the answer.
-            seconds: from the request to the start of the answer.
+            status: status of the answer.
+            seconds: time from the request to the start of the answer [s].
         """
         self._seconds.labels(method, route, str(status)).observe(seconds)
 

@@ -40,12 +40,12 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What a route takes.
+    """Body that a route takes.
 
     Attributes:
-        limit: its size [bytes].
-        media_types: of which it has to be said to have one.
-        required: whether an empty one needs a media type too.
+        limit: largest size [bytes].
+        media_types: media types, one of which the request has to name.
+        required: True where an empty body needs a media type too.
     """
 
     limit: int
@@ -67,7 +67,7 @@ class Body:
 
 @dataclass(slots=True)
 class _Answer:
-    """What became of one request so far."""
+    """State of one request so far."""
 
     status: int = 0
     refused: bool = False
@@ -186,7 +186,7 @@ class RequestContext:
         return scope["method"] in ("GET", "HEAD") and scope["path"] in self._open_paths
 
     def _is_change(self, scope: Scope) -> bool:
-        """Whether what is done must be on the disk, in the audit log, before it is acknowledged."""
+        """Return whether an action has to be in the audit log on disk before it is acknowledged."""
         return scope["method"] not in ("GET", "HEAD") and scope["path"] not in self._passing
 
     async def _audit(self, scope: Scope, status: int, peer: str) -> None:
@@ -219,7 +219,7 @@ class RequestContext:
 
 
 def security_headers(frame_ancestors: tuple[str, ...]) -> Mapping[str, str]:
-    """What tells a browser to make nothing of an answer: of every one, also of refusals.
+    """Return the headers that tell a browser to make nothing of an answer, refusals included.
 
     Args:
         frame_ancestors: origins of the pages that may show it in a frame.
@@ -268,7 +268,7 @@ def _peer(scope: Scope) -> str:
 
 
 def _names(scope: Scope) -> tuple[str, str]:
-    """Method and template of the route, or a word for both: no stranger's words become labels."""
+    """Return method and template of the route, or a word for both: labels are never free text."""
     route = scope.get("route")
     if not isinstance(route, Route):
         return "other", "none"

@@ -146,7 +146,7 @@ def error_response(scope: Scope, error: ProblemError) -> Response:
 
 
 def example_of(code: str) -> dict[str, object]:
-    """What an answer with this code can look like."""
+    """Return the schema of an answer with this code."""
     kind = PROBLEMS[code]
     problem = _problem(kind, kind.title, instance="/v1/status", request_id="5ca1ab1e0ddba11")
     example: dict[str, object] = json.loads(problem.model_dump_json(exclude_none=True))

@@ -24,12 +24,12 @@ _NAMES = {"digest": "DIGEST", "token_id": "TOKEN_ID", "receiver_id": "RECEIVER_I
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """How an operation is asked.
+    """Sample request of an operation.
 
     Attributes:
         python: a line with the SDK; None: the SDK has no such call, and httpx asks.
-        body: as JSON.
-        file: to be sent, and what it is.
+        body: body of the request, as JSON.
+        file: file to send, and its kind.
         options: further ones of curl.
     """
 
@@ -105,10 +105,10 @@ def code_samples(
     """Return both lines, as the extension ``x-codeSamples`` of OpenAPI has them.
 
     Args:
-        operation: its id.
-        method: in capitals.
+        operation: id of the operation.
+        method: method in capitals.
         path: template of the route.
-        token: whether one is wanted.
+        token: True where the operation wants a token.
     """
     sample = SAMPLES.get(operation, Sample())
     python = sample.python or _httpx(method, path, token=token)

@@ -21,7 +21,7 @@ _BEARER = HTTPBearer(
 
 
 async def caller_of(request: Request) -> Caller:
-    """Who asks, as the middleware found out."""
+    """Return the caller that the middleware found."""
     caller: Caller = request.state.caller
     return caller
 
@@ -45,7 +45,7 @@ def requires(scope: Scope) -> Any:
 
 
 def scores_for(caller: Caller) -> Scores:
-    """What a caller is told of probabilities."""
+    """Return the probabilities as a caller may see them."""
     if caller.may("read:scores"):
         return "all"
     return "rounded" if caller.may("read:scores:rounded") else "none"

@@ -26,7 +26,7 @@ class HidingCheck:
     """Checks the masks of bundles for one camera.
 
     Args:
-        bundle: of that camera, scene and embedding.
+        bundle: bundle of that camera, scene and embedding.
     """
 
     def __init__(self, bundle: Bundle) -> None:

@@ -1,4 +1,4 @@
-"""From a bundle to what serves its masks, where it fits the camera that is there."""
+"""Bundle loading: checks a bundle against the camera, and opens the source of its masks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from veilcam_training.bundle import Bundle, BundleError, PrivacyCard, read_bundl
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the daemon tells of itself; of all this only the bundle changes while it runs."""
+    """Facts that the daemon tells of itself; only the bundle changes while it runs."""
 
     device: Device
     bundle: BundleInfo
@@ -43,7 +43,7 @@ class Identity:
 
 
 def bundle_info(bundle: Bundle) -> BundleInfo:
-    """What may be told of a bundle."""
+    """Return the public facts of a bundle."""
     return BundleInfo(
         digest=bundle.digest,
         task=bundle.task,
@@ -81,9 +81,9 @@ def open_source(
 
     Args:
         settings: checked.
-        bundle: to serve.
-        imperfections: what decoders are prepared for. Stored pairs have none: what they read was
-            learned for the nominal camera.
+        bundle: bundle to serve.
+        imperfections: imperfections that decoders are prepared for. Stored pairs have none: their
+            classifiers learned the nominal camera.
 
     Raises:
         StartError: the bundle cannot be served as it is.
@@ -102,8 +102,8 @@ def release_terms(
 
     Args:
         settings: checked.
-        bundle: that the daemon was started with; all others are of its mode.
-        receivers: of this device.
+        bundle: bundle that the daemon was started with; all others are of its mode.
+        receivers: receivers of this device.
 
     Raises:
         StartError: a form that the bundle does not have, or raw without a budget.
@@ -127,7 +127,7 @@ def release_terms(
 
 
 def _form(settings: Settings, bundle: Bundle, *, paired: bool) -> Release:
-    """Of all forms that let anything out, unless it is said, the one that tells least.
+    """Choose, unless it is said, the form that tells least of all that let anything out.
 
     White embeddings of fresh masks tell nothing; those of stored pairs have no such form.
     """
@@ -182,7 +182,7 @@ class Opener:
     Args:
         configured: the bundle that the daemon was started with.
         open_source: makes a bundle's source of masks, or raises :class:`StartError`.
-        owners: whose bundles are taken.
+        owners: owners whose bundles are taken.
     """
 
     def __init__(
@@ -193,7 +193,7 @@ class Opener:
         self._check_hiding = HidingCheck(configured)
 
     def with_source(self, open_source: OpenSource) -> Opener:
-        """The same, but for what makes a bundle's source of masks."""
+        """Return the same opener with another maker of mask sources."""
         return Opener(self._configured, open_source, self.owners)
 
     def read(self, path: Path) -> Bundle:
@@ -240,7 +240,7 @@ class Opener:
         return self.load(bundle)
 
     def load(self, bundle: Bundle) -> LoadedBundle:
-        """What serves the masks of a bundle; raises :class:`BundleUnfitError`."""
+        """Open the source of a bundle's masks; raises :class:`BundleUnfitError`."""
         try:
             return LoadedBundle(bundle_info(bundle), self._open_source(bundle))
         except (StartError, BundleError) as error:
@@ -255,13 +255,13 @@ def last_good(
     *,
     allow_older: bool = False,
 ) -> LoadedBundle:
-    """The bundle that was in use last and still can be.
+    """Open the bundle that was in use last and still can be.
 
     One that is older than what was in use is the last resort.
 
     Args:
         store: knows what was in use.
-        opener: of bundles that may be used.
+        opener: opener of bundles that may be used.
         configured: the bundle that the daemon was started with.
         report: takes why one cannot be used any more, or that it is older.
         allow_older: may be older than the one in use before.
@@ -310,7 +310,7 @@ def note_start(store: BundleStore, opener: Opener, keys: LoadedBundle, report: R
     Args:
         store: keeps that.
         opener: knows whose bundles are taken.
-        keys: of the bundle.
+        keys: keys of the bundle.
         report: takes that it cannot be made durable.
     """
     digest = keys.info.digest

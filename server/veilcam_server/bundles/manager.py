@@ -1,4 +1,4 @@
-"""What the API does with bundles. One change at a time; the camera goes on meanwhile."""
+"""Bundle manager of the API. One change at a time; the camera goes on meanwhile."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class BundleManager:
     """Installed bundles, and the one in use. Lives on one event loop.
 
     Args:
-        store: where they are.
+        store: store of the bundles.
         opener: makes them usable.
-        keys: in use.
-        limit: of an upload [bytes].
+        keys: keys in use.
+        limit: largest upload [bytes].
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class BundleManager:
 
     @property
     def info(self) -> BundleInfo:
-        """What the bundle in use holds."""
+        """Contents of the bundle in use."""
         return self._keys.info
 
     async def all(self) -> InstalledBundles:
@@ -81,9 +81,9 @@ class BundleManager:
         """Use another bundle, also after a restart; when that fails, the one before goes on.
 
         Args:
-            digest: of the bundle.
+            digest: digest of the bundle.
             change: makes the camera use it.
-            allow_older: it may be of an older version, where bundles need no signature.
+            allow_older: True: an older version may be used, where bundles need no signature.
 
         Raises:
             UnknownBundleError: there is none of this digest.
@@ -137,14 +137,14 @@ class BundleManager:
         return await self.all()
 
     def _take(self, path: Path) -> BundleInfo:
-        """What a file holds that was uploaded and may be used some time."""
+        """Read an uploaded file that may be used later."""
         info = bundle_info(self._opener.take(path))
         if self._opener.owners.keys:  # else an older one may be allowed when it is activated
             self._opener.owners.check_version(info, self._store.used)
         return info
 
     def _open(self, digest: str, allow_older: bool) -> tuple[LoadedBundle, Used]:
-        """A bundle that may be used now, and what is remembered once it is."""
+        """Open a bundle that may be used now, and return the record that is kept of it."""
         owners, keys = self._opener.owners, self._keys
         used = dataclasses.replace(self._store.used, version=keys.info.version)
         if digest != keys.info.digest:

@@ -13,7 +13,7 @@ from veilcam_training.bundle import Bundle, BundleError, OwnerKey
 
 @dataclass(frozen=True, slots=True)
 class Used:
-    """What is remembered of the bundles that were in use."""
+    """Record of the bundles that were in use."""
 
     version: int = 0
     """Of the last one."""
@@ -72,7 +72,7 @@ class Owners:
         """Refuse what is older than what was in use.
 
         Args:
-            info: of a bundle that :meth:`check` let through.
+            info: description of a bundle that :meth:`check` let through.
             used: before it.
             allow_older: holds where bundles need no signature alone.
 
@@ -98,7 +98,7 @@ class Owners:
         return older
 
     def remember(self, info: BundleInfo, used: Used) -> Used:
-        """What is remembered once this bundle is in use."""
+        """Return the record to keep once this bundle is in use."""
         if self.keys and info.version > used.highest:
             return Used(info.version, info.version, info.digest)
         return Used(info.version, used.highest, used.newest)

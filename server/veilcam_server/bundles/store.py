@@ -62,7 +62,7 @@ class BundleStore:
     Args:
         directory: made when the first one is installed.
         configured: the bundle that the daemon was started with; it stays where it is.
-        digest: its SHA-256.
+        digest: SHA-256 of the bundle.
         report: takes what was damaged.
 
     Raises:
@@ -92,7 +92,7 @@ class BundleStore:
                 left.unlink()
 
     def candidates(self) -> tuple[str, ...]:
-        """Which one to use, and what else if that cannot be used; the configured one comes last.
+        """List the bundles to try, the best first; the configured one comes last.
 
         What was activated holds until the daemon is started with another bundle.
         """
@@ -103,18 +103,18 @@ class BundleStore:
 
     @property
     def lost(self) -> bool:
-        """Whether it was lost which one was in use."""
+        """True where the record of the bundle in use was lost."""
         return self._record.lost
 
     @property
     def goes_on(self) -> bool:
-        """Whether the daemon was last started with the same bundle, or has never been started."""
+        """Return whether the daemon was last started with the same bundle, or never."""
         chosen = self._record.read()
         return chosen is None or chosen.configured == self.configured
 
     @property
     def used(self) -> Used:
-        """What is remembered of the bundles that were in use."""
+        """Record of the bundles that were in use."""
         chosen = self._record.read()
         return Used() if chosen is None else Used(chosen.version, chosen.highest, chosen.newest)
 
@@ -125,7 +125,7 @@ class BundleStore:
         return (self.configured, *sorted(installed))
 
     def path(self, digest: str) -> Path:
-        """Where a bundle is; raises :class:`UnknownBundleError`."""
+        """Return the path of a bundle; raises :class:`UnknownBundleError`."""
         if digest == self.configured:
             return self._given
         path = self._path(digest)
@@ -188,9 +188,9 @@ class BundleStore:
         Everything that a full disk can prevent is done here.
 
         Args:
-            digest: of the bundle in use.
-            before: of the one in use before it.
-            used: what is remembered from now on.
+            digest: digest of the bundle in use.
+            before: digest of the one in use before it.
+            used: record to keep from now on.
 
         Raises:
             BundleStoreError: the disk refuses.

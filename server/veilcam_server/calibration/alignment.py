@@ -1,4 +1,4 @@
-"""Where the mask is, fitted through the differentiable optics, and what light goes astray."""
+"""Alignment of the mask and share of stray light, fitted through the differentiable optics."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Optics:
         geometry: the nominal camera.
         weights: (patterns, rows, columns), amplitudes as the panel shows them.
         images: known scenes.
-        reach: which sub-pixels interfere.
+        reach: reach of interference between sub-pixels.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Optics:
         return strayed(self.predict(place), found.stray_light, self._geometry.embedding.size)
 
     def slopes(self, place: Values) -> Values:
-        """Derivatives of the prediction by each of the fit's units, (4, sights, values).
+        """Return the derivatives of the prediction by each of the fit's units, (4, sights, values).
 
         Central differences: what is predicted bends over a sub-pixel's pitch, some tens of a unit,
         so that steps of ``_SMALL`` are off by 1e-6 of the derivative.
@@ -123,8 +123,8 @@ def align(
         geometry: the nominal camera.
         weights: (patterns, rows, columns), amplitudes as the panel shows them.
         sights: the same patterns before several known scenes.
-        start: where to begin, and what else is known.
-        reach: which sub-pixels interfere.
+        start: values to begin with, and what else is known.
+        reach: reach of interference between sub-pixels.
         check: called before each evaluation; what it raises ends the fit.
     """
     optics = Optics(geometry, weights, [sight.image for sight in sights], reach)

@@ -34,8 +34,8 @@ def split_darkness(
         geometry: the nominal camera.
         opaque: scenes behind the opaque panel, one pattern each.
         gains: measurement per predicted measurement of those scenes.
-        known: where the mask is, which lines are dead, and how much light goes astray.
-        reach: which sub-pixels interfere.
+        known: place of the mask, dead lines and share of stray light, as found.
+        reach: reach of interference between sub-pixels.
 
     Returns:
         The imperfections with both, and their standard uncertainties.
@@ -87,10 +87,10 @@ def fit(
     """Find the camera that would read what was read.
 
     Args:
-        measured: what was read.
+        measured: measurements.
         geometry: the nominal camera.
-        reach: which sub-pixels interfere.
-        patterns: that were shown.
+        reach: reach of interference between sub-pixels.
+        patterns: patterns that were shown.
         check: called before each evaluation; what it raises ends the fit.
 
     Raises:

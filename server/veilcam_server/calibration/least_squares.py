@@ -20,7 +20,7 @@ _BEGIN, _FACTOR = 1e-3, 10.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Fit:
-    """Where the squares are least, with residuals and Jacobian there."""
+    """Minimum of the squares, with residuals and Jacobian there."""
 
     values: Values
     residuals: Values
@@ -40,13 +40,13 @@ def least_squares(
     """Find the values whose residuals have the least squares, near ``start``.
 
     Args:
-        residuals: of values (N,), as (M,).
+        residuals: function of values (N,) that gives residuals (M,).
         jacobian: their derivatives, (M, N).
         start: (N,); what is out of bounds begins at the bound.
-        lowest: of each value.
-        highest: of each value.
-        tolerance: it ends where a step makes the squares less by no larger a share than this.
-        evaluations: of the residuals, at most.
+        lowest: lower bound of each value.
+        highest: upper bound of each value.
+        tolerance: smallest share by which a step has to lower the squares; the fit ends below it.
+        evaluations: greatest number of evaluations of the residuals.
     """
     values = np.clip(start, lowest, highest)
     found = Fit(values, residuals(values), jacobian(values))

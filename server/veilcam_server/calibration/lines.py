@@ -19,19 +19,19 @@ _MOST = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """How much light each row and column let through when opened, over what was expected."""
+    """Light of each opened row and column, over the light expected."""
 
     rows: Values = field(repr=False)
     columns: Values = field(repr=False)
 
     @property
     def dead_rows(self) -> tuple[int, ...]:
-        """From 0."""
+        """Numbers of the dead rows, from 0."""
         return _dead(self.rows)
 
     @property
     def dead_columns(self) -> tuple[int, ...]:
-        """From 0."""
+        """Numbers of the dead columns, from 0."""
         return _dead(self.columns)
 
 
@@ -39,10 +39,10 @@ def measure_lines(rig: Rig, geometry: Geometry, image: Values, transfer: Transfe
     """Open each row and each column alone.
 
     Args:
-        rig: in front of ``image``.
+        rig: rig in front of ``image``.
         geometry: the nominal camera.
         image: (rows, columns) of the scene.
-        transfer: of the nominal camera: how much light each line is expected to let through.
+        transfer: transfer of the nominal camera: it gives the light expected of each line.
 
     Raises:
         CalibrationError: so many do not obey that the panel cannot be used.

@@ -31,8 +31,8 @@ def open_calibration(
 
     Args:
         settings: checked.
-        bundle: whose camera it is.
-        key: of the device, which has to have signed it.
+        bundle: bundle whose camera was calibrated.
+        key: key of the device, which has to have signed the record.
         report: takes what was damaged.
 
     Raises:
@@ -61,7 +61,7 @@ def open_calibration(
 
 
 def record_path(settings: Settings) -> Path:
-    """Where the record is that a daemon takes."""
+    """Return the path of the record that a daemon takes."""
     return settings.calibration or settings.state_dir / RECORD_NAME
 
 
@@ -89,21 +89,21 @@ def check_record(record: CalibrationRecord, settings: Settings, bundle: Bundle) 
 
 
 def panel_tab(settings: Settings) -> str | None:
-    """Of the panel that the settings name; the simulated one has no film."""
+    """Return the tab of the panel that the settings name; the simulated one has none."""
     return None if settings.device == "simulated" else settings.panel_tab
 
 
 def source_opener(settings: Settings, signed: SignedCalibration | None) -> OpenSource:
-    """What makes a bundle's source of masks, its readers for the camera as it was measured."""
+    """Open the source of a bundle's masks, its readers prepared for the camera as measured."""
     imperfections = NOMINAL if signed is None else imperfections_of(signed.record)
     return lambda bundle: open_source(settings, bundle, imperfections)
 
 
 def mask_tests(bundle: Bundle, signed: SignedCalibration | None, *, full_scale: float) -> MaskTests:
-    """What captures are tested with, for the camera as it was measured, or as it was drawn.
+    """Make the tests of captures, for the camera as measured, or as designed.
 
     Args:
-        bundle: whose camera it is.
+        bundle: bundle whose camera it is.
         signed: the record in use.
         full_scale: measurement of saturated pixels where there is none.
     """
@@ -118,7 +118,7 @@ def mask_tests(bundle: Bundle, signed: SignedCalibration | None, *, full_scale: 
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:
-    """What the fence grants the panel [s]: what was measured, or more where more was asked for."""
+    """Return the settling time that the fence grants the panel [s], the longer of two."""
     if signed is None:
         return settings.settle
     settling = signed.record.settling_s

@@ -20,7 +20,7 @@ from veilcam_server.errors import CalibrationError
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How much is read."""
+    """Number of measurements of each kind."""
 
     repeats: int = 2
     """Exposures for one measurement."""
@@ -29,7 +29,7 @@ class Budget:
     patterns: Patterns = field(default_factory=Patterns)
 
     def captures(self, geometry: Geometry) -> int:
-        """How many exposures a calibration takes."""
+        """Number of exposures of a calibration."""
         single = 3 + 2 + sum(geometry.camera.mask_shape) + 1 + STEPS + 2 * self.patterns.count
         return 1 + 8 * self.samples + self.repeats * single
 
@@ -71,9 +71,9 @@ def measure(
         make: a rig that grants the panel so long to settle [s].
         geometry: the nominal camera.
         set_scene: brings a scene before the camera and returns once it is there.
-        longest: what the panel's settling may take [s].
-        reach: which sub-pixels interfere.
-        budget: how much is read.
+        longest: longest time that the panel's settling may take [s].
+        reach: reach of interference between sub-pixels.
+        budget: number of measurements of each kind.
 
     Raises:
         CalibrationError: the camera or its light is not good enough, and what to do.

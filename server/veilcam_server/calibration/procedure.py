@@ -46,12 +46,12 @@ def calibrate(
         device: panel and sensor; it is not closed here.
         geometry: the nominal camera.
         set_scene: brings a scene before the camera and returns once it is there.
-        longest: what the panel's settling may take [s].
-        exposure: of measurements, for the record [s].
-        tab: of the panel, for the record.
-        reach: which sub-pixels decoders let interfere.
+        longest: longest time that the panel's settling may take [s].
+        exposure: exposure of measurements, for the record [s].
+        tab: tab of the panel, for the record.
+        reach: reach of interference that decoders assume.
         timeout: longest wait for one measurement [s].
-        budget: how much is read.
+        budget: number of measurements of each kind.
         advance: called after each of ``budget.captures(geometry)`` exposures; what it raises ends
             the calibration, as what ``check`` does.
         check: called before each evaluation of a fit.

@@ -21,7 +21,7 @@ AGAIN = "run 'veilcamd calibrate' again"
 
 
 def is_signed(message: bytes, signature: str, public: str) -> bool:
-    """Whether whoever holds the private half of ``public`` signed ``message``."""
+    """Return whether whoever holds the private half of ``public`` signed ``message``."""
     try:
         key = Ed25519PublicKey.from_public_bytes(bytes.fromhex(public))
         key.verify(bytes.fromhex(signature), message)
@@ -34,7 +34,7 @@ class RecordFile(StateFile[SignedCalibration]):
     """A signed record in two copies, each as others read it: its signature is its checksum.
 
     Args:
-        path: of the record.
+        path: path of the record.
         report: takes what was damaged.
     """
 
@@ -56,7 +56,7 @@ class RecordFile(StateFile[SignedCalibration]):
 
 
 def imperfections_of(record: CalibrationRecord) -> Imperfections:
-    """The camera as it was measured; how well each number is known stays in the record."""
+    """Return the camera as measured; the uncertainty of each number stays in the record."""
     return Imperfections(
         shift_y=record.shift_y_m.value,
         shift_x=record.shift_x_m.value,

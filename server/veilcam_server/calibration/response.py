@@ -1,4 +1,4 @@
-"""What the panel shows of a level: gamma and contrast floor, from a staircase of levels."""
+"""Response of the panel to levels: gamma and contrast floor, from a staircase of levels."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Response:
     """Root mean square, over that light."""
 
     def light(self, weights: Values) -> Values:
-        """What the fit expects."""
+        """Return the prediction of the fit."""
         return _light(weights, self.scale, self.gamma, self.floor)
 
 
@@ -58,10 +58,10 @@ def fit_response(
     """Fit gamma, floor and scale.
 
     Args:
-        staircase: of a panel that shows the same level everywhere.
-        floor: where it is known otherwise, as on a panel with dead lines, whose light is there at
-            every level: then only the light above the lowest step is fitted.
-        floor_uncertainty: of that.
+        staircase: measurements of a panel that shows the same level everywhere.
+        floor: contrast floor where it is known otherwise, as on a panel with dead lines. Their
+            light is there at every level: then only the light above the lowest step is fitted.
+        floor_uncertainty: uncertainty of that.
 
     Raises:
         CalibrationError: the panel's response is another one.
@@ -123,7 +123,7 @@ def fit_response(
 
 
 def uncertainties(jacobian: Values, residuals: Values) -> Values:
-    """Standard uncertainties of a least-squares fit, the noise being what it left."""
+    """Return the standard uncertainties of a least-squares fit, its residual taken for noise."""
     freedom = max(1, len(residuals) - jacobian.shape[1])
     variance = float(np.sum(residuals**2)) / freedom
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance

@@ -17,7 +17,7 @@ from veilcam_server.devices.base import Device
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CalibrationResult:
-    """What a calibration came to."""
+    """Result of a calibration."""
 
     measured: Measurements
     response: Response
@@ -33,7 +33,7 @@ class CalibrationResult:
 
     @property
     def lamp(self) -> Values:
-        """What was read there."""
+        """Measurements of it."""
         seen: Values = self.measured.sights[1].measurements[-1]
         return seen
 
@@ -45,9 +45,9 @@ def make_record(
 
     Args:
         found: measured and fitted.
-        device: that it is of.
-        exposure: that measurements are given for [s].
-        tab: of the panel.
+        device: device that was calibrated.
+        exposure: exposure that measurements are given for [s].
+        tab: tab of the panel.
         geometry: digest of the nominal camera, scene and embedding.
     """
     measured, alignment, response = found.measured, found.alignment, found.response

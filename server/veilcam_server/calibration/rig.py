@@ -42,7 +42,7 @@ is that far off."""
 
 @dataclass(frozen=True, slots=True)
 class Patterns:
-    """How many of each kind."""
+    """Number of measurements of each kind."""
 
     coarse: int = 4
     """Squares, open or opaque: for the first fit."""
@@ -93,9 +93,9 @@ class Rig:
 
     Args:
         device: panel and sensor; it is not closed here.
-        camera: whose window patterns are for.
-        shape: of an embedding.
-        fence: that every measurement keeps to, except where settling itself is measured.
+        camera: camera whose window patterns are for.
+        shape: shape of an embedding.
+        fence: fence that every measurement keeps to, except where settling itself is measured.
         repeats: exposures for one measurement, which is their mean.
         advance: called after every exposure.
         clock: monotonic time [s].
@@ -122,7 +122,7 @@ class Rig:
         return self._device.sensor.full_scale
 
     def uniform(self, level: int) -> Levels:
-        """The same level everywhere in the window."""
+        """Return the same level everywhere in the window."""
         return np.full(self._camera.mask_shape, level, np.uint8)
 
     @property
@@ -166,8 +166,8 @@ class CalibrationScene:
 
     Attributes:
         name: short.
-        instruction: how to make it.
-        image: what it is, reflectances in [0, 1], shape of the scene.
+        instruction: instruction for a person who sets up the scene.
+        image: reflectances of the scene in [0, 1], shape of the scene.
     """
 
     name: SceneName
@@ -185,7 +185,7 @@ def dark(scene: Scene) -> CalibrationScene:
 
 
 def white(scene: Scene) -> CalibrationScene:
-    """A card that fills the scene."""
+    """Return a card that fills the scene."""
     height, width = (100 * scene.pixel * count for count in scene.shape)
     return CalibrationScene(
         "white card",
@@ -197,7 +197,7 @@ def white(scene: Scene) -> CalibrationScene:
 
 
 def lamp(scene: Scene) -> CalibrationScene:
-    """A small bright square in the middle of where the card was."""
+    """Return a small bright square in the middle of the card's place."""
     sides = tuple(_lamp_side(count) for count in scene.shape)
     image = np.zeros(scene.shape, np.float32)
     rows, columns = (

@@ -25,7 +25,7 @@ class Run:
     """One calibration: measured on one thread, followed and answered on that or another.
 
     Args:
-        budget: how much is measured.
+        budget: number of measurements.
         total: exposures that it takes.
         report: takes every change worth telling, on the thread that makes it, and may confirm a
             scene on the spot.

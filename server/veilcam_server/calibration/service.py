@@ -73,8 +73,8 @@ class Served:
     """A camera that captures are taken with between its calibrations.
 
     Attributes:
-        camera: whose device is measured, and which goes on with what was found.
-        bundles: of which the one in use is opened anew for what was found.
+        camera: camera whose device is measured, and which goes on with the result.
+        bundles: bundles, of which the one in use is opened anew for the result.
         on_device: does work on the device's thread.
         publish: takes every change of a calibration; on any thread.
     """
@@ -93,8 +93,8 @@ class CalibrationService:
 
     Args:
         settings: checked.
-        bundle: whose camera it is; None: a recording is replayed, and there is no camera.
-        key: of the device, which signs records; None: as above.
+        bundle: bundle whose camera it is; None: a recording is replayed, and there is no camera.
+        key: key of the device, which signs records; None: as above.
         signed: the record in use.
     """
 
@@ -223,7 +223,7 @@ class CalibrationService:
         return run.state
 
     def confirm(self, scene: SceneName) -> CalibrationRun:
-        """The scene that is waited for is there.
+        """Go on: the scene that is waited for is there.
 
         Raises:
             NotCalibratingError: no calibration is under way.

@@ -1,4 +1,4 @@
-"""How long the panel takes: black to white and back, seen by the camera."""
+"""Settling time of the panel: black to white and back, seen by the camera."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def measure_settling(rig: Rig, *, longest: float, samples: int) -> Settling:
     """Sample both steps at equal distances, then more finely where they end.
 
     Args:
-        rig: in front of a lit scene.
-        longest: what settling may take [s].
-        samples: of each step and of each of the two passes.
+        rig: rig in front of a lit scene.
+        longest: longest time that settling may take [s].
+        samples: number of samples of each step and of each of the two passes.
 
     Raises:
         CalibrationError: it takes longer.

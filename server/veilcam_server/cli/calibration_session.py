@@ -39,10 +39,10 @@ def calibrate_device(
 
     Args:
         settings: checked.
-        console: for instructions, progress and the result.
+        console: console for instructions, progress and the result.
         out: record to write; by default that of the state directory.
-        picture: to draw; beside the record by default, where matplotlib is installed.
-        frame: of the camera as it was built, for whoever decodes elsewhere; none by default.
+        picture: picture to draw; beside the record by default, where matplotlib is installed.
+        frame: frame of the camera as built, for decoding elsewhere; none by default.
         repeats: exposures for one measurement.
 
     Returns:
@@ -82,7 +82,7 @@ def calibrate_device(
 
 
 def _drawing(*, wanted: bool) -> Callable[[Path, Calibrated], None] | None:
-    """What draws the picture; None where nothing can, and nobody asked for one."""
+    """Return the function that draws the picture; None where none is possible or wanted."""
     try:
         from veilcam_server.calibration.plot import write_picture  # noqa: PLC0415 - an extra
     except ModuleNotFoundError as missing:

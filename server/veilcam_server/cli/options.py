@@ -33,7 +33,7 @@ def options_of(
 
     Args:
         settings: the class. Its docstrings are the help.
-        names: of its fields that the command has options for; all of them by default.
+        names: fields that the command has options for; all of them by default.
     """
     made = [
         option
@@ -75,7 +75,7 @@ def _options(name: str, field: FieldInfo) -> tuple[Parameter, ...]:
 
 
 def _kind(annotation: Any) -> Any:
-    """What a terminal gives: pydantic checks the rest, and says in a line what is wrong."""
+    """Read the options of a terminal: pydantic checks them, and an error is one line."""
     if annotation in (bool, int, float, Path):
         return annotation
     arguments = get_args(annotation)
@@ -117,7 +117,7 @@ _ROTATION = (
 
 
 def _settings(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that were given, of options."""
+    """Return the settings that were given as options."""
     named = {name: value for name, value in given.items() if value not in (None, [])}
     if named.pop("simulate", False):
         named["device"] = "simulated"

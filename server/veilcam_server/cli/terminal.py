@@ -1,4 +1,4 @@
-"""What the commands have in common: errors in one line, and where the state lies."""
+"""Common parts of the commands: errors in one line, and the place of the state."""
 
 from __future__ import annotations
 

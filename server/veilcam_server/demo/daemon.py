@@ -21,9 +21,9 @@ def running(bundle: Path, scene: Path, directory: Path, *options: str) -> Iterat
     """Yield the URL of a simulated daemon that looks at ``scene``; stop it afterwards.
 
     Args:
-        bundle: what it serves.
+        bundle: bundle to serve.
         scene: the file that it sees.
-        directory: for its state and its log.
+        directory: directory of its state and its log.
         options: more options for ``veilcamd serve``.
 
     Raises:

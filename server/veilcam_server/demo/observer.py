@@ -31,9 +31,9 @@ class Observer(Protocol):
         """Return a number for the mask behind which ``embedding`` of ``image`` was taken.
 
         Args:
-            image: that was shown.
-            embedding: as it was read.
-            envelope: of its epoch.
+            image: image that was shown.
+            embedding: embedding as it was read.
+            envelope: envelope of its epoch.
         """
 
     def levels(self, mask: int) -> Levels:

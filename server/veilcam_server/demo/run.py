@@ -31,7 +31,7 @@ REPORT_ROWS = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What to demonstrate."""
+    """Settings of a demonstration."""
 
     fresh: bool = False
     """Draw every mask from a key, and refuse a bundle of pairs."""
@@ -53,7 +53,7 @@ class Plan:
 
     @property
     def captures_per_mask(self) -> int:
-        """How many are taken under one mask."""
+        """Number of captures under one mask."""
         return self.every or (1 if self.fresh else 10)
 
 

@@ -1,4 +1,4 @@
-"""What the demonstration counts, per mask epoch and in all."""
+"""Tally of the demonstration, per mask epoch and in all."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class Tally:
 
     @property
     def masks(self) -> int:
-        """How many different masks were in use."""
+        """Number of masks that were in use."""
         return len({sample.mask for sample in self.samples})
 
     def summary(self) -> str:
-        """The last line of the demonstration."""
+        """Return the last line of the demonstration."""
         return f"accuracy={self.accuracy:.3f} captures={len(self.samples)} masks={self.masks}"
 
     def table(self) -> Table:

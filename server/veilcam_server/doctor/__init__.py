@@ -1,1 +1,1 @@
-"""What a Raspberry Pi needs to serve the camera: what is missing, and how to get it."""
+"""Doctor: needs of a Raspberry Pi that serves the camera, and how to meet them."""

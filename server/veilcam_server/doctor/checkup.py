@@ -32,7 +32,7 @@ Outcome = Literal["ok", "bad", "skipped"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found, and if it is not well, what to do about it."""
+    """Finding of the doctor, and its remedy where something is wrong."""
 
     name: str
     outcome: Outcome
@@ -80,8 +80,8 @@ def examine_beside(machine: Machine, settings: Settings) -> Iterator[Finding]:
     know where its files are.
 
     Args:
-        machine: where the daemon runs.
-        settings: of the daemon.
+        machine: machine of the daemon.
+        settings: settings of the daemon.
     """
     told = DoctorSettings(**{name: getattr(settings, name) for name in DoctorSettings.model_fields})
     real: tuple[Probe, ...] = (
@@ -136,7 +136,7 @@ def _panel_bus(
 
 
 def _guarded(name: str, probe: Callable[[], Iterable[Finding]]) -> list[Finding]:
-    """What a probe finds; one that fails, as the drivers' libraries may, keeps back no other."""
+    """Run a probe; one that fails, as the drivers' libraries may, keeps back no other."""
     try:
         return list(probe())
     except Exception as error:
@@ -159,7 +159,7 @@ def _model(machine: Machine) -> Finding:
 
 
 def _release(machine: Machine) -> Iterator[Finding]:
-    """Where it came as a Debian package."""
+    """Return whether it came as a Debian package."""
     installed = machine.text("/usr/lib/veilcam/unpacked/RELEASE")
     if installed is None:
         return
@@ -214,7 +214,7 @@ def _clock_of_bus(wiring: Wiring, fastest: int) -> Finding:
 
 
 def _needed(wiring: Wiring, name: str, what: str) -> Finding:
-    """A setting without which the panel cannot be opened."""
+    """Check a setting without which the panel cannot be opened."""
     words, value = name.replace("_", " "), getattr(wiring, name)
     if value is None:
         option, variable = f"--{name.replace('_', '-')}", f"VEILCAM_{name.upper()}"
@@ -260,7 +260,7 @@ def _lines(machine: Machine, wiring: Wiring, usable: Set[str]) -> Iterator[Findi
 
 
 def _answers(wiring: Wiring, display: DisplayDriver, usable: Set[str]) -> Iterator[Finding]:
-    """Where it is asked after each mask."""
+    """Return whether the panel is asked after each mask."""
     name = "panel answers"
     if wiring.panel_read_back is None:
         return
@@ -410,13 +410,13 @@ def _systemd(machine: Machine) -> Finding:
 
 
 def _halves(error: Exception, path: Path | None = None) -> tuple[str, str]:
-    """What is wrong, ``path`` left out, and what to do: our errors say both, a colon between."""
+    """Split an error of ours into what is wrong, without ``path``, and what to do."""
     found, _, remedy = str(error).removeprefix(f"{path}: ").rpartition(": ")
     return (found, remedy) if found else (remedy, "export or copy it again")
 
 
 def _nearest(path: Path) -> Path:
-    """The path, or the directory above that there is."""
+    """Return the path, or the nearest directory above it that exists."""
     while not path.exists():
         path = path.parent
     return path

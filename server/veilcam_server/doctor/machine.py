@@ -16,7 +16,7 @@ from veilcam_server.devices.spi import gpio_chips, line_user
 
 
 def _run(*command: str) -> str | None:
-    """What a program prints; None if it is not there or fails."""
+    """Return the output of a program; None if it is missing or fails."""
     if shutil.which(command[0]) is None:
         return None
     try:
@@ -30,7 +30,7 @@ def _run(*command: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """Where a doctor looks."""
+    """Machine that a doctor examines."""
 
     root: Path = Path("/")
     load: Callable[[str], object] = import_extra

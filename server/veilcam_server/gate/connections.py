@@ -23,7 +23,7 @@ Reason = Literal["evicted", "refused", "handshake", "headers", "body", "answer"]
 
 
 class Place(Enum):
-    """Where a connection stands."""
+    """State of a connection."""
 
     UNFINISHED = "unfinished"
     """Its handshake, its headers or the beginning of its body is not there yet."""
@@ -34,7 +34,7 @@ class Place(Enum):
 
 
 def _nothing() -> None:
-    """Where there is nothing to end."""
+    """Do nothing: there is nothing to end."""
 
 
 class Connection:
@@ -99,7 +99,7 @@ class Connections:
     is never ended for others: how much of that there may be is limited for each caller.
 
     Args:
-        limit: how many.
+        limit: greatest number of connections.
     """
 
     def __init__(self, limit: int) -> None:
@@ -117,7 +117,7 @@ class Connections:
         return self._open
 
     def of(self, peer: str) -> int:
-        """How many connections this peer has."""
+        """Return the number of connections of this peer."""
         found = self._peers.get(peer)
         return 0 if found is None else found.total
 
@@ -192,7 +192,7 @@ def peer_of(address: object) -> str:
     An IPv6 host usually has a whole /64 of addresses to itself, so that counts as one peer.
 
     Args:
-        address: as ``socket.accept`` gives it.
+        address: address as ``socket.accept`` gives it.
     """
     if not isinstance(address, tuple):
         return LOCAL

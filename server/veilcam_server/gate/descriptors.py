@@ -1,4 +1,4 @@
-"""How many files the daemon may have open, and how many of them may be connections."""
+"""File descriptors: how many the daemon may have, and how many of them may be connections."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Room:
     """Files that may be open for callers.
 
     Attributes:
-        connections: that are let in.
+        connections: number of connections that are let in.
         waiting: accepted sockets that wait to come in.
     """
 

@@ -35,7 +35,7 @@ class WaitingRoom:
 
     Args:
         capacity: sockets in all. For one more, the peer with most of them loses its oldest.
-        connections_of: how many connections a peer has.
+        connections_of: greatest number of connections of a peer.
     """
 
     def __init__(self, capacity: int, connections_of: Callable[[str], int]) -> None:
@@ -84,7 +84,7 @@ class Entrance:
 
     Args:
         listeners: listening sockets.
-        connections: of the whole daemon.
+        connections: connections of the whole daemon.
         protocol: makes what serves a connection.
         tls: None without it.
         handshake: longest time that TLS may take to begin [s].

@@ -45,11 +45,11 @@ _quiet.setLevel(logging.ERROR)
 
 @dataclass(frozen=True, slots=True)
 class Deadlines:
-    """How long a connection may take for what others wait for.
+    """Deadlines of a connection while others wait.
 
     Attributes:
-        headers: for the TLS handshake, and for the headers of a request [s].
-        body: for each :data:`PORTION` of a body [s].
+        headers: time for the TLS handshake, and for the headers of a request [s].
+        body: time for each :data:`PORTION` of a body [s].
     """
 
     headers: float
@@ -57,7 +57,7 @@ class Deadlines:
 
 
 class _Stage(Enum):
-    """What a connection is waited for."""
+    """State that a connection has to leave before its deadline."""
 
     HEADERS = auto()
     BEGINNING = auto()
@@ -85,7 +85,7 @@ class GateProtocol(H11Protocol):
 
     Args:
         config, server_state, app_state: of uvicorn.
-        connection: its entry at the gate.
+        connection: entry of the connection at the gate.
         deadlines: after which it ends.
     """
 
@@ -165,7 +165,7 @@ class GateProtocol(H11Protocol):
         self._reader = self._later(READING_TIME, "answer")
 
     def resume_writing(self) -> None:
-        """The answer is read."""
+        """Go on: the answer is read."""
         _cancel(self._reader)
         super().resume_writing()
 
@@ -175,7 +175,7 @@ class GateProtocol(H11Protocol):
             self._wait_for(stage)
 
     def _present(self) -> _Stage:
-        """Where the connection stands by h11's account."""
+        """Return the state of the connection by h11's account."""
         answered = self.cycle is None or self.cycle.response_complete
         if self.conn.their_state is h11.IDLE and (self.cycle is None or self.conn.trailing_data[0]):
             return _Stage.HEADERS

@@ -16,10 +16,10 @@ from veilcam_server.settings import Settings
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What is let in, and for how long.
+    """Limits of the gate: connections, and their time.
 
     Attributes:
-        connections: where they are counted.
+        connections: connections that are counted.
         deadlines: after which they end.
         waiting: accepted sockets that may wait to come in.
     """
@@ -43,8 +43,8 @@ class GateServer(uvicorn.Server):
     """uvicorn, but for its accept loops, which take all that comes and know no deadline.
 
     Args:
-        config: of uvicorn. Its ``ssl`` holds for every socket.
-        gate: what is let in.
+        config: configuration of uvicorn. Its ``ssl`` holds for every socket.
+        gate: limits of the gate.
     """
 
     def __init__(self, config: uvicorn.Config, gate: Gate) -> None:

@@ -1,4 +1,4 @@
-"""From the inputs of a classifier to a label, one sample at a time.
+"""Classifier of embeddings: one sample at a time.
 
 Nothing is gained by batches: captures come one after the other, each takes tens of milliseconds and
 its inference less than one, so that two of them never wait.
@@ -65,7 +65,7 @@ class Classifier:
         )
 
     def logits(self, inputs: Values) -> npt.NDArray[np.float64]:
-        """What the network gives for samples, (batch, labels); raises as :meth:`classify`."""
+        """Return the outputs of the network, (batch, labels); raises as :meth:`classify`."""
         logits: npt.NDArray[np.float64] = self.network(inputs).astype(np.float64)
         if not np.isfinite(logits).all():
             raise InferenceError

@@ -83,7 +83,7 @@ class FreshReader:
 
 
 def _moved(inputs: Values, shape: tuple[int, int]) -> list[Values]:
-    """A scene's inputs as they are, and moved by a pixel each way.
+    """Return a scene's inputs as they are, and moved by a pixel each way.
 
     What is read the same way five times is read rightly a little more often.
     """
@@ -99,10 +99,10 @@ class FreshSource:
     """Draws masks and prepares their decoders.
 
     Args:
-        bundle: of mode ``fresh``, read from a file and checked.
+        bundle: bundle of mode ``fresh``, read from a file and checked.
         wrong_decoder: read every mask with the decoder of another key's mask, to show that labels
             come from the mask and not in spite of it.
-        imperfections: how the camera departs from the bundle's; decoders are prepared for them.
+        imperfections: imperfections of the camera, for which decoders are prepared.
 
     Raises:
         StartError: the imperfections are of another panel, or the bundle's numbers give no decoder.

@@ -32,7 +32,7 @@ class PairReader:
         return self.classifier.classify(measurement.reshape(1, -1))
 
     def evidence(self, measurement: Measurement) -> Evidence:
-        """What one embedding tells; there are no statistics to tell what is novel."""
+        """Return the evidence of one embedding; no statistics tell what is novel."""
         return Evidence(
             self.classifier.labels,
             tuple(self.classifier.logits(measurement.reshape(1, -1))[0].tolist()),
@@ -64,12 +64,12 @@ class PairSource:
 
     @property
     def renewable(self) -> bool:
-        """Whether there are two pairs or more."""
+        """True where there are two pairs or more."""
         return len(self._masks) > 1
 
     @property
     def marks(self) -> frozenset[str]:
-        """Of all pairs."""
+        """Return the levels of all pairs."""
         return frozenset(mask.mark for mask in self._masks)
 
     def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:  # noqa: ARG002 - chance decides
@@ -82,7 +82,7 @@ def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
     """Build every classifier of ``bundle``.
 
     Args:
-        bundle: of mode ``pairs``, read and checked.
+        bundle: bundle of mode ``pairs``, read and checked.
         wrong_classifier: give every mask the classifier of another pair, to show that labels
             come from the mask and not in spite of it.
 
@@ -116,5 +116,5 @@ def load_pairs(bundle: Bundle, *, wrong_classifier: bool = False) -> PairSource:
 
 
 def _mark(pair: Pair) -> str:
-    """A digest of a mask for this use alone: whichever bundle it stands in, its budget is one."""
+    """Return a digest of a mask for this use alone: its budget is one in all bundles."""
     return hmac.new(_MARKS, pair.levels.tobytes(), "sha256").hexdigest()[:32]

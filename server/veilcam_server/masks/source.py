@@ -17,7 +17,7 @@ from veilcam_server.devices.base import Levels, Measurement
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What holds for an epoch from its preparation to its end."""
+    """Terms of an epoch, from its preparation to its end."""
 
     form: Release
     """In which embeddings leave."""
@@ -27,7 +27,7 @@ class Terms:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one capture tells of the scene, for who fuses several; it leaves nobody's hands."""
+    """Evidence of one capture, for the fusion of several; it never leaves the daemon."""
 
     labels: tuple[str, ...]
     logits: tuple[float, ...] = field(repr=False)
@@ -79,7 +79,7 @@ def transmittance(levels: Levels, steps: int) -> float:
     """Mean share of the light that a mask lets through; a dark one counts as a level's worth.
 
     Args:
-        levels: of the mask.
+        levels: levels of the mask.
         steps: levels that the panel has.
     """
     weights = levels / (steps - 1)
@@ -87,7 +87,7 @@ def transmittance(levels: Levels, steps: int) -> float:
 
 
 class MaskSource(Protocol):
-    """Where masks come from."""
+    """Source of masks."""
 
     @property
     def bundle(self) -> str:
@@ -95,17 +95,17 @@ class MaskSource(Protocol):
 
     @property
     def renewable(self) -> bool:
-        """Whether there is another mask to change to."""
+        """True where there is another mask to change to."""
 
     @property
     def marks(self) -> frozenset[str]:
-        """Of all masks, where they are stored; none where every mask is a new one."""
+        """Return the levels of all stored masks; none where every mask is new."""
 
     def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
         """Return the mask of an epoch; takes its time, on a thread of its own.
 
         Args:
-            key: of the epoch, which is erased afterwards.
-            form: in which embeddings will leave.
+            key: key of the epoch, which is erased afterwards.
+            form: form in which embeddings leave.
             avoid: marks of masks that are not returned if there are others.
         """

@@ -1,1 +1,1 @@
-"""Who this device is, and to whom it seals the keys of its epochs."""
+"""Sealing: the device's key, and the receivers to whom it seals the keys of its epochs."""

@@ -54,7 +54,7 @@ class CaptureLog:
     says so.
 
     Args:
-        segments: where its lines are.
+        segments: segments that hold the lines.
         signer: the device.
     """
 
@@ -68,7 +68,7 @@ class CaptureLog:
 
     @classmethod
     def of(cls, state_dir: Path, signer: Signer) -> CaptureLog:
-        """The log in a daemon's state directory."""
+        """Open the log in a daemon's state directory."""
         return cls(Segments(state_dir / FOLDER), signer)
 
     def begin(self, report: Report) -> None:
@@ -115,11 +115,11 @@ class CaptureLog:
         )
 
     def records(self, after: int | None, limit: int) -> LogRecords:
-        """Records in their order; all of them are on the disk. Damaged ones are left out.
+        """Read records in their order; all of them are on the disk. Damaged ones are left out.
 
         Args:
-            after: those that follow this position; None: from the oldest on.
-            limit: so many at most.
+            after: position after which records are wanted; None: from the oldest on.
+            limit: greatest number of records.
 
         Raises:
             CaptureLogError: they cannot be made durable, or read.
@@ -229,7 +229,7 @@ def _record(line: bytes) -> LogRecord | None:
 
 
 def _damage(ending: Ending, aside: str) -> str:
-    """What is damaged, and what follows, in words."""
+    """Say in words which line is damaged, and what follows from it."""
     if ending.last is None:
         return f"the capture log is lost, and a new one begins; what was left is in {aside}"
     parts = []

@@ -39,7 +39,7 @@ class DeviceKey:
         """Read the key in ``state_dir``, or make one where there is none, or it is lost.
 
         Args:
-            state_dir: of the daemon; made if need be.
+            state_dir: state directory of the daemon; made if need be.
             report: takes what was damaged.
 
         Raises:

@@ -83,15 +83,15 @@ class ReceiverStore:
 
     @property
     def lost(self) -> bool:
-        """Whether there had been receivers, or a record that there were none, and it is lost."""
+        """Return whether the record of the receivers, or of their absence, is lost."""
         return self._file.lost
 
     def add(self, label: str, receiver: Receiver) -> PairedReceiver:
         """Pair with a receiver; it is on the disk at return.
 
         Args:
-            label: for people.
-            receiver: its public key.
+            label: label for people.
+            receiver: public key of the receiver.
 
         Raises:
             ReceiverKnownError: it is paired already.

@@ -32,7 +32,7 @@ Genuine = Callable[[bytes], bool]
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a log ended that is gone on with."""
+    """End of a log that is continued."""
 
     last: bytes | None
     """The newest line that holds; None: there is none."""
@@ -49,9 +49,9 @@ class Segments:
     killed. What a cut of the power takes is what came since the last :meth:`flush`.
 
     Args:
-        folder: of the files; made as soon as there is a line.
+        folder: folder of the files; made as soon as there is a line.
         limit: size of one file [bytes].
-        kept: how many files stay.
+        kept: number of files that stay.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Segments:
             del self._firsts[0]
 
     def flushable(self) -> int | None:
-        """A descriptor to flush, so that all written so far is durable; whoever has it closes it.
+        """Return a descriptor to flush what was written so far; the caller closes it.
 
         None: nothing was written.
         """
@@ -215,7 +215,7 @@ def _write(file: int, data: bytes, place: int) -> None:
 
 
 def _read(path: Path) -> bytes:
-    """What a file holds; nothing where it cannot be read, as if all of it were damaged."""
+    """Read a file; empty where it cannot be read, as if all of it were damaged."""
     try:
         return path.read_bytes()
     except OSError:
@@ -228,7 +228,7 @@ def _after(position: bytes, line: bytes) -> tuple[bytes, bytes]:
 
 
 def _end_of_last(content: bytes, genuine: Genuine) -> int:
-    """Where the last line that holds ends; 0: none does."""
+    """Return the end of the last valid line; 0: there is none."""
     end = content.rfind(b"\n") + 1
     while end:
         begin = content.rfind(b"\n", 0, end - 1) + 1

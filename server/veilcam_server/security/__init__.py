@@ -1,1 +1,1 @@
-"""Who may ask for what, how often, and what is written down of it."""
+"""Security: callers, their scopes and limits, and the audit log."""

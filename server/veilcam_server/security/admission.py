@@ -41,19 +41,19 @@ class Admission:
 
     Attributes:
         tokens: None lets everybody in who reaches the daemon.
-        site: whose ``Host`` is answered, and the pages that may ask.
-        audit: what callers did; None in tests.
-        refused: what was asked without a valid token, or from another host or site.
-        rate: how often one caller may ask.
-        concurrency: how many requests of one caller may be under way.
-        streams: how many event streams may be open, all callers together.
-        streams_of_one: how many of them one caller may open.
-        uploads: how many uploads may be under way, all callers together.
-        uploads_of_one: how many of them one caller may have under way.
+        site: site whose ``Host`` is answered, and the pages that may ask.
+        audit: audit log of callers; None in tests.
+        refused: brake on requests without a valid token, or from another host or site.
+        rate: limit of the rate of one caller.
+        concurrency: limit of the requests of one caller that are under way.
+        streams: greatest number of open event streams, all callers together.
+        streams_of_one: greatest number of event streams of one caller.
+        uploads: greatest number of uploads under way, all callers together.
+        uploads_of_one: greatest number of uploads of one caller under way.
         keys: idempotency keys that came lately.
-        lease: who holds the camera for a while.
-        settings: of the daemon, for its diagnostics: without paths, addresses and labels.
-        sessions: of pages in browsers; None where no tokens are wanted, and in tests.
+        lease: lease of the camera.
+        settings: settings of the daemon, for its diagnostics: without paths, addresses and labels.
+        sessions: sessions of pages in browsers; None where no tokens are wanted, and in tests.
     """
 
     tokens: TokenStore | None = None
@@ -98,9 +98,9 @@ class Admission:
         Args:
             caller: None where there was no valid token.
             action: method and path.
-            code: of the problem it was answered with, None where it went well.
-            durable: it is on the disk at return, or this raises.
-            details: what else is known: status, request id, peer.
+            code: code of the problem in the answer, None where it went well.
+            durable: True: the record is on the disk at return, or this raises.
+            details: further facts: status, request id, peer.
 
         Raises:
             AuditError: it must be durable, and is not.
@@ -119,7 +119,7 @@ class Admission:
         """Find out who asks, and count the request as under way.
 
         Args:
-            headers: of the request.
+            headers: headers of the request.
             peer: address that it comes from.
 
         Raises:
@@ -134,7 +134,7 @@ class Admission:
             yield caller
 
     def still_admits(self, headers: Headers) -> bool:
-        """Whether the token of a request that goes on is still valid."""
+        """Return whether the token of a request that goes on is still valid."""
         if self.tokens is None:
             return True
         try:
@@ -167,7 +167,7 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
     """Yield what stands in front of a daemon.
 
     Args:
-        settings: of the daemon.
+        settings: settings of the daemon.
         report: takes what was damaged of its state.
 
     Raises:

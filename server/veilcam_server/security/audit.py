@@ -1,4 +1,4 @@
-"""Who did what, and what came of it: JSON lines in the state directory."""
+"""Audit log: who did what, with which outcome, as JSON lines in the state directory."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class AuditLog:
     A change is another thing: it is made where its line is on the disk before it is acknowledged.
 
     Args:
-        path: of the file; made, for its owner alone, as soon as it can be.
+        path: path of the file; made, for its owner alone, as soon as it can be.
         limit: size of one file [bytes].
-        kept: how many full ones stay.
+        kept: number of full files that stay.
         report: takes that it cannot be written.
     """
 
@@ -48,9 +48,9 @@ class AuditLog:
         """Append one line: now, the action, and those details that are not None.
 
         Args:
-            action: what was done or refused.
+            action: action that was done or refused.
             durable: the line is flushed to the disk, or this raises.
-            details: what else is known.
+            details: further facts.
 
         Raises:
             AuditError: a line that must be durable is not.

@@ -10,13 +10,13 @@ from veilcam_server.errors import ForbiddenError
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who asks.
+    """Caller of the API.
 
     Attributes:
-        id: of the token; where none is wanted, the peer's address.
-        label: of the token, for people.
-        scopes: what the caller may do.
-        expires: when the token ends, seconds since 1970; None: never.
+        id: id of the token; where none is wanted, the peer's address.
+        label: label of the token, for people.
+        scopes: scopes of the caller.
+        expires: end of the token, seconds since 1970; None: never.
     """
 
     id: str
@@ -25,7 +25,7 @@ class Caller:
     expires: float | None = None
 
     def may(self, scope: Scope) -> bool:
-        """Whether the caller has this scope."""
+        """Return whether the caller has this scope."""
         return scope in self.scopes
 
     def require(self, scope: Scope) -> None:

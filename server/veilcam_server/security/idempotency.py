@@ -94,10 +94,10 @@ class IdempotencyKeys:
         """Return the result of ``work``, done once for ``key``, even if the caller goes away.
 
         Args:
-            caller: whose key it is.
+            caller: caller whose key it is.
             key: chosen by the client; None does the work every time.
-            fingerprint: of the request: a key belongs to one.
-            work: what to do.
+            fingerprint: digest of the request: a key belongs to one.
+            work: function that does the work.
 
         Raises:
             IdempotencyError: the key came before with another fingerprint.

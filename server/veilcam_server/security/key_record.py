@@ -28,10 +28,10 @@ log = structlog.get_logger()
 
 
 class KeyRecord:
-    """What was done under which key.
+    """Record of the work done under each key.
 
     Args:
-        directory: of the state; it is there.
+        directory: state directory; it exists.
         now: seconds since 1970.
         elapsed: a clock that is never set [s].
     """
@@ -66,7 +66,7 @@ class KeyRecord:
 
         Args:
             name: hash of caller and key, 32 bytes.
-            fingerprint: of the request, 32 bytes.
+            fingerprint: digest of the request, 32 bytes.
 
         Raises:
             OSError: the disk refuses.

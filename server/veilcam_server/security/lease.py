@@ -13,7 +13,7 @@ from veilcam_server.errors import LeasedError
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """Who holds the camera, and until when, on the monotonic clock [s]."""
+    """Holder of the camera, and the end of its lease on the monotonic clock [s]."""
 
     holder: str
     owner: str
@@ -45,7 +45,7 @@ class Lease:
         return None if holding is None else holding.until - self._now()
 
     def held_by(self, holder: str) -> bool:
-        """Whether this one holds the camera."""
+        """Return whether this one holds the camera."""
         holding = self.holding
         # Where no tokens are wanted, the name of the holder is a secret.
         return holding is not None and hmac.compare_digest(holding.holder.encode(), holder.encode())

@@ -1,4 +1,4 @@
-"""How much one caller may ask: how often, and how much at once."""
+"""Limits of one caller: its rate, and its requests at once."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ConcurrencyLimit:
     """So many requests or streams of one caller may be under way at once.
 
     Args:
-        limit: how many.
+        limit: greatest number.
         refusal: raised, with the limit, at one too many.
     """
 

@@ -56,8 +56,8 @@ class Begun:
     Attributes:
         cookie: the browser's half.
         half: the page's half.
-        expires: when it ends, seconds since 1970.
-        lifetime: from now on [s].
+        expires: end of the session, seconds since 1970.
+        lifetime: lifetime from now on [s].
     """
 
     cookie: str = field(repr=False)
@@ -81,7 +81,7 @@ class SessionStore:
 
     Args:
         directory: the daemon's state directory.
-        tokens: to which sessions belong, and by whose clock they end.
+        tokens: tokens to which sessions belong, and by whose clock they end.
         report: takes what was damaged.
 
     Raises:
@@ -120,7 +120,7 @@ class SessionStore:
         return Begun(cookie, half, expires, expires - now)
 
     def caller(self, headers: Headers) -> Caller:
-        """Who sends both halves of a session.
+        """Return the caller who sends both halves of a session.
 
         Raises:
             UnauthorizedError: one is missing, or the session or its token has ended.
@@ -132,7 +132,7 @@ class SessionStore:
         return self._tokens.caller_of(row.token)
 
     def expires(self, headers: Headers) -> float | None:
-        """When the session of a request ends, seconds since 1970; None: it is of none."""
+        """Return the end of a request's session, seconds since 1970; None: it is of none."""
         row = self._row(headers)
         return None if row is None else row.expires
 

@@ -20,11 +20,11 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """What a daemon is called, and who may show its pages.
+    """Names of a daemon, and the pages that may show it.
 
     Attributes:
         hosts: names besides localhost, each with its port where that is no default.
-        addresses: whether every IP address is a name of this daemon, or those of loopback alone.
+        addresses: True where every IP address names this daemon; else loopback's alone do.
         frame_ancestors: origins of the pages that may show a page of this daemon in a frame.
     """
 
@@ -68,14 +68,14 @@ class Site:
         return address.is_loopback or self.addresses
 
     def _is_own(self, origin: str, host: str) -> bool:
-        """Whether an ``Origin`` is the host and port of ``Host``, or a name that was given.
+        """Return whether an ``Origin`` is the host and port of ``Host``, or a name that was given.
 
         ``null`` has none. A proxy in front of the daemon may ask it under another ``Host``.
         """
         return any(_is_of(origin, place) for place in (host, *self.hosts))
 
     def _navigates(self, headers: Headers) -> bool:
-        """Whether a browser opens a page, in a tab or in a frame that may show it."""
+        """Return whether a browser opens a page, in a tab or in a frame that may show it."""
         shown = ("document", "iframe") if self.frame_ancestors else ("document",)
         return (
             headers.getlist("sec-fetch-mode") == ["navigate"]
@@ -88,7 +88,7 @@ def _name(place: str) -> str:
 
 
 def _is_of(origin: str, place: str) -> bool:
-    """Whether ``origin`` has this host and port.
+    """Return whether ``origin`` has this host and port.
 
     A port left out is the default of the origin's scheme, which may be another than ours: a proxy
     in front of the daemon may speak TLS.

@@ -126,9 +126,9 @@ class TokenStore:
         """Make a token.
 
         Args:
-            label: for whom or what it is.
-            scopes: what it allows.
-            lifetime: how long it is valid [s], None for ever.
+            label: label for people.
+            scopes: scopes of the token.
+            lifetime: lifetime [s], None for ever.
 
         Raises:
             TokenStoreError: it cannot be written.
@@ -173,7 +173,7 @@ class TokenStore:
         return _by_id(self._change(revoke))[token_id].public()
 
     def caller(self, authorization: str) -> Caller:
-        """Who sends this ``Authorization`` header.
+        """Return the caller who sends this ``Authorization`` header.
 
         Raises:
             UnauthorizedError: no token, or one that is unknown, revoked, expired or misspelt: which
@@ -188,7 +188,7 @@ class TokenStore:
         return self._admitted(row if right else None)
 
     def caller_of(self, token_id: str) -> Caller:
-        """Who was let in before with the token of this id; raises as :meth:`caller`."""
+        """Return the caller of the token of this id; raises as :meth:`caller`."""
         self._refresh()
         return self._admitted(self._known.get(token_id))
 
@@ -202,7 +202,7 @@ class TokenStore:
         return Caller(row.id, row.label, frozenset(row.scopes), row.expires)
 
     def lifetime(self, caller: Caller) -> float | None:
-        """How long the caller's token is still valid [s], None for ever."""
+        """Return the remaining lifetime of the caller's token [s], None for ever."""
         return None if caller.expires is None else max(0.0, caller.expires - self.now())
 
     def _change(self, update: Callable[[_Tokens], _Tokens]) -> _Tokens:
@@ -243,7 +243,7 @@ class TokenStore:
             self._note_from = self._monotonic() + _PAUSE
 
     def now(self) -> float:
-        """The wall clock, but never less than it was plus the time since then."""
+        """Return the wall clock, but never less than it was plus the time since then."""
         now = max(self._wall(), self._seen + self._monotonic() - self._since)
         self._seen, self._since = now, self._monotonic()
         return now

@@ -18,7 +18,7 @@ class Alarms:
     """A camera that is ready is ``degraded`` while a task around it fails. Lives on one event loop.
 
     Args:
-        camera: whose state goes before.
+        camera: camera whose state goes before.
         publish: takes every change of the state.
     """
 
@@ -28,15 +28,15 @@ class Alarms:
 
     @property
     def state(self) -> Condition:
-        """What the daemon is doing."""
+        """State of the daemon."""
         return self._with_alarms(self._camera.state)
 
     def sound(self, task: str, error: Exception) -> None:
         """Let the state tell that a task failed; one that nobody foresaw is logged.
 
         Args:
-            task: that failed, in words.
-            error: that it raised.
+            task: name of the task that failed, in words.
+            error: error that it raised.
         """
         known = isinstance(error, ProblemError)
         if not known:

@@ -89,7 +89,7 @@ class EventLog:
         return f"{self._boot}-{number}"
 
     def _number(self, event_id: str) -> int | None:
-        """The number in an id of this boot, or None for any other text."""
+        """Return the number in an id of this boot, or None for any other text."""
         boot, _, number = event_id.partition("-")
         if boot != self._boot or not (number.isascii() and number.isdigit()):
             return None

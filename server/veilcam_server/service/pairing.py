@@ -10,10 +10,10 @@ from veilcam_server.sealing.receivers import ReceiverStore, parse_receiver
 
 
 class Pairing:
-    """What the API does with receivers.
+    """Pairing of receivers, for the API.
 
     Args:
-        store: where they are.
+        store: store of the receivers.
         device: public key of the device that seals to them.
         renew: discards the epoch that was prepared for the receivers of before; blocks.
     """

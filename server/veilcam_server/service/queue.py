@@ -31,7 +31,7 @@ class DeviceQueue:
     """Serves requests in the order in which they came, and turns away what would wait too long.
 
     Args:
-        limit: how many requests may wait, the one at work included.
+        limit: greatest number of requests that wait, the one at work included.
         publish: takes the faults of what was asked for.
     """
 
@@ -60,9 +60,9 @@ class DeviceQueue:
         """Do ``work`` on the device's thread, and raise what it raises.
 
         Args:
-            work: to do.
-            counted: whether the time it takes tells of those that others wait for.
-            told: whether a failure is published; the state alone tells of others.
+            work: function that does the work.
+            counted: True: the time it takes counts in the estimate for others that wait.
+            told: True: a failure is published; else only the state tells of it.
         """
 
         def timed() -> tuple[ResultT, float]:

@@ -76,7 +76,7 @@ class ReplayedCamera:
     """Gives every recorded capture once, in their order. No mask is ever shown.
 
     Args:
-        recording: of a camera.
+        recording: recording of a camera.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -200,7 +200,7 @@ class _Recollection:
 
     @property
     def epoch(self) -> str:
-        """Of the mask that was shown."""
+        """Epoch of the mask that was shown."""
         return self.recorded.capture.epoch
 
     @property
@@ -220,7 +220,7 @@ class _Recollection:
 
     @property
     def replay(self) -> Replay:
-        """Where it comes from."""
+        """Origin of the capture."""
         return Replay(capture=self.recorded.capture.id, place=self.place)
 
     @property
@@ -242,7 +242,7 @@ class _Recollection:
         raise ReplayingError
 
     def release(self, queue_s: float) -> Embedding | SealedEmbedding:  # noqa: ARG002 - as it left
-        """It was released before it was recorded."""
+        """Do nothing: the capture was released before it was recorded."""
         return self.recorded.capture.embedding
 
     def done(self) -> None:

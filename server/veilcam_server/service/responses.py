@@ -65,7 +65,7 @@ def classification_response(
 
 
 def logged(answer: Capture | Classification, provenance: Provenance) -> LoggedCapture:
-    """What the capture log says of an answer that is about to leave."""
+    """Return the entry of the capture log for an answer that is about to leave."""
     return LoggedCapture(
         epoch=answer.epoch,
         number=answer.number,
@@ -78,12 +78,12 @@ def logged(answer: Capture | Classification, provenance: Provenance) -> LoggedCa
 
 
 def _proof(captured: Captured) -> Proof | None:
-    """The same of every capture: one that does not show its mask has no answer."""
+    """Return the notes of a capture; one that does not show its mask has no answer."""
     return "checked" if captured.replay is None else None
 
 
 def _told(prediction: Prediction, scores: Scores) -> Prediction:
-    """A prediction as a caller may see it."""
+    """Return a prediction as a caller may see it."""
     if scores == "all":
         return prediction
     if scores == "none":
@@ -96,7 +96,7 @@ def _told(prediction: Prediction, scores: Scores) -> Prediction:
 
 
 def told_confidence(confidence: float | None, scores: Scores) -> float | None:
-    """A probability as a caller may see it."""
+    """Return a probability as a caller may see it."""
     if confidence is None or scores == "none":
         return None
     return confidence if scores == "all" else round(confidence, 1)

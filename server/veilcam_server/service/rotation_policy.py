@@ -41,12 +41,12 @@ class PolicyStore:
     def at_start(
         self, default: RotationPolicy, *, renewable: bool, configured: bool
     ) -> RotationPolicy:
-        """When masks change from now on.
+        """Policy of mask changes from now on.
 
         Args:
-            default: where none was set, or the daemon was started with another setting since.
-            renewable: whether the bundle in use has another mask to change to.
-            configured: whether that is the bundle that the daemon was started with.
+            default: policy where none was set, or the daemon was started with another one since.
+            renewable: True where the bundle in use has another mask to change to.
+            configured: True where that is the bundle that the daemon was started with.
         """
         record = self._file.read()
         kept = record is not None and record.given == self._given

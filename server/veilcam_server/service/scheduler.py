@@ -29,7 +29,7 @@ _DOWN = ("degraded", "safe")
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """What is done again and again."""
+    """Repeated task."""
 
     name: str
     due_in: Callable[[], float]
@@ -46,9 +46,9 @@ class Scheduler:
     from one failure to the next.
 
     Args:
-        camera: that is kept.
-        queue: in front of its device.
-        alarms: of tasks that fail.
+        camera: camera that is maintained.
+        queue: queue in front of its device.
+        alarms: alarms of tasks that fail.
         watchdog: longest time between two signs of life [s]; None for none.
         tell: takes the signs of life.
         first_pause: after a first failure [s]; it doubles from one to the next.
@@ -88,7 +88,7 @@ class Scheduler:
         """Do something else again and again, too; before this runs.
 
         Args:
-            name: in words.
+            name: name in words.
             due_in: seconds until it must be done.
             work: does it.
         """

@@ -81,21 +81,21 @@ class Service:
     """Everything that the API does. Lives on one event loop, between ``open`` and its end.
 
     Args:
-        camera: with its first mask on the panel.
-        identity: for the status.
-        bundles: of which one is in use; None: labels and masks come from a recording.
-        calibration: that measures the camera.
+        camera: camera with its first mask on the panel.
+        identity: identity for the status.
+        bundles: bundles, of which one is in use; None: labels and masks come from a recording.
+        calibration: calibration that measures the camera.
         form: tells in which embeddings leave, from the next epoch on.
         raw_budget: embeddings that may leave raw behind one mask; for the status.
-        pairing: with receivers; None: a recording is replayed, and there are none.
-        queue_limit: how many requests may wait for the device, the one at work included.
+        pairing: pairing with receivers; None: a recording is replayed, and there are none.
+        queue_limit: greatest number of requests that wait for the device, the one at work included.
         heartbeat: longest silence of an event stream [s].
         scenes: before which pictures may be held up; None: nobody may.
         break_device: breaks and mends a simulated device; None: nobody may.
-        faults: what was found before; told of once this is open.
-        policies: where the rotation policy is kept; None: it lasts no longer than this.
-        capture_log: of what is answered; None: a recording is replayed, and nothing is logged.
-        watch: what it starts with that looks by itself; None: a recording is replayed.
+        faults: faults that were found before; they are told once this is open.
+        policies: store of the rotation policy; None: it lasts no longer than this.
+        capture_log: log of answers; None: a recording is replayed, and nothing is logged.
+        watch: settings of the watch; None: a recording is replayed.
         held: state directory, which other daemons may have once this has stopped; None: there is
             none.
     """
@@ -200,7 +200,7 @@ class Service:
             )
 
     def healthy(self) -> bool:
-        """Whether panel and camera still answer."""
+        """Return whether panel and camera still answer."""
         return self._camera.healthy()
 
     def stop(self) -> None:
@@ -222,7 +222,7 @@ class Service:
 
     @property
     def bundles(self) -> BundleManager:
-        """Of which one is in use; raises :class:`ReplayingError` where there are none."""
+        """Return the bundles; raises :class:`ReplayingError` where there are none."""
         if self._bundles is None:
             raise ReplayingError
         return self._bundles
@@ -241,7 +241,7 @@ class Service:
 
     @property
     def capture_log(self) -> CaptureLog:
-        """Of what was answered; raises :class:`ReplayingError` where nothing is logged."""
+        """Return the capture log; raises :class:`ReplayingError` where nothing is logged."""
         if self._log is None:
             raise ReplayingError
         return self._log
@@ -269,7 +269,7 @@ class Service:
 
     @property
     def upload_limit(self) -> int:
-        """Of a bundle [bytes]; 0 where there are none."""
+        """Largest bundle [bytes]; 0 where there are none."""
         return 0 if self._bundles is None else self._bundles.limit
 
     def status(self) -> Status:
@@ -292,11 +292,11 @@ class Service:
         )
 
     def rotation(self) -> Rotation:
-        """The policy, the present epoch, and whether the next one is ready."""
+        """Return the policy, the present epoch, and whether the next one is ready."""
         return self._camera.rotation()
 
     def proof(self) -> ProofMeans | None:
-        """What the last captures say of their masks: it tells of the light."""
+        """Return the verdicts of the last captures about their masks: they tell of the light."""
         return self._camera.proof()
 
     async def set_policy(self, policy: RotationPolicy) -> Rotation:
@@ -341,8 +341,8 @@ class Service:
         """Take one embedding and classify it with the reader of its own mask.
 
         Args:
-            include_embedding: whether that leaves, too.
-            scores: what is told beside the label.
+            include_embedding: True: the embedding leaves, too.
+            scores: scores that are told beside the label.
 
         Raises:
             WithheldError, NoReceiverError: the embedding is wanted, and it may not leave.
@@ -432,7 +432,7 @@ class Service:
 
         Args:
             make: the answer.
-            release: whether the embedding leaves.
+            release: True: the embedding leaves.
         """
         begun, name = time.monotonic(), secrets.token_hex(ID_DIGITS // 2)
 

@@ -1,4 +1,4 @@
-"""Where the daemon listens: sockets that systemd opened, or else the one that the settings name."""
+"""Listening sockets: those that systemd opened, or else the one that the settings name."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def require_free(settings: Settings) -> None:
 
 
 def _require_private(passed: socket.socket, settings: Settings) -> None:
-    """A socket unit can name any address; what the settings refuse is refused here too."""
+    """Refuse the addresses of a socket unit that the settings would refuse."""
     address = passed.getsockname()
     if passed.family == socket.AF_UNIX:
         if not isinstance(address, str):  # bytes: a name without a file, hence without permissions

@@ -22,7 +22,7 @@ class LogStream:
     A full disk under the log, or a pipe that nobody reads any more, is no reason to end.
 
     Args:
-        stream: to write to.
+        stream: stream to write to.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -46,7 +46,7 @@ class LogStream:
         """Nothing is kept back."""
 
     def isatty(self) -> bool:
-        """Whether a person looks on."""
+        """Return whether the output is a terminal."""
         return self._stream.isatty()
 
 
@@ -117,8 +117,8 @@ def log_defect(error: BaseException, **context: str) -> None:
     Its text is left out, as it may hold anything.
 
     Args:
-        error: that was raised.
-        context: what is known of it, such as ``during``.
+        error: error that was raised.
+        context: facts known of it, such as ``during``.
     """
     structlog.get_logger().error(
         "defect",

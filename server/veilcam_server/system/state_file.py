@@ -41,7 +41,7 @@ def log_fault(error: ProblemError) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Copy(Generic[StateT]):
-    """What one file holds: a state with its serial number, or why it holds none."""
+    """Contents of one file: a state with its serial number, or the reason why there is none."""
 
     path: Path
     content: bytes = b""
@@ -74,9 +74,9 @@ class StateFile(Generic[StateT]):
     them are gone is told from a record that was never written.
 
     Args:
-        path: of the record, in a folder that exists.
-        model: of the record.
-        lost: what follows where no copy is whole, in words for whoever must act.
+        path: path of the record, in a folder that exists.
+        model: model of the record.
+        lost: consequence where no copy is whole, in words for whoever must act.
         report: takes what was damaged.
     """
 
@@ -101,7 +101,7 @@ class StateFile(Generic[StateT]):
 
     @property
     def lost(self) -> bool:
-        """Whether the last :meth:`read` found no copy whole where there had been two."""
+        """True where the last :meth:`read` found no whole copy of two."""
         return self._told == StateLostError.code
 
     def read(self) -> StateT | None:
@@ -169,7 +169,7 @@ class StateFile(Generic[StateT]):
         return sha256(content).hexdigest().encode() + b" " + content
 
     def _decode(self, content: bytes) -> tuple[int, StateT]:
-        """Serial number and record; raises :class:`ValueError` for what is damaged."""
+        """Return serial number and record; raises :class:`ValueError` for a damaged file."""
         digest, _, rest = content.partition(b" ")
         if sha256(rest).hexdigest().encode() != digest:
             raise ValueError("its checksum is wrong")
@@ -198,13 +198,13 @@ class StateFile(Generic[StateT]):
         return _Copy(path, content, serial, state)
 
     def _differ(self, copies: Sequence[_Copy[StateT]]) -> bool:
-        """Whether there is something to repair or to tell."""
+        """Return whether there is something to repair or to tell."""
         if any(copy.fault not in ("", "is gone") for copy in copies):
             return True
         return self._written() and not copies[0].content == copies[1].content != b""
 
     def _written(self) -> bool:
-        """Whether both copies were there once."""
+        """Return whether both copies were there once."""
         try:
             return self._lock.stat().st_size > 0
         except OSError:
@@ -281,7 +281,7 @@ class HeldDirectory:
     """A state directory that no other daemon uses meanwhile; made, for its owner alone.
 
     Args:
-        directory: to hold until it is closed.
+        directory: directory to hold until it is closed.
 
     Raises:
         StartError: another daemon holds it, or it cannot be used.
@@ -306,7 +306,7 @@ class HeldDirectory:
 
     @property
     def closed(self) -> bool:
-        """Whether another daemon may have it now."""
+        """Return whether another daemon may have it now."""
         return self._descriptor < 0
 
     def close(self) -> None:
@@ -324,7 +324,7 @@ def make_directory(directory: Path) -> None:
 
 
 def unusable(directory: Path, error: OSError) -> StartError:
-    """What is said of a state directory that cannot be used."""
+    """Say why a state directory cannot be used."""
     return StartError(
         f"{directory} cannot be used ({error.strerror}): check it, or give another --state-dir"
     )

@@ -1,4 +1,4 @@
-"""What passes between systemd and a service: what we tell it, and the sockets that it opened.
+"""Messages between systemd and a service, and the sockets that systemd opened.
 
 Source: sd_notify(3) and sd_listen_fds(3). Outside systemd nothing here does anything.
 """

@@ -43,7 +43,7 @@ class FakeCamera:
     ``camera().set_faults(...)`` what is wrong with it. It logs as ``logging`` is told to.
 
     Args:
-        settings: of ``veilcamd serve``, by the names of docs and environment in small letters, as
+        settings: settings of ``veilcamd serve``, by the names of the environment in lower case, as
             ``{"auth": "tokens"}``. What the environment says does not count.
 
     Raises:
@@ -91,11 +91,11 @@ class FakeCamera:
         self._stack.close()
 
     def camera(self, **options: Any) -> Camera:
-        """A ``Camera`` of this one; ``options`` are those of :class:`Camera`."""
+        """Return a ``Camera`` of this one; ``options`` are those of :class:`Camera`."""
         return Camera("http://localhost", http_client=self.http_client(), **options)
 
     def async_camera(self, **options: Any) -> AsyncCamera:
-        """An ``AsyncCamera`` of this one; ``options`` are those of :class:`AsyncCamera`."""
+        """Return an ``AsyncCamera`` of this one; ``options`` are those of :class:`AsyncCamera`."""
         return AsyncCamera("http://localhost", http_client=self.async_http_client(), **options)
 
     def put_back(self) -> None:
@@ -110,11 +110,11 @@ class FakeCamera:
             camera.set_rotation(self._rotation)
 
     def http_client(self) -> httpx.Client:
-        """What a ``Camera(http_client=...)`` of one's own asks this one with."""
+        """Return an HTTP client for a ``Camera(http_client=...)`` of one's own."""
         return httpx.Client(transport=AppTransport(self._open_door), base_url="http://localhost")
 
     def async_http_client(self) -> httpx.AsyncClient:
-        """What an ``AsyncCamera(http_client=...)`` of one's own asks this one with."""
+        """Return an HTTP client for an ``AsyncCamera(http_client=...)`` of one's own."""
         return httpx.AsyncClient(
             transport=AsyncAppTransport(self._open_door), base_url="http://localhost"
         )

@@ -109,7 +109,7 @@ class _Stream(httpx.SyncByteStream):
         self._door, self._visit, self._said, self._patience = door, visit, said, patience
 
     def next(self) -> Message | None:
-        """What the application says next; None: no more."""
+        """Return the application's next message; None: no more."""
         try:
             return _heard(self._said.get(timeout=self._patience))
         except queue.Empty:
@@ -157,7 +157,7 @@ class _AsyncStream(httpx.AsyncByteStream):
         self._door, self._visit, self._said, self._patience = door, visit, said, patience
 
     async def next(self) -> Message | None:
-        """What the application says next; None: no more."""
+        """Return the application's next message; None: no more."""
         try:
             async with asyncio.timeout(self._patience):
                 return _heard(await self._said.get())
@@ -173,7 +173,7 @@ class _AsyncStream(httpx.AsyncByteStream):
 
 
 def _patience(request: httpx.Request) -> float | None:
-    """Of the caller, for the next piece [s]."""
+    """Return the caller's time-out for the next piece [s]."""
     patience: float | None = request.extensions.get("timeout", {}).get("read")
     return patience
 

@@ -1,4 +1,4 @@
-"""Whether a capture looks like one of a thing: bright enough, and like the scenes to be expected.
+"""Admission of captures to the watch: bright enough, and like the scenes to be expected.
 
 Two numbers of a capture tell (:class:`~veilcam_server.masks.source.Evidence`): its light, and its
 novelty, which a bundle without scene statistics does not have.
@@ -40,15 +40,15 @@ class Admission:
                 raise ValueError(f"{name} = {threshold} is not valid: use a number > 0")
 
     def admits(self, evidence: Evidence) -> bool:
-        """Whether a capture looks like one of a thing."""
+        """Return whether a capture looks like one of a thing."""
         familiar = evidence.novelty is None or evidence.novelty <= self.most_novelty
         return familiar and evidence.light >= self.least_light
 
     def calibrated(self, record: CalibrationRecord) -> Admission:
-        """These for a camera whose black level was measured: it is known only so well.
+        """Return the limits for a camera whose black level was measured, with its uncertainty.
 
         Args:
-            record: of a calibration, whose covered camera is an empty scene.
+            record: record of a calibration, whose covered camera is an empty scene.
         """
         unsure = record.black_level.uncertainty / record.gain.value / _TRANSMITTANCE
         return replace(self, least_light=max(self.least_light, _DEVIATIONS * unsure))

@@ -44,7 +44,7 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """How often things come and go [1/s]; all greater than zero.
+    """Rates at which things come and go [1/s]; all greater than zero.
 
     Raises:
         ValueError: a rate that cannot be.
@@ -64,15 +64,15 @@ class Dynamics:
                 raise ValueError(f"{name} = {rate} /s is not valid: use a number > 0")
 
     def prior(self, classes: int) -> Probabilities:
-        """What is believed where nothing was seen for long."""
+        """Belief after a long time without a look."""
         something = self.arrival / (self.arrival + self.departure)
         return np.array([1 - something] + classes * [something / classes])
 
     def predict(self, belief: Probabilities, seconds: float) -> Probabilities:
-        """What is believed so much later, in closed form.
+        """Return the belief after some time without a look, in closed form.
 
         Args:
-            belief: of then.
+            belief: belief at the start.
             seconds: since then [s]; 0 or more.
         """
         classes = len(belief) - 1
@@ -91,7 +91,7 @@ class Dynamics:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """What one capture tells; docs/watch.md says how each number was measured.
+    """Evidence of one capture; docs/watch.md says how each number was measured.
 
     Raises:
         ValueError: a number that cannot be.
@@ -119,7 +119,7 @@ class Sensing:
 
         Args:
             logits: the classifier's, one for each class.
-            admitted: whether the capture looks like one of a thing.
+            admitted: True where the capture looks like one of a thing.
         """
         classes = len(logits)
         if not admitted:

@@ -1,4 +1,4 @@
-"""From what captures tell, one after the other, to what is believed and what changed."""
+"""Fusion of captures, one after the other, into a belief and its changes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Fusion:
     """A belief and what was seen; labels alone are remembered.
 
     Args:
-        admission: what looks like a thing.
-        dynamics: how often things come and go.
+        admission: test of a capture: does it look like one of a thing.
+        dynamics: rates at which things come and go.
         length: sights that are remembered.
     """
 
@@ -26,20 +26,20 @@ class Fusion:
 
     @property
     def leader(self) -> Leader | None:
-        """What is most probable; None: nothing is believed, as nobody looks."""
+        """Most probable state; None: nobody looks, so nothing is believed."""
         return self._sightings.leader
 
     @property
     def history(self) -> tuple[Sight, ...]:
-        """What was seen last, newest first."""
+        """Sightings of the past, newest first."""
         return self._sightings.history
 
     def take(self, evidence: Evidence, at: float) -> list[Change]:
         """Fuse what a capture tells, and return what changed.
 
         Args:
-            evidence: of the capture.
-            at: when it was taken, not before the one before [s].
+            evidence: evidence of the capture.
+            at: time of the capture, not before the one before [s].
         """
         changes = self.stop() if evidence.labels != self._labels else []
         self._labels = evidence.labels

@@ -38,7 +38,7 @@ class WatchStore:
         )
 
     def at_start(self) -> WatchPolicy:
-        """When the camera looks from now on; not at all, where it is lost what was set.
+        """Read the policy from now on; off, where the setting was lost.
 
         Nobody who switched a camera off shall find that a broken disk switched it on.
         """
@@ -63,7 +63,7 @@ class WatchStore:
 
 
 def resting(policy: WatchPolicy, now: datetime) -> str | None:
-    """Why the panel is opaque at a time by the clock on the wall; None: it need not be.
+    """Return the reason why the panel is opaque at a time of the wall clock; None: it need not be.
 
     Each moment is judged by what that clock shows: an hour that comes twice in a night of autumn is
     quiet both times if it is, and one that spring leaves out is none.

@@ -1,4 +1,4 @@
-"""What was seen and went, as a belief changes: few events of many captures, and a short history."""
+"""Sightings: few events of many captures, as a belief changes, and a short history."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Leader:
-    """What is most probable."""
+    """Most probable state."""
 
     label: str | None
     """None: nothing that is known."""
@@ -88,9 +88,9 @@ class Sightings:
         """Take note of a belief after a capture, and return what changed.
 
         Args:
-            told: of nothing and of every class.
-            labels: of the classes.
-            at: when the capture was taken [s].
+            told: probabilities of nothing and of every class.
+            labels: labels of the classes.
+            at: time of the capture [s].
         """
         names = (None, *labels)
         self._hints = {

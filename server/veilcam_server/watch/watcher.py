@@ -61,13 +61,13 @@ class OnDevice(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What a watch looks through.
+    """Parts of the daemon that a watch uses.
 
     Attributes:
-        camera: whose panel is opaque while it does not look.
+        camera: camera whose panel is opaque while it does not look.
         on_device: does work on the device's thread.
         look: takes one capture, of which nothing leaves, and returns what it tells.
-        busy: whether a caller waits for the device.
+        busy: function that says whether a caller waits for the device.
         publish: takes events.
     """
 
@@ -80,14 +80,14 @@ class Watched:
 
 @dataclass(frozen=True, slots=True)
 class WatchSetup:
-    """What a watch starts with.
+    """Settings that a watch starts with.
 
     Attributes:
-        policy: when it looks.
-        store: where that is kept.
+        policy: times at which it looks.
+        store: store of the policy.
         rests: why the panel is opaque already; None: it is not.
-        admission: what looks like a thing.
-        dynamics: how often things come and go.
+        admission: test of a capture: does it look like one of a thing.
+        dynamics: rates at which things come and go.
     """
 
     policy: WatchPolicy
@@ -104,7 +104,7 @@ def open_watch(
 
     Args:
         settings: checked.
-        calibration: in force, which says how dark it is where there is no light.
+        calibration: calibration in force, which says how dark it is without light.
         report: takes what was damaged in the state directory.
     """
     store = WatchStore(settings.state_dir, settings.watch_policy, report)
@@ -121,8 +121,8 @@ class Watcher:
     """Looks when it is due, and remembers labels alone. Lives on one event loop.
 
     Args:
-        setup: what it starts with.
-        watched: what it looks through.
+        setup: settings to start with.
+        watched: parts of the daemon to use.
         clock: monotonic time [s].
         now: time by the clock on the wall, with its zone.
     """
@@ -145,7 +145,7 @@ class Watcher:
         self._activity, self._detail = self._planned()
 
     def state(self) -> Watch:
-        """Whether the camera looks, and what it believes to see."""
+        """Return whether the camera looks, and what it believes to see."""
         clock, now = self._clock(), datetime.now(UTC)
         leader = self._fusion.leader
 
@@ -286,7 +286,7 @@ class Watcher:
         return resting(self.policy, self._now())
 
     def _planned(self) -> tuple[Activity, str | None]:
-        """What it does where nothing is in the way, and why."""
+        """Return the activity where nothing is in the way, and why."""
         if isinstance(self.policy, WatchOff):
             return "off", self._reason()
         if (reason := self._reason()) is not None:
@@ -309,7 +309,7 @@ class Watcher:
 
 
 def _event(change: Change) -> Callable[..., Event]:
-    """What makes an event of a change."""
+    """Return the maker of the event of a change."""
     label, confidence, lasted = change.label, change.confidence, change.duration
     if change.kind == "seen":
         return partial(Seen, label=label, confidence=confidence, duration_s=lasted)

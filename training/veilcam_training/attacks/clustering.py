@@ -18,9 +18,9 @@ def k_means(
 
     Args:
         points: (count, dimensions).
-        clusters: how many groups to make.
+        clusters: number of groups to make.
         generator: source of the random numbers.
-        restarts: how often to start anew.
+        restarts: number of new starts.
 
     Returns:
         int64 (count,): the group of each point, 0 to clusters - 1.
@@ -58,7 +58,7 @@ def subspace_clusters(
 
     Args:
         points: (count, dimensions); they are scaled to length 1.
-        clusters: how many groups to make.
+        clusters: number of groups to make.
         generator: source of the random numbers.
         ridge: penalty on the coefficients, relative to the points' length.
         neighbours: coefficients kept for each point.

@@ -50,8 +50,8 @@ class BinnedConvolution:
     Args:
         psf: (rows, columns), not negative: ``binning * embedding + side * scene - 1`` samples, all
             offsets that occur. See :func:`psf_samples`.
-        scene: its shape in pixels.
-        embedding: its shape in pixels.
+        scene: shape of the scene in pixels.
+        embedding: shape of the embedding in pixels.
         side: samples along a scene pixel.
         binning: samples along an embedding pixel, (along y, along x).
 
@@ -123,7 +123,7 @@ class BinnedConvolution:
 
 
 def psf_samples(scene: Shape, embedding: Shape, *, side: int, binning: Shape) -> Shape:
-    """How many samples (rows, columns) a PSF needs for all offsets that occur."""
+    """Return the samples (rows, columns) that a PSF needs for all offsets that occur."""
     rows, columns = (binning[axis] * embedding[axis] + side * scene[axis] - 1 for axis in range(2))
     return rows, columns
 
@@ -133,7 +133,7 @@ class Normal:
 
     Args:
         camera: A, that is D H.
-        progress: told of the parts that are done, and of all.
+        progress: function that is told the number of parts done, and of all.
     """
 
     def __init__(self, camera: BinnedConvolution, progress: Progress | None = None) -> None:
@@ -213,11 +213,11 @@ def descend(
     """FISTA, restarted where it overshoots (O'Donoghue and Candes 2015); what it has at each stop.
 
     Args:
-        normal: of the camera that the attacker takes to have been there.
+        normal: normal equations of the camera that the attacker assumes.
         embeddings: (count, rows, columns).
         variation: see :class:`ConvexAttack`.
         stops: counts of iterations, rising.
-        progress: told of the iterations that are done, and of all.
+        progress: function that is told the number of iterations done, and of all.
         inner: steps of the dual problem of total variation, in each of these; the gap closes no
             further than they are exact.
     """
@@ -258,7 +258,7 @@ def denoise(scenes: Tensor, weight: Tensor, dual: Tensor, steps: int) -> tuple[T
         scenes: (count, rows, columns).
         weight: (count, 1, 1), of the variation beside half the squared distance.
         dual: (2, count, rows, columns), vectors of length 1 at most.
-        steps: of the gradient projection.
+        steps: number of steps of the gradient projection.
 
     Returns:
         The scenes, and the dual variables that they belong to.
@@ -284,7 +284,7 @@ def differences(scenes: Tensor) -> Tensor:
 
 
 def divergence(dual: Tensor) -> Tensor:
-    """The transpose of :func:`differences`."""
+    """Return the transpose of :func:`differences`."""
     found = torch.zeros_like(dual[0])
     found[:, 1:] += dual[0, :, :-1]
     found[:, :-1] -= dual[0, :, :-1]
@@ -325,15 +325,15 @@ def tune(
     stops: Sequence[int] = STOPS,
     progress: Progress | None = None,
 ) -> ConvexAttack:
-    """The settings that recover these pictures best; they are for no other use.
+    """Choose the settings that recover these pictures best; they are for no other use.
 
     Args:
-        normal: of the camera that the attacker takes to have been there.
+        normal: normal equations of the camera that the attacker assumes.
         embeddings: (count, rows, columns).
-        truth: what was before the camera, (count, rows, columns), in [0, 1].
+        truth: pictures before the camera, (count, rows, columns), in [0, 1].
         variations: weights to try.
         stops: iterations to try, rising.
-        progress: told of the weights that are done, and of all.
+        progress: function that is told the number of weights done, and of all.
     """
     require(bool(variations and stops), "there is nothing to try: use variations and stops")
     tried: list[ConvexAttack] = []

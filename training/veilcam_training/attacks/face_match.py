@@ -1,4 +1,4 @@
-"""How much two pictures look like the same person to a small network that was trained to tell.
+"""Face matching: a small network tells whether two pictures show the same person.
 
 It is a score of this project: fitted to whatever faces it is given, drawn ones say, by a softmax
 over the cosines to one direction for each person (NormFace, Wang et al. 2017). It is no measure
@@ -53,8 +53,8 @@ def fit_face_match(
     Args:
         pictures: (count, rows, columns) in [0, 1], 8 x 8 or more.
         identities: int64 (count,), any numbers.
-        epochs: how often each picture is seen.
-        seed: of weights, order and noise.
+        epochs: number of times that each picture is seen.
+        seed: seed of weights, order and noise.
         progress: is told of epochs.
 
     Raises:

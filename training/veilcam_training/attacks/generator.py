@@ -39,7 +39,7 @@ class PlaintextPairs:
         )
 
     def take(self, chosen: Tensor) -> "PlaintextPairs":
-        """Some of them."""
+        """Return some of the pairs."""
         return PlaintextPairs(self.embeddings[chosen], self.pictures[chosen])
 
 
@@ -80,19 +80,19 @@ class GeneratorTrial:
 
 
 def paper_trial(pairs: int, epochs: int) -> GeneratorTrial:
-    """The paper's: SGD at 0.01, and batches that grow with the pairs."""
+    """Return the paper's trial: SGD at 0.01, and batches that grow with the pairs."""
     return GeneratorTrial(
         1, "sgd", 0.01, 4 if pairs <= 100 else 16 if pairs <= 1000 else 32, epochs
     )
 
 
 def build_generator(design: Design, numbers: int, shape: tuple[int, int]) -> nn.Sequential:
-    """The network, from (count, numbers) to (count, 1, rows, columns).
+    """Make the network, from (count, numbers) to (count, 1, rows, columns).
 
     Args:
-        design: of the layers.
-        numbers: of an embedding.
-        shape: of a picture; it is resized to at the end where doubling does not end at it.
+        design: design of the layers.
+        numbers: number of values of an embedding.
+        shape: shape of a picture; the output is resized to it where doubling does not end at it.
     """
     rows, columns = design.start(shape)
     layers: list[nn.Module] = []
@@ -136,9 +136,9 @@ def fit_generator(
     Args:
         learned: pairs that it is fitted to.
         check: pairs that tell when to stop.
-        design: of its layers.
-        trial: of the fit. The rate falls to 0 as a half cosine.
-        progress: told of the epochs that are done, and of all.
+        design: design of the layers.
+        trial: settings of the fit. The rate falls to 0 as a half cosine.
+        progress: function that is told the number of epochs done, and of all.
 
     Raises:
         TrainingError: fewer than two pairs to fit to.
@@ -194,7 +194,7 @@ def best_generator(
     trials: Sequence[GeneratorTrial],
     progress: Progress | None = None,
 ) -> FittedGenerator:
-    """The trial that does best on ``check``; ``progress`` is told of trials.
+    """Choose the trial that does best on ``check``; ``progress`` is told of trials.
 
     Raises:
         TrainingError: no trial.

@@ -24,10 +24,10 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Gain:
-    """What an attacker gained, as far as one knows.
+    """Gain of an attacker, with its interval.
 
     Attributes:
-        value: at least what it gained in this sample; 0 or below: nothing.
+        value: gain in this sample, at least; 0 or below: nothing.
         error: standard error of ``value``.
         bar: most that is taken.
         count: captures, or pairs of them, that were attacked.
@@ -54,11 +54,11 @@ class Gain:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is known of one row beside all others.
+    """Verdict about one row beside all others.
 
     Attributes:
-        upper: of the one-sided interval at the level that Holm's procedure gives this row.
-        holds: whether that is at most the bar, here and in all rows that are surer.
+        upper: upper end of the one-sided interval at the level of Holm's procedure.
+        holds: True where that is at most the bar, here and in all rows that are surer.
     """
 
     gain: Gain
@@ -75,8 +75,8 @@ def accuracy_gain(hits: npt.NDArray[np.bool_], classes: int, bar: float = 1.0) -
     of masks.
 
     Args:
-        hits: whether each capture's class was guessed, (masks, captures of each).
-        classes: how many there are.
+        hits: True where a capture's class was guessed, (masks, captures of each).
+        classes: number of classes.
         bar: most that is taken, in points.
     """
     means = hits.mean(axis=1)

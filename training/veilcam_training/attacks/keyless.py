@@ -1,4 +1,4 @@
-"""What is read from released embeddings without any key: how well a form hides.
+"""Keyless attacks: the share of released embeddings that is read without any key.
 
 Attackers are judged by folds: masks are dealt into ``FOLDS`` of them, and whoever judges one
 learned from the others, of which a share was set apart to choose settings by. So every mask is
@@ -52,7 +52,7 @@ class ReleasedMask(PreparedMask):
     """None: they leave raw."""
 
     def decode(self, measurements: Tensor) -> Tensor:
-        """What leaves, (batch, E): white times sqrt(E), or raw in units of each one's mean."""
+        """Return released embeddings, (batch, E): white times sqrt(E), or raw over their means."""
         if self.whitening is not None:
             # Of variance 1, as a network likes its inputs.
             return self.whitening.whiten(measurements) * math.sqrt(measurements[0].numel())
@@ -64,8 +64,8 @@ class KeylessCamera(FreshCamera):
     """A camera that changes its mask all the time, seen by someone who has no key.
 
     Args:
-        camera: with which one would have it.
-        form: in which embeddings are released.
+        camera: camera whose embeddings are attacked.
+        form: form in which embeddings are released.
     """
 
     def __init__(self, camera: FreshCamera, form: ReleaseForm) -> None:
@@ -75,7 +75,7 @@ class KeylessCamera(FreshCamera):
     def prepare(
         self, weights: Tensor, panels: Sequence[TransferOperator], choice: torch.Generator
     ) -> ReleasedMask:
-        """A mask behind one of ``panels``, and a rotation of its own."""
+        """Return a mask behind one of ``panels``, and a rotation of its own."""
         mask, whitening = super().prepare(weights, panels, choice), None
         if self.form is ReleaseForm.WHITE:
             key = torch.randint(256, (KEY_BYTES,), generator=choice, dtype=torch.uint8)
@@ -88,12 +88,12 @@ class Asked:
     """A question about released captures of which no two masks are alike.
 
     Attributes:
-        kind: which class, whether anything is there, or whether two captures show the same.
+        kind: question: the class, presence, or whether two captures show the same.
         vectors: float32 (masks, captures of each, numbers); with linkage (masks, 1, numbers), of
             which neighbours show the same.
         labels: the answers, int64 (masks, captures of each); every class is drawn with the same
             chance. Linkage needs none.
-        classes: how many answers there are.
+        classes: number of answers.
         shape: rows and columns of an embedding; None: what leaves is no picture.
     """
 
@@ -107,14 +107,14 @@ class Asked:
 def gain(
     asked: Asked, family: Family, *, epochs: int, seed: int, progress: Progress | None = None
 ) -> Gain:
-    """What a family of attackers gains on a question.
+    """Return the gain of a family of attackers on a question.
 
     Args:
-        asked: that question.
-        family: of attackers, of which the best on captures set apart is judged.
+        asked: question to answer.
+        family: family of attackers, of which the best on captures set apart is judged.
         epochs: most that a network is fitted for.
         seed: deals masks into folds.
-        progress: told after every fold.
+        progress: function that is called after every fold.
     """
     if asked.kind == "linkage":
         return _link_gain(family, asked.vectors[:, 0], epochs, seed, progress)
@@ -128,7 +128,7 @@ def gain(
 
 
 def worst_upper(verdicts: Mapping[str, Verdict]) -> float:
-    """The highest upper end of all rows, in bars: at most 1 where every row is within its bar.
+    """Return the highest upper end of all rows, in bars: at most 1 where every row passes.
 
     A row of classes has a bar of one point, so that its upper end in points is what it is in bars;
     one of an area has a bar of 0.02.
@@ -137,7 +137,7 @@ def worst_upper(verdicts: Mapping[str, Verdict]) -> float:
 
 
 def presence_gain(scores: Tensor, labels: Tensor, folds: Tensor) -> Gain:
-    """Of scores (masks, captures, 2) for the answers 0 and 1."""
+    """Return the mean of scores (masks, captures, 2) for the answers 0 and 1."""
     contrast = (scores[..., 1] - scores[..., 0]).double().flatten()
     spread = folds.repeat_interleave(labels.shape[1])
     return area_gain(contrast.numpy(), (labels == 1).flatten().numpy(), spread.numpy())
@@ -159,9 +159,9 @@ def cross_fit(
             has no key would get it.
         vectors: (masks, captures of each, pixels).
         labels: (masks, captures of each).
-        classes: how many answers there are.
+        classes: number of answers.
         seed: deals masks into folds.
-        progress: told after every fold.
+        progress: function that is called after every fold.
 
     Returns:
         Scores (masks, captures of each, classes), and the fold of each mask.

@@ -43,7 +43,7 @@ class Mask:
     asked: Seen
 
     def of_first(self, count: int) -> Mask:
-        """The same, of which less is known."""
+        """Return the same pairs, of which less is known."""
         return Mask(self.known.take(torch.arange(count)), self.asked)
 
 
@@ -66,7 +66,7 @@ class KernelRidge:
         kernel: ``linear``, ``quadratic`` (1 + cosine)^2 / 4, ``gaussian`` or ``laplace`` of the
             distance.
         ridge: beside the kernel's diagonal, which is 1.
-        width: of ``gaussian`` and ``laplace``, in units of the distance of orthogonal directions.
+        width: width of ``gaussian`` and ``laplace``, in distances of orthogonal directions.
     """
 
     kernel: Literal["linear", "quadratic", "gaussian", "laplace"]
@@ -111,9 +111,9 @@ class FewNetwork:
     """A perceptron fitted to the known captures alone.
 
     Attributes:
-        decay: of its weights.
-        epochs: for how long it is fitted; nothing is set apart of what is little.
-        seed: of its first weights.
+        decay: decay of the weights.
+        epochs: number of epochs of the fit; nothing is set apart of what is little.
+        seed: seed of the first weights.
     """
 
     decay: float
@@ -172,11 +172,11 @@ def by_anchors(
     """Learn what angles to the known pictures tell.
 
     Args:
-        own: behind masks of the attacker's own; their known captures show the pictures that are
+        own: captures behind masks of the attacker's own; known ones show the pictures that are
             known behind the mask under attack, in the same order.
         check: likewise, to stop in time and to choose settings by.
-        classes: how many answers there are.
-        ridge: of :func:`angles`.
+        classes: number of answers.
+        ridge: ridge of :func:`angles`.
         epochs: most that a network is fitted for.
     """
     tried: list[Attacker] = [
@@ -193,7 +193,7 @@ def _seen(masks: Sequence[Mask], ridge: float) -> Seen:
 
 
 def readers() -> dict[str, Reader]:
-    """What is tried on the captures of one mask, by name."""
+    """Return the readers to try on the captures of one mask, by name."""
     found: dict[str, Reader] = {}
     for ridge in (1e-3, 1e-2, 1e-1, 1.0):
         for kernel in ("linear", "quadratic"):
@@ -209,7 +209,7 @@ def readers() -> dict[str, Reader]:
 
 
 def hits(reader: Reader, masks: Sequence[Mask], classes: int) -> Tensor:
-    """Whether each capture's class was found: bool (masks, captures)."""
+    """Return whether each capture's class was found: bool (masks, captures)."""
     return torch.stack(
         [
             reader(mask.known, mask.asked.vectors, classes).argmax(1) == mask.asked.labels
@@ -225,7 +225,7 @@ def tuned(
     *,
     progress: Progress | None = None,
 ) -> tuple[str, Reader]:
-    """The reader that reads most behind masks of the attacker's own, and its name."""
+    """Return the reader that reads most behind masks of the attacker's own, and its name."""
     shares: dict[str, float] = {}
     for name, reader in tried.items():
         shares[name] = float(hits(reader, check, classes).double().mean())

@@ -38,7 +38,7 @@ def estimates(decoding: SceneDecoding, weights: Tensor, measurements: Tensor) ->
 
 
 def read_behind(decoding: SceneDecoding, weights: Tensor, measurements: Tensor) -> Tensor:
-    """What whoever takes ``weights`` for the mask gives a network that reads decoded scenes.
+    """Return the input of a network that reads decoded scenes, with ``weights`` as the mask.
 
     Args:
         decoding: public; its noise says how far weights and decoder are to be trusted.
@@ -53,7 +53,7 @@ def read_behind(decoding: SceneDecoding, weights: Tensor, measurements: Tensor) 
 
 
 def doubting(decoding: SceneDecoding, model_error: float) -> SceneDecoding:
-    """The same decoding by one who knows the transfer matrix up to a relative error."""
+    """Decode in the same way, with the transfer matrix known up to a relative error."""
     return SceneDecoding(
         decoding.operator,
         decoding.statistics,
@@ -63,7 +63,7 @@ def doubting(decoding: SceneDecoding, model_error: float) -> SceneDecoding:
 
 
 def tuned(decoding: SceneDecoding, tune: Sequence[KnownCaptures]) -> SceneDecoding:
-    """The decoding whose doubt in the transfer matrix has the least error on captures set apart."""
+    """Choose the doubt in the transfer matrix that has the least error on captures set apart."""
 
     def error(doubt: float) -> float:
         candidate = doubting(decoding, doubt)
@@ -77,7 +77,7 @@ def tuned(decoding: SceneDecoding, tune: Sequence[KnownCaptures]) -> SceneDecodi
 
 
 def log_likelihoods(measurements: Tensor, mean: Tensor, response: Tensor, noise: Tensor) -> Tensor:
-    """Of measurements under a normal law with covariance ``response response^T + diag(noise)``.
+    """Return the likelihood of measurements with covariance ``response response^T + diag(noise)``.
 
     Args:
         measurements: (count, E).
@@ -103,7 +103,7 @@ def log_likelihoods(measurements: Tensor, mean: Tensor, response: Tensor, noise:
 def mask_likelihoods(
     decoding: SceneDecoding, masks: Sequence[Tensor], measurements: Tensor
 ) -> Tensor:
-    """How likely each mask of a leaked list makes each capture, by its logarithm.
+    """Return the log-likelihood of each capture behind each mask of a leaked list.
 
     Args:
         decoding: public.
@@ -127,7 +127,7 @@ def mask_likelihoods(
 
 
 def identify(decoding: SceneDecoding, masks: Sequence[Tensor], measurements: Tensor) -> Tensor:
-    """The mask of the list behind each capture, int64 (count,); arguments as above."""
+    """Return the mask of the list behind each capture, int64 (count,); arguments as above."""
     return mask_likelihoods(decoding, masks, measurements).argmax(1)
 
 
@@ -204,7 +204,7 @@ def fit_decoder(
         learned: captures behind masks of the attacker's own.
         check: the same, of other masks and scenes.
         trials: seeds and settings.
-        epochs: of each trial.
+        epochs: number of epochs of each trial.
         progress: called with epochs done and to do.
     """
     shape = (learned.scenes.shape[1], learned.scenes.shape[2])

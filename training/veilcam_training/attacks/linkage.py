@@ -51,21 +51,21 @@ def blocks_of(vectors: Tensor, pairs: int = PAIRS) -> tuple[Tensor, Tensor]:
 
 
 def by_lengths(first: Tensor, second: Tensor) -> Tensor:
-    """How near their lengths are."""
+    """Return the likeness of two lengths."""
     one, other = (each.double().norm(dim=2) for each in (first, second))
     apart: Tensor = one[:, :, None] - other[:, None]
     return -apart.abs()
 
 
 def by_known_lengths(learned: Blocks, *, width: float = 0.2) -> Link:
-    """How much likelier two lengths are of one scene than of two: a rare one says more.
+    """Likelihood ratio of two lengths, of one scene against of two: a rare length says more.
 
     Logarithms of two lengths of one scene differ normally; their density is that of the learned
     ones, by normal kernels.
 
     Args:
         learned: pairs behind masks of the attacker's own.
-        width: of a kernel, in deviations of the logarithms.
+        width: width of a kernel, in deviations of the logarithms.
     """
     one, other = (_log_lengths(each).flatten() for each in learned)
     known = torch.cat([one, other])
@@ -103,7 +103,7 @@ def by_cosines(first: Tensor, second: Tensor, *, mean: Tensor) -> Tensor:
     Args:
         first: (blocks, pairs, pixels).
         second: likewise.
-        mean: of captures, (pixels,).
+        mean: mean of captures, (pixels,).
     """
     apart = [each.double() - mean.double() for each in (first, second)]
     one, other = (each / each.norm(dim=2, keepdim=True).clamp_min(1e-300) for each in apart)
@@ -154,7 +154,7 @@ def by_known_angles(learned: Blocks) -> Link:
 
 
 def _angles_and_lengths(first: Tensor, second: Tensor) -> Tensor:
-    """Of each first with each second, (blocks, pairs, pairs, 9)."""
+    """Compare each first with each second, (blocks, pairs, pairs, 9)."""
     middle, apart = _middles(first, second)
     product = by_products(first, second) / first.shape[2]
     cosine, between = product * (-2 * middle).exp(), product * (-middle).exp()
@@ -163,7 +163,7 @@ def _angles_and_lengths(first: Tensor, second: Tensor) -> Tensor:
 
 
 def by_distances(first: Tensor, second: Tensor) -> Tensor:
-    """How near they are."""
+    """Return the likeness of two captures."""
     distances: Tensor = torch.cdist(first.double(), second.double())
     return -distances
 
@@ -177,7 +177,7 @@ def link_area(link: Link, first: Tensor, second: Tensor) -> float:
 
 
 def first_ranks(scores: Tensor) -> Tensor:
-    """Whether each first finds its second before all others of its block.
+    """Return whether each first finds its second before all others of its block.
 
     Args:
         scores: (blocks, pairs, pairs).
@@ -303,7 +303,7 @@ class _Fit:
 
 
 def _loss(network: _Pair, first: Tensor, second: Tensor) -> Tensor:
-    """Of every pair, and of each first with the second of the pair beside it."""
+    """Score every pair, and each first with the second of the pair beside it."""
     beside = second.roll(int(torch.randint(1, second.shape[1], ())), dims=1)
     logits = network(first.flatten(0, 1).repeat(2, 1), torch.cat([second, beside]).flatten(0, 1))
     same = torch.arange(len(logits)) < len(logits) // 2
@@ -328,7 +328,7 @@ def links(
     trials: tuple[Trial, ...],
     epochs: int,
 ) -> Link:
-    """The member of a family that links most of ``check``, whichever way round."""
+    """Choose the member of a family that links most of ``check``, whichever way round."""
     if family == "length":
         by_length: list[Link] = [by_lengths]
         by_length += [by_known_lengths(learned, width=width) for width in (0.1, 0.2, 0.4)]

@@ -28,10 +28,10 @@ MODEL_ERROR = 0.003
 
 
 class Evidence(Protocol):
-    """What an attacker has of one mask."""
+    """Evidence that an attacker has of one mask."""
 
     def near(self, weights: Tensor) -> Likelihood:
-        """The likelihood, with the noise that there is if the mask is about ``weights``."""
+        """Return the likelihood, with the noise that there is if the mask is about ``weights``."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class KnownPictures:
     released: Tensor
 
     def near(self, weights: Tensor) -> Likelihood:
-        """Normal errors of each number."""
+        """Return the evidence with normal errors of each number."""
         with torch.no_grad():
             measurements = self._measured(weights)
             noise = replace(self.decoding.noise, model_error=MODEL_ERROR)
@@ -74,7 +74,7 @@ class MeanCapture:
     Args:
         decoding: operator, statistics and noise, all public.
         mean: (E,).
-        count: of captures, pictures of which are drawn as the statistics say.
+        count: number of captures, pictures of which are drawn as the statistics say.
     """
 
     decoding: SceneDecoding
@@ -82,7 +82,7 @@ class MeanCapture:
     count: int
 
     def near(self, weights: Tensor) -> Likelihood:
-        """The mean of ``count`` pictures varies about that of all by their covariance."""
+        """Return the evidence of a mean of ``count`` pictures, with its covariance."""
         with torch.no_grad():
             mean, response, noise = _moments(self.decoding, weights)
             covariance = (response @ response.T + noise.diag()).double() / self.count
@@ -116,7 +116,7 @@ class UnknownPictures:
     released: Tensor
 
     def near(self, weights: Tensor) -> Likelihood:
-        """The likelihood itself: its noise follows the weights that it is asked for."""
+        """Return the likelihood itself: its noise follows the weights that it is asked for."""
         del weights
         return self._likelihood
 
@@ -138,12 +138,12 @@ def _moments(decoding: SceneDecoding, weights: Tensor) -> tuple[Tensor, Tensor, 
 
 @dataclass(frozen=True)
 class MaskPrior:
-    """How weights are distributed, each on its own: a mixture of normal laws.
+    """Prior of weights, each on its own: a mixture of normal laws.
 
     Attributes:
-        shares: of each law; their sum is 1.
-        centres: of each law.
-        deviations: of each law.
+        shares: share of each law; their sum is 1.
+        centres: centre of each law.
+        deviations: deviation of each law.
     """
 
     shares: tuple[float, ...] = (1.0,)
@@ -153,7 +153,7 @@ class MaskPrior:
 
     @classmethod
     def of(cls, masks: Sequence[Tensor], least: float = 0.05) -> Self:
-        """Of masks that were made as the camera's were, by their closed and their open sub-pixels.
+        """Return the prior of masks made as the camera's were, by their closed and open sub-pixels.
 
         Args:
             masks: the attacker's own.
@@ -183,7 +183,7 @@ UNIFORM = MaskPrior()
 
 @dataclass(frozen=True)
 class Search:
-    """How weights are looked for: Adam on their logits, with a rate that falls as a cosine."""
+    """Search for weights: Adam on their logits, with a rate that falls as a cosine."""
 
     steps: int = 1000
     rate: float = 0.2
@@ -213,12 +213,12 @@ def recover_mask(
     generator: torch.Generator,
     progress: Progress | None = None,
 ) -> RecoveredMask:
-    """The mask that explains best what left behind it.
+    """Return the mask that explains best what left behind it.
 
     Args:
-        evidence: what is known.
+        evidence: evidence about the mask.
         shape: ``camera.mask_shape``.
-        prior: how masks are distributed.
+        prior: prior of masks.
         search: steps and starts.
         start: weights to start from, in place of random ones.
         generator: draws where to start.
@@ -270,8 +270,8 @@ def chosen_pictures(choice: Choice, scene: Scene, count: int = 1) -> Tensor:
     Args:
         choice: all white; one bright pixel each, spread evenly over the scene; or stripes, along
             rows and columns in turn, each pair twice as fine as the one before.
-        scene: its shape.
-        count: of points or stripes; there is one white picture.
+        scene: shape of the scene.
+        count: number of points or stripes; there is one white picture.
     """
     rows, columns = scene.shape
     if choice == "white":

@@ -1,4 +1,4 @@
-"""How well an attack did: likeness of pictures, and how well scores tell two kinds apart.
+"""Metrics of attacks: likeness of pictures, and separation of two kinds by scores.
 
 Peak signal-to-noise ratio and structural similarity are torchmetrics', so that their numbers stand
 beside those of others. The data range is always said: 1.0 is that of scenes in [0, 1].
@@ -20,8 +20,8 @@ def psnr(estimate: Tensor, truth: Tensor, data_range: float = 1.0) -> Tensor:
 
     Args:
         estimate: (count, rows, columns); clamped to the data range, as whoever shows it would.
-        truth: of the same shape, from 0 to the data range.
-        data_range: of a pixel, from 0.
+        truth: true pictures of the same shape, from 0 to the data range.
+        data_range: range of a pixel, from 0.
 
     Raises:
         TrainingError: pictures of different shapes, or none.
@@ -54,9 +54,9 @@ def mean_picture_advantage(
 
     Args:
         estimate: (count, rows, columns).
-        truth: of the same shape.
+        truth: true pictures of the same shape.
         mean: (rows, columns), the best guess without any capture: the mean of such scenes.
-        data_range: of a pixel, from 0.
+        data_range: range of a pixel, from 0.
 
     Returns:
         (count,): 0 or below where the attack told nothing.

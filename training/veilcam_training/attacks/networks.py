@@ -41,7 +41,7 @@ class Seen:
     labels: Tensor
 
     def take(self, chosen: Tensor) -> Seen:
-        """Some of them."""
+        """Return some of the captures."""
         return Seen(self.vectors[chosen], self.labels[chosen])
 
 
@@ -53,7 +53,7 @@ class Attacker(Protocol):
 
 
 def best_of(attackers: Sequence[Attacker]) -> Attacker:
-    """The attacker that answers most of ``check`` right."""
+    """Return the attacker that answers most of ``check`` right."""
 
     def attack(learned: Seen, check: Seen, classes: int) -> Scores:
         tried = [attacker(learned, check, classes) for attacker in attackers]
@@ -86,12 +86,12 @@ def by_length(learned: Seen, check: Seen, classes: int, *, bins: int) -> Scores:
 
 
 class Density:
-    """Of numbers of several kinds, by normal kernels (Parzen 1962) on a grid much finer than they.
+    """Density of numbers of several kinds, by normal kernels (Parzen 1962) on a much finer grid.
 
     Args:
         values: (count,) float64.
         width: deviation of a kernel.
-        kinds: how much of each kind a value is, (count, kinds).
+        kinds: share of each kind in a value, (count, kinds).
     """
 
     def __init__(self, values: Tensor, width: float, kinds: Tensor) -> None:
@@ -116,10 +116,10 @@ def by_length_density(learned: Seen, check: Seen, classes: int, *, width: float)
     """Bayes' rule on the density of lengths in each class, by normal kernels (Parzen 1962).
 
     Args:
-        learned: whose lengths and answers are known.
+        learned: captures whose lengths and answers are known.
         check: unused.
-        classes: how many answers there are.
-        width: of a kernel on their logarithms, in deviations of all of these.
+        classes: number of answers.
+        width: width of a kernel on their logarithms, in deviations of all of these.
     """
     del check
 
@@ -276,8 +276,8 @@ def by_network(
 
     Args:
         learned: captures and answers to learn from.
-        check: to stop in time.
-        classes: how many answers there are.
+        check: captures that tell when to stop.
+        classes: number of answers.
         build: makes the network.
         trial: seed and settings.
         epochs: most that it is fitted for.
@@ -313,7 +313,7 @@ def by_network(
 
 
 def inputs(vectors: Tensor, scale: float) -> Tensor:
-    """What networks take: values in units of 1 / scale, and their squares, (count, 2, pixels)."""
+    """Return the inputs of networks: values over scale, and squares, (count, 2, pixels)."""
     values = vectors * scale
     return torch.stack([values, values.square() - 1], dim=1)
 
@@ -322,7 +322,7 @@ def attackers(family: Family, shape: tuple[int, int] | None, epochs: int) -> lis
     """All members of a family.
 
     Args:
-        family: of attackers.
+        family: family of attackers.
         shape: rows and columns of an embedding; None: what leaves is no picture, e.g. ciphertext.
         epochs: most that a network is fitted for.
     """

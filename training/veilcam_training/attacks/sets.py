@@ -33,17 +33,17 @@ class SeenSets:
     labels: Tensor
 
     def take(self, chosen: Tensor) -> SeenSets:
-        """Some of the sets."""
+        """Return some of the sets."""
         return SeenSets(self.captures[chosen], self.labels[chosen])
 
 
 def as_read(sets: Tensor) -> Tensor:
-    """Captures in units of their set's root mean square."""
+    """Return captures in units of their set's root mean square."""
     return sets / _size(sets)
 
 
 def centred(sets: Tensor) -> Tensor:
-    """What tells a capture from the others of its set."""
+    """Return the departure of a capture from the others of its set."""
     apart = sets - sets.mean(1, keepdim=True)
     return apart / _size(apart)
 
@@ -86,7 +86,7 @@ def independent(sets: Tensor, *, components: int = 12, steps: int = 50) -> Tenso
     Args:
         sets: (sets, captures, pixels).
         components: principal components that are unmixed.
-        steps: of the iteration.
+        steps: number of steps of the iteration.
 
     Returns:
         (sets, captures, components), of variance 1.
@@ -160,8 +160,8 @@ class SetNetwork(nn.Module):
 
     Args:
         typical: features (sets, captures, features), which say what each is like on average.
-        classes: how many answers there are.
-        width: of each layer.
+        classes: number of answers.
+        width: width of each layer.
     """
 
     def __init__(self, typical: Tensor, classes: int, width: int = 128) -> None:
@@ -224,7 +224,7 @@ def by_sets(
 
 
 def of_whole(scores: Tensor) -> Tensor:
-    """What a set tells that has one answer: votes of its captures, in logarithms.
+    """Return the votes of the captures of a set that has one answer, in logarithms.
 
     Args:
         scores: logits (sets, captures, classes).
@@ -243,9 +243,9 @@ def by_average(learned: SeenSets, check: SeenSets, classes: int, *, attacker: At
 
     Args:
         learned: sets of which each shows one scene; the first label of a set counts.
-        check: to stop in time by.
-        classes: how many answers there are.
-        attacker: of one vector.
+        check: sets that tell when to stop.
+        classes: number of answers.
+        attacker: attacker of one vector.
 
     Returns:
         From sets (sets, captures, pixels) to scores (sets, classes).

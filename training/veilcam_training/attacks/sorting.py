@@ -34,26 +34,26 @@ def by_directions(points: Tensor, clusters: int, generator: torch.Generator) -> 
 
 
 def by_subspaces(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
-    """Captures that are combinations of one another."""
+    """Return captures as combinations of one another."""
     return subspace_clusters(points, clusters, generator, neighbours=_neighbours(points))
 
 
 def by_squares(points: Tensor, clusters: int, generator: torch.Generator) -> Tensor:
-    """The same of their squares: a sign that changes does not count."""
+    """Return the same of their squares: a sign that changes does not count."""
     return subspace_clusters(points.square(), clusters, generator, neighbours=_neighbours(points))
 
 
 def by_moments(
     points: Tensor, clusters: int, generator: torch.Generator, *, rank: int = 8, rounds: int = 10
 ) -> Tensor:
-    """Groups with a mean and a covariance each, found in turns with who belongs to which.
+    """Find groups with a mean and a covariance each, in turns with their members.
 
     Classification EM (Celeux and Govaert 1992) from the groups of :func:`by_directions`. A
     covariance has the group's strongest components, and one variance for all that they leave.
 
     Args:
         points: (count, E).
-        clusters: how many groups to make.
+        clusters: number of groups to make.
         generator: source of the random numbers.
         rank: components of a covariance.
         rounds: most turns.
@@ -107,13 +107,13 @@ def best_sorter(
     generator: torch.Generator,
     sorters: Mapping[str, Sorter] = SORTERS,
 ) -> str:
-    """The sorter that sorts captures of an attacker's own masks best.
+    """Choose the sorter that sorts captures of an attacker's own masks best.
 
     Args:
         points: (count, E).
         masks: int64 (count,), the mask of each.
         generator: source of the random numbers.
-        sorters: by name.
+        sorters: sorters by name.
     """
     count = len(set(masks.tolist()))
 
@@ -133,14 +133,14 @@ def recover_groups(
     generator: torch.Generator,
     progress: Progress | None = None,
 ) -> Sequence[Tensor]:
-    """A mask for every group, from the mean of its captures: (groups) of ``camera.mask_shape``.
+    """Return a mask for every group, from the mean of its captures: (groups, *camera.mask_shape).
 
     Args:
         decoding: public.
         points: captures as they were read, (count, E).
         groups: int64 (count,), from 0.
-        prior: how masks are distributed.
-        search: of each mask.
+        prior: prior of masks.
+        search: search for each mask.
         generator: draws where searches start.
         progress: called with groups done and to do.
 

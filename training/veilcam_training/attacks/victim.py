@@ -32,17 +32,17 @@ SNR_DB = 40.0
 
 
 class MaskSource(Protocol):
-    """Where the masks of epochs come from."""
+    """Source of the masks of epochs."""
 
     def __call__(self, generator: torch.Generator) -> tuple[int, Tensor]:
-        """The mask of the next epoch: its place among those stored (-1: none), and its weights."""
+        """Return the mask of the next epoch: its place in the store (-1: none), and weights."""
 
 
 class StoredMasks:
     """Masks that are kept and come again, in an order that nobody foresees.
 
     Args:
-        weights: of each mask, ``camera.mask_shape``.
+        weights: weights of each mask, ``camera.mask_shape``.
     """
 
     def __init__(self, weights: Sequence[Tensor]) -> None:
@@ -69,7 +69,7 @@ class FreshMasks:
     distribution: MaskDistribution
 
     def __call__(self, generator: torch.Generator) -> tuple[int, Tensor]:
-        """A new one."""
+        """Return a new mask."""
         levels = draw_levels(_key(generator), camera=self.camera, distribution=self.distribution)
         return -1, torch.from_numpy(to_weights(levels, self.camera.panel))
 
@@ -95,7 +95,7 @@ class VictimMask:
 
     @cached_property
     def whitening(self) -> Whitening:
-        """What makes white embeddings of measurements.
+        """Release of measurements as white embeddings.
 
         Raises:
             TrainingError: a camera without scene statistics cannot whiten.
@@ -142,8 +142,8 @@ def unsealed(mask: VictimMask, released: Tensor) -> Tensor | None:
     """Measurements of the first captures of an epoch, or None: another key opens nothing.
 
     Args:
-        mask: whose key is tried.
-        released: what :func:`sealed` gave of the first captures, in their order.
+        mask: mask whose key is tried.
+        released: result of :func:`sealed` for the first captures, in their order.
     """
     cipher, rows = ChaCha20Poly1305(mask.key), []
     blocks = (released * _BYTE_DEVIATION + _BYTE_MEAN).round().to(torch.uint8).numpy()
@@ -168,7 +168,7 @@ FORMS: dict[str, ReleaseRule] = {"raw": raw, "white": white, "sealed": sealed}
 
 @dataclass(frozen=True)
 class Captures:
-    """What left of some scenes, mask by mask."""
+    """Released embeddings of some scenes, mask by mask."""
 
     released: Tensor
     """(masks, captures of each, numbers)."""
@@ -183,11 +183,11 @@ class Victim:
 
     Args:
         light: transfer operator of the camera as it is.
-        source: of masks.
-        release: how an embedding leaves.
-        decoding: what the camera knows of scenes, to whiten with; None: nothing.
+        source: source of masks.
+        release: form in which an embedding leaves.
+        decoding: decoding with the camera's knowledge of scenes, to whiten with; None: none.
         snr_db: signal-to-noise ratio of a measurement [dB].
-        generator: of masks, keys and noise.
+        generator: generator of masks, keys and noise.
         prepared: transfer and decoder of stored masks by their place: cameras with the same masks
             share what one of them has prepared. None: nothing is shared.
     """
@@ -209,11 +209,11 @@ class Victim:
         self._prepared = {} if prepared is None else prepared
 
     def mask(self) -> VictimMask:
-        """The mask of the next epoch."""
+        """Return the mask of the next epoch."""
         return self._epoch(*self.source(self._generator))
 
     def leak(self, count: int) -> tuple[VictimMask, ...]:
-        """A list as it may leak: all stored masks, or those of the next ``count`` epochs."""
+        """Return a list as it may leak: all stored masks, or those of the next ``count`` epochs."""
         if isinstance(self.source, StoredMasks):
             return tuple(self._epoch(*each) for each in enumerate(self.source.weights))
         return tuple(self.mask() for _ in range(count))
@@ -237,7 +237,7 @@ class Victim:
 
     @torch.no_grad()
     def capture(self, mask: VictimMask, scenes: Tensor) -> Tensor:
-        """What leaves of scenes (count, rows, columns) behind ``mask``: (count, numbers)."""
+        """Return released embeddings of scenes (count, rows, columns), as (count, numbers)."""
         return self.release(mask, self.measure(mask, scenes))
 
     def watch(self, scenes: Tensor) -> Captures:

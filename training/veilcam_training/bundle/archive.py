@@ -128,7 +128,7 @@ def sign_bundle(path: Path, version: int, key: Ed25519PrivateKey | None) -> None
     The same bundle, version and key give the same bytes.
 
     Args:
-        path: of the file, which is replaced whole.
+        path: path of the file, which is replaced whole.
         version: 1 or more; a daemon takes those that rise.
         key: private; None for a version without a signature.
 
@@ -145,8 +145,8 @@ def add_card(path: Path, card: PrivacyCard) -> None:
     """Lay a card into a bundle, in place of one that it has; all else stays as it was written.
 
     Args:
-        path: of the file, which is replaced whole. A version without a signature stays.
-        card: of this bundle.
+        path: path of the file, which is replaced whole. A version without a signature stays.
+        card: card of this bundle.
 
     Raises:
         BundleError: the file is no whole bundle, the card is of another one, the bundle is signed
@@ -175,7 +175,7 @@ def _replace(path: Path, parts: Mapping[str, bytes]) -> None:
 
 
 def _pack(parts: Mapping[str, bytes]) -> bytes:
-    """An archive that depends on nothing but its parts."""
+    """Write an archive that depends on nothing but its parts."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in (each for each in MAX_PART if each in parts):
@@ -254,7 +254,7 @@ def _parts(archive: zipfile.ZipFile, left: int) -> dict[str, bytes]:
 
     Args:
         archive: open.
-        left: what all of them together may unpack to [bytes].
+        left: greatest number of bytes that all of them together may unpack to.
     """
     names = [entry.filename for entry in archive.infolist()]
     for name in names:

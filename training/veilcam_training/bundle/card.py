@@ -21,7 +21,7 @@ Name = Annotated[str, Field(min_length=1, max_length=64)]
 
 
 class Finding(BaseModel, frozen=True, extra="forbid", strict=True):
-    """What one attack reached; the worst of a row is the row's own."""
+    """Result of one attack; the worst of a row is the row's own."""
 
     attack: Line
     figure: Finite
@@ -77,12 +77,12 @@ class PrivacyCard(BaseModel, frozen=True, extra="forbid", strict=True):
 
     @property
     def void(self) -> bool:
-        """Whether the attacks failed even with the key: then no row says anything."""
+        """True where the attacks failed even with the key: then no row says anything."""
         return not any(row.threat == "T0" and row.outcome == "PASS" for row in self.rows)
 
     @property
     def outcome(self) -> Literal["PASS", "FAIL", "NOT CLAIMED", "VOID"]:
-        """Whether all that is claimed held, if anything is."""
+        """True where all that is claimed held, if anything is."""
         if self.void:
             return "VOID"
         claimed = {row.outcome for row in self.rows if row.threat != "T0"} - {"NOT CLAIMED"}
@@ -92,7 +92,7 @@ class PrivacyCard(BaseModel, frozen=True, extra="forbid", strict=True):
 
 
 def subject_of(manifest: bytes) -> str:
-    """What a card is bound to: SHA-256 of ``bundle.json`` less the card's own digest.
+    """Return the digest that a card is bound to: SHA-256 of ``bundle.json`` less the card's own.
 
     ``bundle.json`` holds geometry, and the digests of masks, weights and statistics.
     """
@@ -110,7 +110,7 @@ def dump_card(card: PrivacyCard) -> bytes:
 
 
 def load_card(data: bytes, subject: str) -> PrivacyCard | None:
-    """The card of the bundle that is called ``subject``, or None for anything else."""
+    """Return the card of the bundle that is called ``subject``, or None for anything else."""
     try:
         card = PrivacyCard.model_validate_json(data)
     except ValidationError:

@@ -1,4 +1,4 @@
-"""What a bundle of mode ``fresh`` holds instead of pairs: how to draw masks, and one reader of all.
+"""Fresh part of a bundle, in place of pairs: distribution of masks, and one reader of all.
 
 None of it is secret: masks come from a key that the camera alone has.
 """
@@ -46,7 +46,7 @@ class Fresh:
 
     @property
     def inputs(self) -> int:
-        """How many numbers the classifier takes."""
+        """Number of inputs of the classifier."""
         return len(self.features) * self.statistics.pixels
 
     def frame(
@@ -60,10 +60,10 @@ class Fresh:
 def classifier_inputs(
     decoder: Decoder[Array], measurements: Array, features: tuple[Feature, ...] = FEATURES
 ) -> Array:
-    """What the classifier is given of measurements behind one mask.
+    """Return the classifier's input of measurements behind one mask.
 
     Args:
-        decoder: of that mask.
+        decoder: decoder of that mask.
         measurements: (batch, rows, columns) of the embedding, or (batch, embedding pixels).
         features: each as large as the scene, one after the other.
 

@@ -126,7 +126,7 @@ def _parse(data: bytes) -> object:
 
 
 def _first(error: ValidationError) -> str:
-    """The first of the things that are wrong, on one line."""
+    """Return the first fault, on one line."""
     details = error.errors(include_url=False, include_input=False, include_context=False)[0]
     place = ".".join(str(step) for step in details["loc"]) or "bundle"
     return f"{place}: {details['msg']}".replace("\n", " ")

@@ -49,10 +49,10 @@ class TransferError:
     """Relative L2 error of one mask's transfer, estimated.
 
     Attributes:
-        value: of the estimate.
+        value: value of the estimate.
         low: lower end of its interval of confidence.
         high: upper end.
-        confidence: of the interval, a share.
+        confidence: confidence of the interval, a share.
     """
 
     value: float
@@ -121,12 +121,12 @@ class Bundle:
 
     @property
     def inputs(self) -> int:
-        """How many numbers a classifier takes."""
+        """Number of inputs of a classifier."""
         return self.channels * self.embedding.size if self.fresh is None else self.fresh.inputs
 
     @property
     def transfer_error(self) -> TransferError | None:
-        """Of the pair where it is largest; None unless it was measured for every pair."""
+        """Error of the pair where it is largest; None unless it was measured for every pair."""
         known = [pair.transfer_error for pair in self.pairs if pair.transfer_error is not None]
         if not known or len(known) < len(self.pairs):
             return None

@@ -54,11 +54,11 @@ class Network:
 
     @classmethod
     def load(cls, layers: Sequence[LayerRecord], weights: Weights) -> Self:
-        """The network that ``layers`` and ``weights`` describe.
+        """Make the network that ``layers`` and ``weights`` describe.
 
         Args:
             layers: records in order.
-            weights: by the names of the ``state_dict`` of torch's ``nn.Sequential``; not copied.
+            weights: weights by the names of torch's ``nn.Sequential.state_dict``; not copied.
 
         Raises:
             BundleError: names, shapes, types or values that do not fit the layers.

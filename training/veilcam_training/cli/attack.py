@@ -113,8 +113,8 @@ def teller(progress: Progress, mode: str = "") -> Tell:
     """Show progress: a bar for each thing that is done.
 
     Args:
-        progress: to add bars to.
-        mode: what is attacked, where there are several.
+        progress: progress to add bars to.
+        mode: mode that is attacked, where there are several.
     """
     tasks: dict[str, TaskID] = {}
 

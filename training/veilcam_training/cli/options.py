@@ -113,9 +113,9 @@ def warn_of_precision(console: Console, device: torch.device, *, mixed: bool, in
     """Say that a fit in mixed precision is to run where bfloat16 is emulated.
 
     Args:
-        console: to print on.
-        device: that fits.
-        mixed: whether the fit is in mixed precision.
+        console: console to print on.
+        device: device of the fit.
+        mixed: True: the fit is in mixed precision.
         instead: the setting that takes full precision, as in a file.
     """
     if mixed and not has_bfloat16(device):

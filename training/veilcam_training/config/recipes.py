@@ -104,13 +104,13 @@ class Recipe(BaseModel, frozen=True, extra="forbid", strict=True):
 
     @property
     def transform(self) -> Augmentation | None:
-        """What changes the training images; None if nothing does."""
+        """Augmentation of the training images; None if there is none."""
         return self.jitter if self.jitter.any else None
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a recipe may depend on; names as in the settings of a fit."""
+    """Facts that a recipe may depend on; names as in the settings of a fit."""
 
     data: str = "mnist"
     encoder: str = "learned"
@@ -233,7 +233,7 @@ BEST_HIDDEN_FIXED: Mapping[str, Recipe] = {
 
 
 def _best(situation: Situation) -> Recipe:
-    """Settings for each kind of fit on MNIST; for everything else as ``long``.
+    """Return the settings for each kind of fit on MNIST; for everything else as ``long``.
 
     Chosen on the validation part, in runs of 30 epochs or more: LR at 12x16, 6x8 and 3x4 and behind
     fixed cameras, FC at every size, and at 12x16 behind a fixed mask; in runs of 20 or fewer: FC
@@ -273,7 +273,7 @@ def _best_of_changed(situation: Situation) -> Recipe:
 
 
 def _paper(situation: Situation) -> Recipe:
-    """The paper's table of settings: Adam at 1e-3 for mask and classifier, 50 epochs.
+    """Return the paper's settings: Adam at 1e-3 for mask and classifier, 50 epochs.
 
     The rate is divided by 10 every ``steps_every`` epochs, but not for LR. CIFAR-10 has SGD at
     0.01, images moved by up to the padding of the paper's crops, and mirrored.
@@ -317,7 +317,7 @@ CIFAR_PADDING: Mapping[str, tuple[int, int, int, int]] = {
 
 
 def _cifar_padding(situation: Situation) -> float:
-    """Padding as a share of the image's sides."""
+    """Return the padding as a share of the image's sides."""
     kind = "learned" if situation.learned else "fixed"
     sizes = {"27x36": 27, "13x17": 13, "6x8": 6, "3x4": 3}
     if situation.embedding not in sizes:

@@ -113,7 +113,7 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
 
 
 class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
-    """How to fit one classifier to a stream of masks that are used for a moment and never again."""
+    """Settings of a fit of one classifier to a stream of masks, each used for a moment only."""
 
     data: str = "mnist"
     embedding: str = "24x32"
@@ -173,7 +173,7 @@ class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
 
     @property
     def transform(self) -> Augmentation | None:
-        """What changes the training images; None if nothing does."""
+        """Augmentation of the training images; None if there is none."""
         return self.augmentation
 
     def fingerprint(self, source: Source) -> str:
@@ -197,7 +197,7 @@ def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
 def load_settings(
     path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
 ) -> Settings:
-    """Settings of ``path``, with ``overrides`` in the place of what it says.
+    """Read the settings of ``path``, with ``overrides`` in the place of what it says.
 
     Args:
         path: TOML file; None for the defaults alone.
@@ -238,7 +238,7 @@ def load_settings(
 def load_fresh_settings(
     path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
 ) -> FreshSettings:
-    """Settings of ``path``, with ``overrides`` in their place, on the ground of its task's.
+    """Read the settings of ``path``, with ``overrides`` in their place, over those of the task.
 
     Args:
         path: TOML file; None for a task alone.
@@ -296,7 +296,7 @@ def _with_nulls(model: type[BaseModel], table: Mapping[str, Any]) -> dict[str, A
 
 
 def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with ``changes`` in it, table by table."""
+    """Return ``base`` with ``changes`` in it, table by table."""
     merged = dict(base)
     for key, value in changes.items():
         inner = merged.get(key)

@@ -79,7 +79,7 @@ class Source(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called on the command line."""
+        """Name on the command line."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -91,7 +91,7 @@ class Source(Protocol):
 
     @property
     def scene(self) -> Scene:
-        """How large and how far away its images are shown."""
+        """Size and distance at which its images are shown."""
 
     def training(self) -> Images:
         """Read the training set."""
@@ -104,7 +104,7 @@ class Source(Protocol):
 
 
 class FileSource(ABC):
-    """What data sets in files have in common: each reads one of its two parts."""
+    """Common part of data sets in files: each reads one of its two parts."""
 
     def training(self) -> Images:
         """Read the training set.
@@ -163,13 +163,13 @@ def split(images: Images, share: float = 0.1) -> Split:
 def stratified(
     labels: Tensor, share: float, *, where: Path, classes: int, groups: Tensor | None = None
 ) -> Tensor:
-    """Which images test: the same ``share`` of each class, or of all groups, by a fixed seed.
+    """Choose the test images: the same ``share`` of each class, or of all groups, by a fixed seed.
 
     Args:
         labels: int64 (count,), of 0 to ``classes`` - 1.
-        share: in (0, 1).
+        share: share in (0, 1).
         where: they come from, for the refusal.
-        classes: how many there are.
+        classes: number of classes.
         groups: int64 (count,) of images that are never split apart; a group may have many classes,
             so its share is of all of them.
 
@@ -210,7 +210,7 @@ class ReadOnce:
 
 
 def find(*places: Path, advice: str = "give the folder that holds it as --data") -> Path:
-    """The first of ``places`` that is a file.
+    """Return the first of ``places`` that is a file.
 
     Raises:
         TrainingError: none is; it names the first and gives the ``advice``.

@@ -33,7 +33,7 @@ GRAY_MODES = ("1", "L", "LA", "I", "I;16", "I;16B", "F")
 
 @dataclass(frozen=True)
 class Entry:
-    """What is said of one picture."""
+    """Facts about one picture."""
 
     label: str
     group: str | None = None
@@ -67,7 +67,7 @@ class Collection(ABC):
 
     @abstractmethod
     def pictures(self, indices: Sequence[int]) -> Iterator[Image.Image]:
-        """The pictures at ``indices``, upright, each in mode L or RGB.
+        """Read the pictures at ``indices``, upright, each in mode L or RGB.
 
         Raises:
             TrainingError: damaged pictures; the first are named.
@@ -77,7 +77,7 @@ class Collection(ABC):
         """Pictures at ``indices``, cut about their centre to one form and reduced by area.
 
         Args:
-            indices: which.
+            indices: numbers of the pictures.
             shape: rows and columns to come out.
             colour: three channels, or gray (Rec. 601 luma, as Pillow has it).
 
@@ -112,7 +112,7 @@ class Files(Collection):
 
     @cached_property
     def names(self) -> Sequence[str]:
-        """Of their files, with slashes."""
+        """Names of their files, with slashes."""
         return [path.relative_to(self.folder).as_posix() for path in self.paths]
 
     @cached_property
@@ -227,7 +227,7 @@ def _flat(picture: Image.Image) -> Image.Image:
 
 
 def is_collection(folder: Path) -> bool:
-    """True if ``folder`` holds labelled pictures in one of the forms of :func:`find_collection`."""
+    """Return True if ``folder`` holds labelled pictures as :func:`find_collection` reads."""
     if not folder.is_dir():
         return False
     named = any((folder / name).is_file() for name in (TABLE, ARRAYS))
@@ -236,7 +236,7 @@ def is_collection(folder: Path) -> bool:
 
 
 def find_collection(folder: Path) -> Collection:
-    """The pictures in ``folder``: arrays, those of a table, or those of folders.
+    """Find the pictures in ``folder``: arrays, those of a table, or those of folders.
 
     Raises:
         TrainingError: there are none, or what is said of them cannot be used.

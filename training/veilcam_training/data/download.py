@@ -122,7 +122,7 @@ def _unpack(archive: Path, folder: Path) -> None:
 
 
 class _Bar:
-    """What pooch wants of a progress bar, shown by rich."""
+    """Progress bar that pooch asks for, shown by rich."""
 
     def __init__(self, progress: Progress, name: str) -> None:
         self._progress = progress

@@ -19,7 +19,7 @@ TEST_SHARE = 0.2
 
 
 def _polygon(corners: int, inner: float = 1.0) -> list[Point]:
-    """A regular one of radius 1, first corner up; every second corner at ``inner`` if not 1."""
+    """Return a regular polygon of radius 1, first corner up; every second corner at ``inner``."""
     steps = corners if inner == 1 else 2 * corners
     radii = [1.0 if number % 2 == 0 else inner for number in range(steps)]
     angles = [2 * math.pi * number / steps - math.pi / 2 for number in range(steps)]

@@ -40,7 +40,7 @@ def read_idx(path: Path, dimensions: int) -> Tensor:
 
     Args:
         path: plain, or with gzip if the name ends in ``.gz``.
-        dimensions: how many the file must have.
+        dimensions: number of axes that the file must have.
 
     Returns:
         uint8 tensor of the shape that the file says.

@@ -26,7 +26,7 @@ Side = Annotated[int, Field(ge=1, le=512)]
 
 
 class Description(BaseModel, frozen=True, extra="forbid", strict=True):
-    """What ``dataset.toml`` may say of pictures; what it does not say follows from them."""
+    """Contents of ``dataset.toml``; what it leaves out follows from the pictures."""
 
     rows: Side | None = None
     """Of the scene, with ``columns``: the median picture's, reduced to 64 on its longer side."""

@@ -44,7 +44,7 @@ class Measured(BaseModel, frozen=True, extra="ignore"):
 
 @dataclass(frozen=True)
 class Measurements:
-    """What a file holds, in its order."""
+    """Contents of a file, in its order."""
 
     header: Header
     values: Tensor = field(repr=False)

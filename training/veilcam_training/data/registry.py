@@ -23,7 +23,7 @@ SOURCES: Mapping[str, Callable[[Path], Source]] = {
 
 
 def open_source(name: str, folder: Path) -> Source:
-    """Data set ``name``, with its files in ``folder``; nothing is read yet.
+    """Open data set ``name``, with its files in ``folder``; nothing is read yet.
 
     Raises:
         TrainingError: an unknown name, or a folder that is not there.

@@ -1,4 +1,4 @@
-"""What a data set holds, in numbers that a person checks before hours of fitting."""
+"""Summary of a data set, in numbers that a person checks before hours of fitting."""
 
 import hashlib
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Summary:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes an accuracy mean less than it says."""
+        """List the reasons why an accuracy means less than it says."""
         found = []
         if self.repeated:
             found.append(

@@ -1,4 +1,4 @@
-"""What every camera does: from scene to embedding, then noise, then what is made of it.
+"""Base of all cameras: from scene to embedding, then noise, then the classifier's input.
 
 All of them are used in the same way, so that a comparison compares the cameras alone.
 """
@@ -38,7 +38,7 @@ class Setup:
         return (self.scene, *self.finer)
 
     def light(self, grid: int) -> float:
-        """How much light a white scene on ``grid`` sends, relative to that of ``scene``."""
+        """Return the light of a white scene on ``grid``, relative to that of ``scene``."""
         first, other = self.scene, self.grids[grid]
         return (other.rows * other.columns * other.pixel**2) / (
             first.rows * first.columns * first.pixel**2
@@ -81,8 +81,8 @@ class Encoder(nn.Module, ABC):
 
         Args:
             scenes: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
-            part: which part of the scene ``scenes`` are; the rest is black. None for all of it.
-            grid: which of ``setup.grids`` the scene is on.
+            part: part of the scene that ``scenes`` are; the rest is black. None for all of it.
+            grid: number of the scene's grid in ``setup.grids``.
 
         Returns:
             (batch, ``setup.outputs``).
@@ -93,7 +93,7 @@ class Encoder(nn.Module, ABC):
         return shot_noise(values, snr_db, generator)
 
     def decode(self, measurements: Tensor) -> Tensor:
-        """What the classifier is given of noisy measurements of the last scenes: the same."""
+        """Return the classifier's input for noisy measurements of the last scenes: the same."""
         return measurements
 
     def project(self) -> None:
@@ -108,8 +108,8 @@ class LinearEncoder(Encoder):
         """T, of shape ``setup.matrix_shape``; for a part of the scene only the rows of its pixels.
 
         Args:
-            part: of the scene; None for all of it.
-            grid: which of ``setup.grids`` the scene is on.
+            part: part of the scene; None for all of it.
+            grid: number of the scene's grid in ``setup.grids``.
 
         Raises:
             OpticsError: a part that is not wholly in the scene.

@@ -35,7 +35,7 @@ INDEX = 1.5
 
 
 def lens_psf(camera: Camera) -> Psf:
-    """An ideal lens: a point is seen as a point, on one sensor pixel.
+    """Return the PSF of an ideal lens: a point is seen as a point, on one sensor pixel.
 
     Its strength is that of all light that falls on the sensor.
     """
@@ -45,7 +45,7 @@ def lens_psf(camera: Camera) -> Psf:
 
 
 def coded_aperture_psf(camera: Camera, scene: Scene) -> Psf:
-    """The paper's coded aperture, a separable MLS pattern, diffraction included."""
+    """Return the PSF of the paper's coded aperture, a separable MLS pattern, with diffraction."""
     pitch = 2 * camera.sensor.pixel
     cells = mls_cells()
     side = len(cells) * APERTURE_FEATURE
@@ -56,7 +56,7 @@ def coded_aperture_psf(camera: Camera, scene: Scene) -> Psf:
 
 
 def diffuser_psf(camera: Camera, scene: Scene, generator: torch.Generator) -> Psf:
-    """A smooth random relief as large as the sensor, thin, without dispersion."""
+    """Return the PSF of a smooth random relief as large as the sensor, thin, without dispersion."""
     grid = covering_grid(camera.sensor.height, camera.sensor.width, 3 * camera.sensor.pixel)
     # A Gaussian relief has a root mean square slope of sqrt(2) roughness / correlation, and bends
     # light by (index - 1) times it.

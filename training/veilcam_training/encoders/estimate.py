@@ -29,13 +29,13 @@ MAX_PIXELS = 4096
 
 
 class SceneEstimate(nn.Module):
-    """From measurements to estimate and posterior deviation, one image after the other.
+    """Estimate of scenes from measurements, with the posterior deviation, one after the other.
 
     Nothing is known of scenes until :meth:`learn`: all of them are taken to be black.
 
     Args:
         encoder: the camera, gray, with one grid. It is looked at, and no part of this module.
-        snr_db: to expect of a measurement [dB]; None for no noise.
+        snr_db: signal-to-noise ratio to expect of a measurement [dB]; None for no noise.
         pooling: side of a pixel of the estimate, in scene pixels.
 
     Raises:
@@ -68,7 +68,7 @@ class SceneEstimate(nn.Module):
 
     @property
     def outputs(self) -> int:
-        """How many numbers it gives."""
+        """Number of values that it gives."""
         return len(FEATURES) * self.scene.rows * self.scene.columns
 
     def learn(self, statistics: SceneStatistics[Tensor]) -> None:
@@ -121,7 +121,7 @@ class SceneEstimate(nn.Module):
 
     @torch.no_grad()
     def as_linear(self) -> nn.Linear:
-        """The same as a fully connected layer, for the mask as it is now."""
+        """Return the same as a fully connected layer, for the mask as it is now."""
         decoder = self._decoder()
         matrix = decoder.basis @ decoder.estimator
         layer = nn.Linear(matrix.shape[1], self.outputs, device=matrix.device)
@@ -131,7 +131,7 @@ class SceneEstimate(nn.Module):
         return layer
 
     def _decoder(self) -> Decoder[Tensor]:
-        """Of the camera as it is now; made once where that is as it always is."""
+        """Return the decoder of the camera as it is now; made once for a constant camera."""
         (encoder,) = self._encoder
         if not encoder.constant:
             return self._prepare(encoder)
@@ -157,7 +157,7 @@ class SceneEstimate(nn.Module):
 
     @property
     def _shown_residual(self) -> Tensor:
-        """What the basis leaves of a pixel is taken to be independent of its neighbours."""
+        """Return the residual: the basis leaves each pixel independent of its neighbours."""
         return self._pooled(self.residual) / self._pooling**2
 
     def _pooled(self, values: Tensor) -> Tensor:

@@ -37,7 +37,7 @@ STATISTICS_SCENES = 30_000
 
 
 class Misalignment(BaseModel, frozen=True, extra="forbid", strict=True):
-    """What calibration leaves unknown: the decoder assumes the nominal geometry.
+    """Misalignment that calibration leaves: the decoder assumes the nominal geometry.
 
     Each mask is shown by a panel that is displaced by normal random amounts with these standard
     deviations.
@@ -56,7 +56,7 @@ class LearnedRange(nn.Module):
 
     Args:
         camera: window and panel.
-        exponent: of the curve.
+        exponent: exponent of the curve.
         spread: half the length of a range, in (0, 1]; ranges end at 0 and 1.
         generator: draws the first centres, near 1/2.
     """
@@ -82,7 +82,7 @@ class LearnedRange(nn.Module):
             self.centre.clamp_(0, 1)
 
     def distribution(self) -> MaskDistribution:
-        """The distribution to publish, in whole levels."""
+        """Return the distribution to publish, in whole levels."""
         top = self.camera.panel.levels - 1
         low, high = (
             (end.detach() * top).round().to(torch.uint8).cpu().numpy().astype(np.uint8)
@@ -115,7 +115,7 @@ class PreparedMask:
 
 @dataclass(frozen=True)
 class MaskSchedule:
-    """How masks come and go."""
+    """Schedule of masks."""
 
     seed: int
     """Of the keys that they come from, and of the panels that show them."""
@@ -131,9 +131,9 @@ class FreshCamera(Encoder):
 
     Args:
         frame: the camera, and what is publicly known of scenes and noise.
-        source: what masks are drawn from; ranges are learned, and take the place of the frame's.
+        source: source of masks; ranges are learned, and take the place of the frame's.
         shown: the scene before it; what is decoded may have larger pixels.
-        schedule: how masks come and go.
+        schedule: schedule of masks.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class FreshCamera(Encoder):
 
     @property
     def distribution(self) -> MaskDistribution:
-        """What masks have to be drawn from."""
+        """Distribution that masks have to be drawn from."""
         if isinstance(self.source, LearnedRange):
             return self.source.distribution()
         return self.source
@@ -197,7 +197,7 @@ class FreshCamera(Encoder):
             self.source.project()
 
     def panels(self, purpose: str) -> tuple[TransferOperator, ...]:
-        """The camera as it may be built: displaced panels, other ones for another purpose."""
+        """Return the camera as it may be built: displaced panels, others per purpose."""
         misalignment = self.schedule.misalignment
         if misalignment is None:
             return self._panels[""]
@@ -235,13 +235,13 @@ class FreshCamera(Encoder):
         return self
 
     def draw_levels(self, *purpose: str | int) -> Levels:
-        """The mask for a purpose: its key comes from the schedule's seed."""
+        """Draw the mask for a purpose: its key comes from the schedule's seed."""
         key = np.random.default_rng(derive(self.schedule.seed, *purpose)).bytes(KEY_BYTES)
         return draw_levels(key, camera=self.setup.camera, distribution=self.distribution)
 
     @torch.no_grad()
     def masks(self, *purpose: str | int) -> Iterator[PreparedMask]:
-        """Prepared masks without end, none twice; others for every ``purpose``."""
+        """Yield prepared masks without end, none twice; others for every ``purpose``."""
         panels = self.panels(str(purpose[0]))
         choice = stream(self.schedule.seed, "panel", *purpose)
         for number in itertools.count():
@@ -253,12 +253,12 @@ class FreshCamera(Encoder):
     def prepare(
         self, weights: Tensor, panels: Sequence[TransferOperator], choice: torch.Generator
     ) -> PreparedMask:
-        """A mask behind one of ``panels``; differentiable in the weights."""
+        """Prepare a mask behind one of ``panels``; differentiable in the weights."""
         panel = panels[int(torch.randint(len(panels), (), generator=choice))]
         return PreparedMask(panel(weights), self.decoding.prepare(weights))
 
     def rings(self, *purpose: str | int) -> Iterator[tuple[PreparedMask, ...]]:
-        """The masks in use at each step; the oldest are replaced, so each serves a few steps."""
+        """Yield the masks in use at each step; the oldest are replaced after a few steps."""
         count, renewed = self.schedule.masks, self.schedule.renewed
         if isinstance(self.source, LearnedRange):
             # All of them: a gradient cannot pass through a step that is over.
@@ -290,7 +290,7 @@ class FreshCamera(Encoder):
 
 
 def pooled(scene: Scene, side: int) -> Scene:
-    """The same scene in pixels ``side`` times as large."""
+    """Return the same scene in pixels ``side`` times as large."""
     require(
         scene.rows % side == 0 and scene.columns % side == 0,
         f"pooling = {side} does not divide the scene's {scene.rows} x {scene.columns} pixels: "
@@ -306,10 +306,10 @@ def scene_statistics(
 
     Args:
         training: images.
-        change: how they are shown.
+        change: transform that shows the images.
         pooling: side of a pixel of the decoded scene, in scene pixels.
         rank: principal components to keep.
-        seed: of the choice of images and of their places.
+        seed: seed of the choice of images and of their places.
     """
     places = stream(seed, "statistics")
     order = torch.randperm(len(training), generator=places)[:STATISTICS_SCENES]

@@ -38,7 +38,7 @@ class PanelErrors(BaseModel, frozen=True, extra="forbid", strict=True):
         return self.moves or self.gamma > 0 or self.floor > 0
 
     def shown(self, weights: Tensor) -> Tensor:
-        """What a panel with a gamma and a floor drawn at random shows for ``weights``."""
+        """Return the weights that a panel with a random gamma and floor shows for ``weights``."""
         spreads = Spreads(gamma=self.gamma, contrast_floor=self.floor)
         return Imperfections.sample(spreads).shown(weights)
 
@@ -53,7 +53,7 @@ def make_operators(
 
     Args:
         setup: camera, scene and measurement.
-        imperfections: of the camera as it was built.
+        imperfections: imperfections of the camera as built.
     """
     return tuple(
         TransferOperator(

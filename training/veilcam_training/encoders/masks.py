@@ -48,7 +48,7 @@ class Mask(LinearEncoder):
         return self
 
     def levels(self) -> npt.NDArray[np.uint8]:
-        """What the panel has to show, uint8, ``camera.mask_shape``."""
+        """Return the levels for the panel, uint8, ``camera.mask_shape``."""
         raise NotImplementedError
 
 
@@ -68,7 +68,7 @@ class LearnedMask(Mask):
     Args:
         setup: camera, scene and measurement; the masks are those of ``setup.camera.panel``.
         generator: draws the mask that training starts from.
-        errors: of the panel, in training.
+        errors: errors of the panel, in training.
     """
 
     trainable = True
@@ -112,7 +112,7 @@ class LearnedMask(Mask):
             self.weights.clamp_(self.closed, 1)
 
     def levels(self) -> npt.NDArray[np.uint8]:
-        """What the panel has to show, uint8, ``camera.mask_shape``."""
+        """Return the levels for the panel, uint8, ``camera.mask_shape``."""
         return to_levels(self.weights.detach(), self.setup.camera.panel)
 
 
@@ -122,7 +122,7 @@ class FixedMask(Mask):
     Args:
         setup: camera, scene and measurement; the masks are those of ``setup.camera.panel``.
         generator: draws the mask.
-        errors: of the panel, in training.
+        errors: errors of the panel, in training.
     """
 
     shown: Tensor
@@ -149,6 +149,6 @@ class FixedMask(Mask):
         return self._of_part(self.get_buffer(f"matrix_{grid}"), part, grid)
 
     def levels(self) -> npt.NDArray[np.uint8]:
-        """What the panel has to show, uint8, ``camera.mask_shape``."""
+        """Return the levels for the panel, uint8, ``camera.mask_shape``."""
         levels: npt.NDArray[np.uint8] = self.shown.cpu().numpy()
         return levels

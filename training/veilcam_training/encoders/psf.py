@@ -69,7 +69,7 @@ def point_transfer(
         psf: the PSF.
         sensor: is read.
         scene: is seen.
-        embedding: its pixels' centres are where the sensor is read.
+        embedding: embedding whose pixels' centres are where the sensor is read.
         image: side of a scene pixel's geometric image on the sensor [m].
     """
     rows, columns = psf.irradiance.shape[1:]
@@ -91,7 +91,7 @@ def point_transfer(
 
 @dataclass(frozen=True)
 class PsfFile:
-    """Where a measured PSF is, and what a file without these numbers leaves open.
+    """File of a measured PSF, and the numbers that it leaves open.
 
     ``pitch`` is the side of its cells [m], which a picture and an array cannot tell; ``distance``
     [m] is from the coding element to the sensor.
@@ -116,7 +116,7 @@ def read_psf(file: PsfFile, distance: float) -> Psf:
 
     Args:
         file: and what it leaves open.
-        distance: where neither it nor the file says any [m].
+        distance: distance where neither the option nor the file gives one [m].
 
     Raises:
         TrainingError: the file is missing, damaged or not such a file; a pitch that is told twice

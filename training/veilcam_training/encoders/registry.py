@@ -56,14 +56,14 @@ def make_encoder(
     errors: PanelErrors = NO_ERRORS,
     pinhole: bool = False,
 ) -> LinearEncoder:
-    """Encoder ``name``.
+    """Make the encoder ``name``.
 
     Args:
         name: one of ``ENCODERS``.
-        setup: what it is made for.
-        generator: of whatever it draws at random.
+        setup: setup of the camera.
+        generator: generator of all random draws.
         psf: measured, to take the place of a simulated one; ``fixed_measured`` needs it.
-        errors: of the panel, in training; those without a panel have none.
+        errors: errors of the panel, in training; encoders without a panel have none.
         pinhole: True starts ``learned`` from a pinhole; no other has a start.
 
     Raises:

@@ -63,7 +63,7 @@ DARKEST = 1e-12
 
 @dataclass(frozen=True)
 class Task:
-    """What goes into a classifier and what must come out."""
+    """Shape of a classifier's inputs and number of its outputs."""
 
     channels: int
     rows: int
@@ -83,7 +83,7 @@ class Task:
 
     @property
     def inputs(self) -> int:
-        """How many numbers go in."""
+        """Number of inputs."""
         return self.channels * self.rows * self.columns
 
     @property
@@ -106,7 +106,7 @@ class SceneTask:
 
 
 def reads_scenes(name: str) -> bool:
-    """True if a classifier of measurements begins with the estimate of the scene."""
+    """Return True if a classifier of measurements begins with the estimate of the scene."""
     return name.startswith("ResNet")
 
 
@@ -137,7 +137,7 @@ MakerT = TypeVar("MakerT")
 
 
 def _find(makers: Mapping[str, MakerT], name: str) -> tuple[MakerT, int]:
-    """What makes classifier ``name``, and its width."""
+    """Return the maker of classifier ``name``, and its width."""
     match = re.fullmatch(r"(\D+)([1-9]\d{0,4})", name)
     of_any_width = match is not None and f"{match[1]}<width>" in makers
     kind, width = (f"{match[1]}<width>", int(match[2])) if match and of_any_width else (name, 0)
@@ -172,7 +172,7 @@ def _linear(task: Task, _: int, dropout: float) -> Layers:
 
 
 def _fully_connected(task: Task, width: int, dropout: float) -> Layers:
-    """The paper's network: one hidden layer."""
+    """Return the paper's network: one hidden layer."""
     return (
         *_sensor(task),
         Linear(inputs=task.inputs, outputs=width, bias=False),
@@ -272,7 +272,7 @@ def _vgg11(task: Task, _: int, dropout: float) -> Layers:
 
 
 def _of_stages(task: SceneTask, width: int, dropout: float, blocks: int) -> Layers:
-    """A residual network of stages.
+    """Return a residual network of stages.
 
     A convolution halves the image at the start of every stage, and ``blocks`` residual blocks
     follow. The first stage has ``width`` channels and each next one twice as many.
@@ -312,7 +312,7 @@ def _scene_residual(task: SceneTask, width: int, dropout: float) -> Layers:
 
 
 def _estimated(task: Task, width: int, dropout: float) -> Layers:
-    """The same behind a first layer that estimates the scene, and is computed, never fitted."""
+    """Return the same behind a first layer that estimates the scene, computed and never fitted."""
     scene = task.scene
     if scene is None:
         raise TrainingError(

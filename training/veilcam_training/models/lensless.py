@@ -32,12 +32,12 @@ class LenslessClassifier(nn.Module):
         encoder: the camera.
         layers: the classifier, made with fresh weights from torch's global generator.
         snr_db: signal-to-noise ratio of a measurement [dB]; None for no noise.
-        change: how images are shown to the camera; by default as they are.
+        change: transform that shows images to the camera; by default none.
         mixed_precision: True lets the classifier's matrix products run in bfloat16. The optics and
             the noise stay in float32.
         whitened: True has the classifier's first fully connected layer fitted in coordinates in
             which what it is given is white.
-        estimate: of the scene, computed in the place of the first of ``layers``.
+        estimate: estimate of the scene, computed in the place of the first of ``layers``.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class LenslessClassifier(nn.Module):
         return logits.float()
 
     def reader(self) -> nn.Module:
-        """A copy of what reads an encoder's measurements: a module of ``layers``, all plain."""
+        """Return a copy of the reader of measurements: a module of plain ``layers``."""
         copied = plain(self.classifier)
         if self.estimate is None:
             return copied
@@ -90,7 +90,7 @@ class LenslessClassifier(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where it is."""
+        """Device of the model."""
         return next(self.classifier.parameters()).device
 
     def begin_epoch(self, seed: int, epoch: int) -> Draws:
@@ -112,8 +112,8 @@ class LenslessClassifier(nn.Module):
 
         Args:
             images: (batch, rows, columns) or (batch, 3, rows, columns).
-            noise: of the sensor, on the device of the images.
-            draws: of how the images are shown, on the CPU; None for images that are scenes already.
+            noise: generator of the sensor's noise, on the device of the images.
+            draws: generator of the transform, on the CPU; None for images that are scenes already.
         """
         if draws is None:
             return self.read(self.encoder(images), noise)
@@ -138,7 +138,7 @@ class FreshClassifier(LenslessClassifier):
     Args:
         encoder: the camera.
         layers: the classifier, made with fresh weights from torch's global generator.
-        change: how images are shown to the camera.
+        change: transform that shows images to the camera.
         mixed_precision: True lets the classifier's matrix products run in bfloat16 in training.
     """
 

@@ -13,18 +13,18 @@ from veilcam_training.bundle.layers import LayerRecord
 
 
 def build_untrained(layers: Sequence[LayerRecord]) -> nn.Sequential:
-    """A new module with random parameters, in training mode."""
+    """Return a new module with random parameters, in training mode."""
     return nn.Sequential(*(_module(layer) for layer in layers))
 
 
 def build_classifier(
     layers: Sequence[LayerRecord], weights: Mapping[str, npt.NDArray[Any]]
 ) -> nn.Module:
-    """The classifier that ``layers`` and ``weights`` describe, in evaluation mode.
+    """Make the classifier that ``layers`` and ``weights`` describe, in evaluation mode.
 
     Args:
         layers: records in order.
-        weights: by the names of the module's ``state_dict``; they are copied.
+        weights: weights by the names of the module's ``state_dict``; they are copied.
 
     Returns:
         A module from (batch, embedding.size) float32 to logits (batch, labels).
@@ -42,7 +42,7 @@ def build_classifier(
 
 
 def weights_of(module: nn.Module) -> dict[str, npt.NDArray[Any]]:
-    """Copies of all that ``module`` has learned, as a bundle holds it."""
+    """Return copies of all that ``module`` has learned, as a bundle holds it."""
     return {name: tensor.numpy(force=True).copy() for name, tensor in module.state_dict().items()}
 
 

@@ -31,7 +31,7 @@ class WhitenedWeights(nn.Module):
     the layer goes on computing what it has learned.
 
     Args:
-        inputs: of the layer.
+        inputs: inputs of the layer.
     """
 
     covariance: Tensor
@@ -50,7 +50,7 @@ class WhitenedWeights(nn.Module):
         return weights @ self.matrix
 
     def right_inverse(self, weights: Tensor) -> Tensor:
-        """What is fitted begins as what the layer was."""
+        """Make the layer to fit, which begins as the given one."""
         return weights
 
     @torch.no_grad()
@@ -58,7 +58,7 @@ class WhitenedWeights(nn.Module):
         """Take a batch of inputs (batch, inputs) into account.
 
         Args:
-            inputs: of the layer.
+            inputs: inputs of the layer.
             weights: ``V`` (outputs, inputs), changed in place where ``M`` is.
         """
         number = int(self.batches) + 1
@@ -97,7 +97,7 @@ def _observe(layer: nn.Module, inputs: tuple[Tensor]) -> None:
 
 
 def plain(classifier: nn.Module) -> nn.Module:
-    """A copy of ``classifier`` in which every layer has the weights that it acts with."""
+    """Return a copy of ``classifier`` in which every layer has the weights that it acts with."""
     copied = copy.deepcopy(classifier)
     for name, layer in copied.named_children():
         if isinstance(layer, nn.Linear) and parametrize.is_parametrized(layer):

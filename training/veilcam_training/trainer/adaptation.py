@@ -32,11 +32,11 @@ RATE = 5e-3
 
 @dataclass(frozen=True)
 class Freedom:
-    """What of a classifier may change.
+    """Parameters of a classifier that may change.
 
     Attributes:
         weights: ``none``, those of the ``last`` layer that has any, or ``all``.
-        strength: with which they are held where they were; >= 0.
+        strength: strength with which they are held where they were; >= 0.
     """
 
     weights: Literal["none", "last", "all"]
@@ -53,7 +53,7 @@ LADDER = (KEPT, Freedom("last", 0.1), Freedom("all", 1.0))
 
 @dataclass(frozen=True)
 class Trial:
-    """What inputs that were left out say of one freedom."""
+    """Result of one freedom on inputs that were left out."""
 
     freedom: Freedom
     loss: float
@@ -80,7 +80,7 @@ def adapt(classifier: nn.Module, inputs: Tensor, labels: Tensor, *, seed: int = 
         classifier: a ``Sequential`` in evaluation mode; it stays as it is.
         inputs: float32 (count, inputs).
         labels: int64 (count,), from 0 on.
-        seed: of what is left out together, and of the order of steps.
+        seed: seed of the parts that are left out together, and of the order of steps.
 
     Raises:
         TrainingError: there are fewer than two inputs.

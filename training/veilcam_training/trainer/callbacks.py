@@ -27,7 +27,7 @@ from veilcam_training.models.lensless import LenslessClassifier
 
 @dataclass(frozen=True)
 class Epoch:
-    """What one epoch came to; accuracies in [0, 1], on noisy measurements."""
+    """Result of one epoch; accuracies in [0, 1], on noisy measurements."""
 
     number: int
     loss: float
@@ -40,21 +40,21 @@ class Epoch:
 
 
 class Callback(Protocol):
-    """What is called as a fit goes on."""
+    """Callback that is called as a fit goes on."""
 
     def step(self, epoch: int, done: int, steps: int) -> None:
         """``done`` of ``steps`` steps of ``epoch`` (from 0) are done."""
 
     def epoch(self, epoch: Epoch) -> None:
-        """An epoch is over."""
+        """Take note that an epoch is over."""
 
 
 class MovingAverage:
     """Running mean of a classifier's weights over the steps; it forgets the first ones fast.
 
     Args:
-        model: that is fitted.
-        decay: of the mean, per step, in [0, 1); 0 keeps the last weights alone.
+        model: model that is fitted.
+        decay: decay of the mean, per step, in [0, 1); 0 keeps the last weights alone.
     """
 
     def __init__(self, model: LenslessClassifier, decay: float) -> None:
@@ -96,7 +96,7 @@ class MovingAverage:
 
 
 def make_progress(console: Console) -> Progress:
-    """A progress display on ``console``; without a terminal it shows its end alone."""
+    """Show progress on ``console``; without a terminal, its end alone."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),

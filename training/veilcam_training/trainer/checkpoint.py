@@ -1,4 +1,4 @@
-"""Where a fit stands, on disk, so that a fit killed at any moment can be taken up again."""
+"""Checkpoint of a fit on disk, so that a fit killed at any moment can be taken up again."""
 
 import io
 import pickle

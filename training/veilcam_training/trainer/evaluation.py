@@ -1,4 +1,4 @@
-"""How well a model does on images that it was not fitted to."""
+"""Evaluation of a model on images that it was not fitted to."""
 
 from dataclasses import dataclass
 
@@ -24,12 +24,12 @@ class Evaluation:
 
 
 def confusion(labels: Tensor, predictions: Tensor, classes: int) -> Tensor:
-    """How often each class, a row, was taken for each class, a column.
+    """Count how often each class, a row, was taken for each class, a column.
 
     Args:
         labels: int64 (count,), the true classes.
         predictions: int64 (count,).
-        classes: how many there are.
+        classes: number of classes.
 
     Returns:
         int64 (classes, classes).
@@ -50,11 +50,11 @@ def evaluate(
     """Classify ``images``, each shown in one way and behind one draw of the noise.
 
     Args:
-        model: on the device of the images.
-        images: to classify.
-        seed: of the draws.
-        purpose: what the evaluation is for; each has its own draws, the same every time.
-        batches: how many to divide the images into, as evenly as can be; by default each has
+        model: model on the device of the images.
+        images: images to classify.
+        seed: seed of the draws.
+        purpose: purpose of the evaluation; each has its own draws, the same every time.
+        batches: number of batches to divide the images into, about evenly; by default each has
             ``BATCH``. A camera with fresh masks has another one for each.
 
     Raises:

@@ -50,12 +50,12 @@ def fit(
     Args:
         model: freshly made, on the device that is to be used.
         split: images to fit to and to select with.
-        recipe: how.
-        seed: of the order of the images, the noise and dropout.
-        masks: how many a validation is spread over, at most; see
+        recipe: settings of the fit.
+        seed: seed of the order of the images, the noise and dropout.
+        masks: greatest number of masks that a validation is spread over; see
             :func:`veilcam_training.trainer.evaluation.evaluate`.
         checkpoint: written after every epoch, and read first if it is there.
-        fingerprint: of all that the result depends on; guards the checkpoint.
+        fingerprint: digest of all that the result depends on; guards the checkpoint.
         callbacks: called after every step and epoch.
 
     Raises:
@@ -116,7 +116,7 @@ class _State:
         return max(self.history, key=lambda e: (e.validation_accuracy, -e.validation_loss))
 
     def averaged(self) -> AbstractContextManager[None]:
-        """Where the model has the weights to validate and to keep."""
+        """Let the model have the weights to validate and to keep meanwhile."""
         return nullcontext() if self.average is None else self.average.applied()
 
     def finish(self, epoch: Epoch) -> None:

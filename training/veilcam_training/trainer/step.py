@@ -27,8 +27,8 @@ class Inputs(nn.Module):
     measurement is computed once.
 
     Args:
-        model: that is fitted.
-        images: to fit it to.
+        model: model that is fitted.
+        images: images to fit it to.
         transform: changes them at random; None takes them as they are.
         mixup: both parameters of the beta distribution that says how much of another image of the
             step is laid over each; 0 lays none.
@@ -115,7 +115,7 @@ def train_step(
         model: what is fitted.
         inputs: its training images.
         chosen: indices of images, int64 (count,).
-        optimiser: of the model.
+        optimiser: optimiser of the model.
         label_smoothing: share of the wanted probability that all classes have in common.
 
     Raises:

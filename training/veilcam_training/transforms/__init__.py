@@ -1,1 +1,1 @@
-"""How images become scenes: placed, warped, augmented."""
+"""Transforms of images into scenes: placed, warped, augmented."""

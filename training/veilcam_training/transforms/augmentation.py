@@ -35,7 +35,7 @@ class Augmentation(BaseModel):
 
         Args:
             images: (batch, rows, columns) or (batch, 3, rows, columns).
-            generator: of what is drawn, on the CPU.
+            generator: generator of the draws, on the CPU.
 
         Returns:
             The same shape; what comes in from outside is black.

@@ -1,4 +1,4 @@
-"""How an object is shown to the camera: as it is, or somewhere else, larger, turned, tilted.
+"""Transforms that show an object to the camera: as it is, moved, larger, turned, tilted.
 
 The paper's tests of robustness. Each draws a batch of images into a scene, every image in its own
 random way, fast enough to do it afresh in every epoch.
@@ -32,9 +32,9 @@ class Shown:
     """Some images of a batch, as they are shown to a camera.
 
     Attributes:
-        chosen: which images these are, int64 (count,).
+        chosen: numbers of the images, int64 (count,).
         scenes: (count, rows, columns) or (count, 3, rows, columns).
-        part: of the grid that ``scenes`` are; beyond it is black. None for all of it.
+        part: part of the grid that ``scenes`` are; beyond it is black. None for all of it.
         grid: number of the grid: 0 is the transform's ``scene``, the others are its ``finer`` ones.
     """
 
@@ -56,7 +56,7 @@ class Transform(ABC):
 
         Args:
             images: (batch, rows, columns) or (batch, 3, rows, columns), in [0, 1].
-            generator: of what is drawn at random, on the CPU.
+            generator: generator of all random draws, on the CPU.
 
         Returns:
             (batch, rows, columns) or (batch, 3, rows, columns) of the scene, black around the
@@ -70,11 +70,11 @@ class Transform(ABC):
         *,
         training: bool,  # noqa: ARG002 - part of the interface
     ) -> Iterator[Shown]:
-        """What a camera is shown, some images at a time: by default all scenes at once.
+        """Yield the scenes that a camera is shown, some images at a time: by default all at once.
 
         Args:
-            images: as above.
-            generator: as above.
+            images: images as above.
+            generator: generator as above.
             training: True may draw the images less independently of each other, if that is cheaper.
         """
         yield Shown(torch.arange(len(images)), self(images, generator))
@@ -119,8 +119,8 @@ class Anywhere(Moved):
     """The object is anywhere in the sensor's view, in training too.
 
     Args:
-        image: how large and how far away images are shown.
-        camera: whose sensor sees the scene.
+        image: size and distance at which images are shown.
+        camera: camera whose sensor sees the scene.
         multiple: the scene's sides are the nearest multiples of so many pixels.
     """
 
@@ -278,5 +278,5 @@ def _view(image: Scene, camera: Camera) -> tuple[float, float]:
 
 
 def _resized(image: Scene, rows: int, columns: int) -> Scene:
-    """A scene of so many of the pixels of ``image``."""
+    """Return a scene of so many of the pixels of ``image``."""
     return replace(image, rows=rows, columns=columns, height=rows * image.pixel)

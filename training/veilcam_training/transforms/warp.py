@@ -6,7 +6,7 @@ from torch.nn.functional import avg_pool2d, grid_sample, pad
 
 
 def homographies(sources: Tensor, target: Tensor) -> Tensor:
-    """The maps (batch, 3, 3) that take points ``sources`` (batch, 4, 2) to ``target`` (4, 2)."""
+    """Return maps (batch, 3, 3) that take points ``sources`` (batch, 4, 2) to ``target``."""
     x, y = sources.double().unbind(-1)
     u, v = target.double().expand(len(sources), 4, 2).unbind(-1)
     one, zero = torch.ones_like(x), torch.zeros_like(x)

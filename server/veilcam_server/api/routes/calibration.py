@@ -20,7 +20,7 @@ _CALIBRATES = (requires("calibrate"), unleased())
 
 @router.get("", dependencies=[requires("read:status")], responses=problems())
 async def calibration(service: ServiceDep) -> CalibrationStatus:
-    """What the camera found out about itself and who vouches for it, and how finding out goes on.
+    """Calibration in use, who vouches for it, and how a running one goes on.
 
     There is no mask in it.
     """

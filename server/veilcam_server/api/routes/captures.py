@@ -66,7 +66,7 @@ async def capture(
 
 
 def _array(taken: Capture, embedding: Embedding) -> Response:
-    """The array of a capture, and all else in headers."""
+    """Return the array of a capture as the body, and all else in headers."""
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(embedding), allow_pickle=False)
     names = {

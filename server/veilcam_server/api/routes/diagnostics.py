@@ -34,7 +34,7 @@ AGING = {"uptime_s": True, "rotation": {"epoch_age_s"}}
 
 
 class Checkups:
-    """What the doctor finds on the machine of a running daemon, one look at a time.
+    """Doctor of the machine of a running daemon, one examination at a time.
 
     Args:
         examine: takes a look, on a thread of its own: it reads the bundle, and asks programs.
@@ -119,7 +119,7 @@ async def diagnostics(
 
 @router.get("/doctor", dependencies=[requires("read:status")], responses=problems())
 async def doctor(request: Request) -> DoctorFindings:
-    """What the doctor finds on this machine, and what helps.
+    """Findings of the doctor on this machine, and remedies.
 
     It leaves out what needs panel or camera: `veilcamd doctor` looks, where no daemon runs.
     """

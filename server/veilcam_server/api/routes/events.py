@@ -65,7 +65,7 @@ async def events(
 
 
 def _told(event: Event, caller: Caller) -> Event | None:
-    """An event as a caller may see it; None: not at all."""
+    """Return an event as a caller may see it; None: not at all."""
     if isinstance(event, (Classified, Seen, Gone)) and not caller.may("classify"):
         return None
     if isinstance(event, (Seen, Gone)):

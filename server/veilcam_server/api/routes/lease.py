@@ -18,7 +18,7 @@ router = APIRouter(prefix="/v1/lease", redirect_slashes=False, tags=["Lease"])
 
 @router.get("", dependencies=[requires("read:status")], responses=problems("invalid_request"))
 async def lease_state(admission: AdmissionDep, holder: HolderDep) -> LeaseResponse:
-    """Whether somebody holds the camera."""
+    """Holder of the camera, if there is one."""
     return LeaseResponse(**_response(admission, holder))
 
 

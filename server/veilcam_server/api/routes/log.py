@@ -22,11 +22,11 @@ async def log(
     after: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
     limit: Annotated[int, Query(ge=1, le=RECORDS_AT_ONCE)] = RECORDS_AT_ONCE,
 ) -> LogRecords:
-    """Records of what was answered, the oldest first; what is shown is on the disk."""
+    """Records of answers, the oldest first; all of them are on the disk."""
     return await asyncio.to_thread(service.capture_log.records, after, limit)
 
 
 @router.get("/head", dependencies=[requires("read:log")], responses=problems(*_REFUSALS))
 async def log_head(service: ServiceDep) -> LogHead:
-    """Where the log ends now, signed; what it names is on the disk."""
+    """Signed head of the log; all records up to it are on the disk."""
     return await asyncio.to_thread(service.capture_log.head)

@@ -82,7 +82,7 @@ router = APIRouter(redirect_slashes=False, tags=["Pages"])
 
 @router.get("/", response_class=HTMLResponse, responses=_PAGE)
 async def page(admission: AdmissionDep, if_none_match: IfNoneMatch = "") -> Response:
-    """The camera for people, in a browser; it asks for a token, and says nothing without one."""
+    """Page of the camera, in a browser; it asks for a token, and shows nothing without one."""
     return _document("index.html", admission.site.frame_ancestors, if_none_match)
 
 
@@ -94,7 +94,7 @@ async def docs(admission: AdmissionDep, if_none_match: IfNoneMatch = "") -> Resp
 
 @router.get(ASSETS + "/{name}", response_class=Response, responses=_ASSET)
 async def page_file(name: str, if_none_match: IfNoneMatch = "") -> Response:
-    """A file of the two pages: script, style or picture."""
+    """File of the two pages: script, style or picture."""
     if name not in _FILES:
         raise NotFoundError("the pages have no such file")
     return _answer(_FILES[name], if_none_match)

@@ -28,13 +28,13 @@ router = APIRouter(redirect_slashes=False, tags=["Pages"])
 
 @router.get("/healthz", response_class=PlainTextResponse, responses=_WORDS)
 async def healthz(service: ServiceDep) -> PlainTextResponse:
-    """Whether panel and camera still answer; systemd's watchdog is fed as long as they do."""
+    """Health of panel and camera; systemd's watchdog is fed as long as both answer."""
     return _answer(service.healthy())
 
 
 @router.get("/readyz", response_class=PlainTextResponse, responses=_WORDS)
 async def readyz(service: ServiceDep) -> PlainTextResponse:
-    """Whether a capture would be taken now."""
+    """Readiness for a capture."""
     return _answer(service.status().state in _WELL)
 
 

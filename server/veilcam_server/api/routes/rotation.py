@@ -21,7 +21,7 @@ router = APIRouter(prefix="/v1/rotation", redirect_slashes=False, tags=["Masks"]
 
 @router.get("", dependencies=[requires("read:status")], responses=problems())
 async def rotation(service: ServiceDep) -> Rotation:
-    """When masks change, and the present epoch."""
+    """Policy of mask changes, and the present epoch."""
     return service.rotation()
 
 

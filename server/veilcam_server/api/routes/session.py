@@ -32,7 +32,7 @@ def _sessions(admission: Admission) -> SessionStore:
 
 @router.get("", responses=problems())
 async def session(request: Request, admission: AdmissionDep, caller: CallerDep) -> Session:
-    """Who asks, what it may do, and how long."""
+    """Holder of the session, its scopes, and its end."""
     ends = None if admission.sessions is None else admission.sessions.expires(request.headers)
     return Session(**_told(admission, caller, caller.expires if ends is None else ends))
 

@@ -17,7 +17,7 @@ router = APIRouter(prefix=PATH, redirect_slashes=False, tags=["Watch"])
 
 @router.get("", dependencies=[requires("read:status")], responses=problems("replaying"))
 async def watch(service: ServiceDep, caller: CallerDep) -> Watch:
-    """Whether the camera looks by itself, and what it believes to see.
+    """Watch of the camera, and what it believes to see.
 
     Labels are told for `classify`, and confidences as scores are.
     """
@@ -42,7 +42,7 @@ async def set_watch(service: ServiceDep, caller: CallerDep, policy: WatchPolicy)
 
 
 def _told(found: Watch, caller: Caller) -> Watch:
-    """A watch as a caller may see it."""
+    """Return a watch as a caller may see it."""
     if not caller.may("classify"):
         return found.model_copy(update={"belief": None, "history": ()})
     scores, belief = scores_for(caller), found.belief

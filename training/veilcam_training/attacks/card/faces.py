@@ -55,8 +55,8 @@ def face_notes(study: Study, faces: Images) -> dict[str, str]:
     """Sentences for T8 and T9.
 
     Args:
-        study: whose camera sees the faces.
-        faces: of :func:`load_faces`.
+        study: study whose camera sees the faces.
+        faces: faces of :func:`load_faces`.
 
     Raises:
         TrainingError: faces that belong to nobody.

@@ -1,4 +1,4 @@
-"""What attackers are given, collected mask by mask: a mask and all that it opens is forgotten next.
+"""Captures for attackers, collected mask by mask: a mask and all that it opens is forgotten next.
 
 Masks come in pairs that see the same scenes, so that whoever links captures has something to link.
 A pool is collected in parts, each from a seed of its own: one that was broken off goes on.
@@ -35,12 +35,12 @@ class Pool:
     Attributes:
         chosen: int64 (masks, captures): which pictures were seen.
         labels: int64 (masks, captures).
-        released: what left, float32 (masks, captures, numbers).
+        released: embeddings as they left, float32 (masks, captures, numbers).
         right: decoded with the key, (masks, captures, rows, columns).
         wrong: decoded with the key of another mask, likewise.
         listed: decoded with what a leaked list has that fits best, likewise.
-        scores: of the bundle's own classifier, (masks, captures, labels); of none, where there is
-            no classifier of these masks.
+        scores: scores of the bundle's classifier, (masks, captures, labels); of none, where there
+            is no classifier of these masks.
         places: int64 (masks,): among stored masks; -1 for one that never comes again.
     """
 
@@ -55,11 +55,11 @@ class Pool:
 
     @property
     def masks(self) -> int:
-        """How many there are."""
+        """Number of captures."""
         return len(self.labels)
 
     def take(self, masks: Tensor) -> Self:
-        """Captures of some masks."""
+        """Return the captures of some masks."""
         return type(self)(*(getattr(self, each.name)[masks] for each in fields(self)))
 
 
@@ -76,12 +76,12 @@ def collect(
     """Watch a camera change its mask.
 
     Args:
-        subject: what is attacked.
+        subject: subject of the attack.
         images: before it.
-        masks: how many, a multiple of :data:`PART`.
-        own: whether the camera is an attacker's own.
-        seed: of masks, keys, noise and scenes.
-        folder: for parts; those in it are not collected again. None keeps nothing.
+        masks: number of masks, a multiple of :data:`PART`.
+        own: True: the camera is an attacker's own.
+        seed: seed of masks, keys, noise and scenes.
+        folder: folder for parts; those in it are not collected again. None keeps nothing.
         progress: is told how many masks of how many are done.
     """
     parts = []
@@ -159,14 +159,14 @@ def _watch(
 
 
 def decode(subject: Subject, mask: VictimMask, released: Tensor) -> Tensor:
-    """What whoever has a mask and its key makes of what left, (count, rows, columns)."""
+    """Decode embeddings with the mask and its key, (count, rows, columns)."""
     if mask.decoder is None:
         raise ValueError("a subject's camera has scene statistics")
     return mask.decoder(subject.opening(mask, released))
 
 
 def best_listed(subject: Subject, listed: tuple[VictimMask, ...], released: Tensor) -> Tensor:
-    """Captures of one mask decoded with that of a list that explains them best.
+    """Decode captures of one mask with the mask of a list that explains them best.
 
     A mask explains captures if what it decodes is a picture, in [0, 1], and if that picture gives
     the measurement again.

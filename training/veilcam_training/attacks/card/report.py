@@ -1,4 +1,4 @@
-"""From a bundle to its card: rows one after the other, each kept, all of them judged together."""
+"""Card of a bundle: rows one after the other, each kept, all of them judged together."""
 
 import json
 import time
@@ -38,7 +38,7 @@ class Work:
 
     Attributes:
         folder: made if it is not there; None keeps nothing.
-        resume: whether to go on with what is in it.
+        resume: True: go on with the results in it.
     """
 
     folder: Path | None
@@ -62,7 +62,7 @@ class Work:
         write_whole(path, text.encode(), private=True)
 
     def load(self, threat: str) -> tuple[Found, float] | None:
-        """A row that was finished, and what it took [s of the processor]."""
+        """Return a finished row, and its processor time [s]."""
         path = self._path(threat)
         if path is None or not path.exists():
             return None
@@ -99,14 +99,14 @@ def make_card(
     """Attack a camera in all ten ways.
 
     Args:
-        bundle: of the camera.
+        bundle: bundle of the camera.
         images: before it, and with the attackers; gray, of the bundle's scenes and labels.
         mode: see :func:`make_subject`; None: what the bundle holds.
-        form: in which embeddings leave; None: white of fresh masks, raw of others.
-        data: what they are called.
-        plan: how much, how hard.
-        seed: of everything.
-        work: what was found already, and what is found.
+        form: form in which embeddings leave; None: white of fresh masks, raw of others.
+        data: name of the data.
+        plan: plan of the attacks.
+        seed: seed of everything.
+        work: folder of results, old and new.
         tell: is told of progress.
         faces: folder of drawn faces, for notes beside T8 and T9; None: without them.
 

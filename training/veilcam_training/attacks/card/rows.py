@@ -63,7 +63,7 @@ def ciphertext_only(study: Study) -> Found:
 
 
 def _sorted_by_mask(study: Study) -> tuple[str, ...]:
-    """A note: how well captures are grouped by mask without the names of their epochs."""
+    """Return a note: how well captures are grouped by mask without the names of their epochs."""
     some = study.seen.take(torch.arange(SORTED))
     fresh = torch.arange(SORTED) + len(some.places)
     _, masks = torch.unique(torch.where(some.places < 0, fresh, some.places), return_inverse=True)
@@ -167,7 +167,7 @@ def full_leak(study: Study) -> Found:
 
 
 def _directions(study: Study) -> int:
-    """Of one mask, its columns less their means: in how many directions scenes differ behind it."""
+    """Return the participation ratio of one mask's columns less their means."""
     transfer = study.subject.camera(own=False, generator=stream(study.seed, "T")).mask().transfer
     values = torch.linalg.svdvals((transfer - transfer.mean(0)).double())
     return int((values > FLOOR * values[0]).sum())
@@ -277,13 +277,13 @@ def _read(
 
 
 def _points(study: Study, scores: Tensor) -> Gain:
-    """Of scores of all captures that were seen."""
+    """Return the mean scores of all captures that were seen."""
     right = by_pairs(scores.argmax(1) == study.seen.labels.flatten()).numpy()
     return accuracy_gain(right, study.classes, 0.0)
 
 
 def _folds(study: Study) -> Tensor:
-    """The fold of each mask; two that saw the same scenes are in one."""
+    """Return the fold of each mask; two that saw the same scenes are in one."""
     pairs = study.seen.masks // 2
     order = np.random.default_rng(study.seed).permutation(pairs)
     return torch.from_numpy(order % FOLDS).repeat_interleave(2)

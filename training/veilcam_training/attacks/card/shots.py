@@ -23,7 +23,7 @@ EPOCHS = 8
 
 
 class Found(BaseModel, frozen=True, extra="forbid"):
-    """What attacks of one threat found; a file of the work folder."""
+    """Results of the attacks of one threat; a file of the work folder."""
 
     threat: str
     attack: str
@@ -65,14 +65,14 @@ def known_pairs(study: Study, threat: str, known: int) -> Found:
 
 
 def _one_by_one(study: Study) -> Tensor:
-    """What the attacker of T1 reads, bool (masks, captures)."""
+    """Return the captures that the attacker of T1 reads, bool (masks, captures)."""
     asked = [each.captures.asked for each in study.long]
     read = [judged(study.blind.answer, each.vectors).argmax(1) == each.labels for each in asked]
     return torch.stack(read)
 
 
 def of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) -> Found:
-    """The best behind the first third of its masks, judged behind the others."""
+    """Return the best attacker behind the first third of its masks, judged behind the others."""
     tuned = {name: max(1, len(each) // 3) for name, each in given.items()}
     name = max(given, key=lambda each: float(given[each][: tuned[each]].double().mean()))
     gains = {
@@ -89,7 +89,7 @@ def of_masks(study: Study, threat: str, given: Mapping[str, Tensor], note: str) 
 
 
 def recovered(study: Study, evidence: Callable[[Shots], Evidence]) -> Tensor:
-    """What is read behind masks that were found by gradient, bool (masks, captures)."""
+    """Return the captures read behind masks that were found by gradient, bool (masks, captures)."""
     decoding, random = study.subject.decoding, stream(study.seed, "recovered")
     shape, right = study.subject.bundle.camera.mask_shape, []
     for shots in study.long[: study.plan.recovered]:

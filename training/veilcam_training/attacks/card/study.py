@@ -1,4 +1,4 @@
-"""What all rows of a card share: a subject, pictures, and captures that are collected once."""
+"""Study: subject, pictures and captures that all rows of a card share, collected once."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is attacked, and how hard."""
+    """Plan of the attacks: number of captures, and effort."""
 
     own: int
     """Masks of attackers' own cameras, to learn from."""
@@ -134,11 +134,11 @@ class Study:
     """Pools and pictures of one card.
 
     Args:
-        subject: what is attacked.
+        subject: subject of the attack.
         images: gray, of the shape of the subject's scenes.
-        plan: how much, how hard.
-        seed: of everything.
-        folder: for pools; None keeps nothing.
+        plan: plan of the attacks.
+        seed: seed of everything.
+        folder: folder for pools; None keeps nothing.
         tell: is told of progress.
     """
 
@@ -158,7 +158,7 @@ class Study:
 
     @property
     def classes(self) -> int:
-        """How many answers there are."""
+        """Number of answers."""
         return len(self.subject.bundle.labels)
 
     @cached_property
@@ -207,7 +207,7 @@ class Study:
 
     @cached_property
     def in_sets(self) -> dict[str, Tensor]:
-        """Which captures of :attr:`long` are read by whoever knows that they share a mask.
+        """Return the captures of :attr:`long` that are read when a common mask is known.
 
         Of each view, bool (masks, captures).
         """
@@ -231,7 +231,7 @@ class Study:
 
     @cached_property
     def blind(self) -> Contest:
-        """What leaves, read by attackers who learned from cameras of their own."""
+        """Return the captures that are read by attackers who learned from cameras of their own."""
         return self.contest(
             self.of_release(),
             (self.own.released, self.own.labels),
@@ -249,11 +249,11 @@ class Study:
         """Let all learn; whoever is best on captures set apart is the one that counts.
 
         Args:
-            attackers: by name.
+            attackers: attackers by name.
             learned: vectors (masks, captures, numbers) and labels (masks, captures), of which the
                 last masks are set apart.
             asked: vectors (count, numbers).
-            truth: of those, int64 (count,).
+            truth: true classes, int64 (count,).
         """
         vectors, labels = learned
         held = max(2, round(HELD * len(vectors)) // 2 * 2)
@@ -333,5 +333,5 @@ def _products() -> dict[str, Attacker]:
 
 
 def by_pairs(values: Tensor) -> Tensor:
-    """Of captures (masks x captures,) those of two masks that saw the same scenes in one row."""
+    """Reshape captures (masks x captures,): two masks that saw the same scenes share a row."""
     return values.reshape(-1, 2 * CAPTURES)

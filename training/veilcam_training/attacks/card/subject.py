@@ -1,4 +1,4 @@
-"""What is attacked: a camera made of a bundle, in one mode and one form of release."""
+"""Subject of an attack: a camera made of a bundle, in one mode and one form of release."""
 
 import re
 from collections.abc import Callable
@@ -84,7 +84,7 @@ class Subject:
     """Stored masks that were met."""
 
     def camera(self, *, own: bool, generator: torch.Generator) -> Victim:
-        """The camera itself, or one of an attacker's own."""
+        """Return the camera itself, or one of an attacker's own."""
         return Victim(
             self.light,
             self.own if own else self.source,
@@ -98,7 +98,7 @@ class Subject:
 def make_subject(
     bundle: Bundle, scenes: Tensor, *, mode: str | None = None, form: str | None = None, seed: int
 ) -> Subject:
-    """A camera with the masks of a bundle, or with others in its place.
+    """Return a camera with the masks of a bundle, or with others in its place.
 
     Args:
         bundle: gray, of either mode.
@@ -106,7 +106,7 @@ def make_subject(
         mode: ``fresh``, ``random`` (as many masks as the bundle has, ten for a fresh one) or
             ``pairsN`` (the first N of the bundle); None: all that the bundle holds.
         form: ``raw``, ``white`` or ``sealed``; None: ``white`` of fresh masks, ``raw`` of others.
-        seed: of a random keyring.
+        seed: seed of a random keyring.
 
     Raises:
         TrainingError: a mode that the bundle has no masks for, a form that the mode does not have,

@@ -124,14 +124,14 @@ is none beside the one attacked."""
 def outcome_of(
     threat: str, form: str, gain: Gain, verdict: Verdict | None, level: float
 ) -> Outcome:
-    """What a row says.
+    """Return the text of a row.
 
     Args:
-        threat: of :data:`THREATS`.
-        form: in which embeddings left.
-        gain: of the worst attacker.
+        threat: threat of :data:`THREATS`.
+        form: form in which embeddings left.
+        gain: gain of the worst attacker.
         verdict: beside all rows that are claimed; None for one that is not.
-        level: of the interval of T0 [share]: its lower end has to reach the threshold.
+        level: level of the interval of T0 [share]: its lower end has to reach the threshold.
     """
     if threat == "T0":
         return "PASS" if lower(gain, level) >= gain.bar else "FAIL"
