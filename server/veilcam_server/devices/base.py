@@ -80,11 +80,11 @@ class Display(OpenDisplay, Protocol):
 
     @property
     def name(self) -> str:
-        """What it is, e.g. ``ST7735R``."""
+        """Name of the panel, e.g. ``ST7735R``."""
 
     @property
     def resets(self) -> int:
-        """How often it was found that it must be set up anew: a self test holds until then."""
+        """Number of times that it had to be set up anew: a self test holds until then."""
 
 
 class Sensor(Protocol):
@@ -92,7 +92,7 @@ class Sensor(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is, e.g. ``IMX477``."""
+        """Name of the sensor, e.g. ``IMX477``."""
 
     @property
     def full_scale(self) -> float:

@@ -12,7 +12,7 @@ from veilcam_server.devices.base import Device, Exposure, Measurement, Sensor
 
 
 def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
-    """The device with measurements as decoders expect them."""
+    """Return the device with measurements as decoders expect them."""
     if signed is None:
         return device
     return replace(device, sensor=CalibratedSensor.of(device.sensor, signed.record))
@@ -26,8 +26,8 @@ class CalibratedSensor:
 
     Args:
         sensor: closed with this.
-        black_level: its measurement without light.
-        gain: its measurement where a decoder expects 1.
+        black_level: measurement without light.
+        gain: measurement where a decoder expects 1.
         stray_light: share of the light that is spread evenly, in [0, 1).
     """
 

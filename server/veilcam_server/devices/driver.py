@@ -23,7 +23,7 @@ RawLight = Callable[[float, float], Raw]
 
 
 class EmulatedPanel(Protocol):
-    """What a simulated camera looks through; arrays have the shape of the whole panel."""
+    """Emulated panel; arrays have the shape of the whole panel."""
 
     faults: PanelFaults
     """What is wrong with it."""
@@ -35,7 +35,7 @@ class EmulatedPanel(Protocol):
         """Return the levels that it shows at a time [s, monotonic], also between two masks."""
 
     def settled(self, at: float) -> bool:
-        """Whether it shows its framebuffer from a time on [s, monotonic], until that changes."""
+        """Return whether it shows its framebuffer from a time on [s], until that changes."""
 
 
 class EmulateDisplay(Protocol):
@@ -53,10 +53,10 @@ class EmulateDisplay(Protocol):
         """Return what sets the panel up, and the panel as it is looked through.
 
         Args:
-            camera: whose window is the mask.
+            camera: camera whose window is the mask.
             scan: time between two refreshes of a line [s].
-            settle: what a sub-pixel takes to turn after that [s].
-            read_back: whether the panel is asked after each mask if it shows it.
+            settle: time that a sub-pixel takes to turn after that [s].
+            read_back: True: the panel is asked after each mask if it shows it.
             clock: monotonic time [s].
         """
 
@@ -79,9 +79,9 @@ class EmulateSensor(Protocol):
 
         Args:
             light: gives raw frames.
-            mode: of these frames.
-            shape: of an embedding.
-            exposure: of every frame [s].
+            mode: mode of these frames.
+            shape: shape of an embedding.
+            exposure: exposure of every frame [s].
             full_scale: measurement of saturated pixels.
             clock: monotonic time [s].
             sleep: waits so many seconds.

@@ -1,4 +1,4 @@
-"""What can go wrong with a panel or a sensor. No message ever holds a level or a measurement."""
+"""Errors of a panel or a sensor. No message ever holds a level or a measurement."""
 
 from __future__ import annotations
 

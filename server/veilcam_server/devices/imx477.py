@@ -68,7 +68,7 @@ class ExposureRange:
             raise ValueError(f"factor = {self.factor} is not valid: use a number >= 1")
 
     def bounded(self, exposure: float) -> float:
-        """The nearest exposure in range [s]."""
+        """Return the nearest exposure in range [s]."""
         return min(max(exposure, self.start / self.factor), self.start * self.factor)
 
 
@@ -89,7 +89,7 @@ class IMX477:
 
     Args:
         open_camera: opens the camera.
-        shape: of the embedding.
+        shape: shape of the embedding.
         mode: pinned; another one is refused.
         exposures: fixed or bounded; the gain is always 1.
         full_scale: measurement of saturated pixels at the exposure to begin with.

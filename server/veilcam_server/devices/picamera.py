@@ -1,4 +1,4 @@
-"""What is used of picamera2: its shape, and how to open the real one, which is the system's."""
+"""Interface of picamera2 as used here, and how to open the real one, which is the system's."""
 
 from __future__ import annotations
 

@@ -37,18 +37,18 @@ class SensorMode:
 
     @property
     def white_level(self) -> int:
-        """Of a saturated pixel."""
+        """Count of a saturated pixel."""
         return (1 << self.bit_depth) - 1
 
     @property
     def readout(self) -> float:
-        """From the first row's readout to the last one's [s]."""
+        """Time from the first row's readout to the last one's [s]."""
         return (self.rows - 1) * self.line_time
 
 
 @dataclass(frozen=True, slots=True)
 class RawFormat:
-    """How raw pixels lie in memory, and what they count without light and at most."""
+    """Layout of raw pixels in memory, with their counts without light and at most."""
 
     stride: int
     black: int
@@ -56,7 +56,7 @@ class RawFormat:
 
     @classmethod
     def of(cls, given: Mapping[str, Any] | None, mode: SensorMode) -> RawFormat:
-        """From what picamera2 says of its raw stream, if there is one.
+        """Read the format from picamera2's description of its raw stream, if there is one.
 
         Raises:
             SensorError: there is none, or it is packed, compressed or of another size.
@@ -102,7 +102,7 @@ class Frame:
 
     @classmethod
     def of(cls, metadata: Mapping[str, Any]) -> Frame:
-        """From picamera2's metadata.
+        """Read the times of a frame from picamera2's metadata.
 
         Raises:
             KeyError: they do not tell enough.
@@ -116,12 +116,12 @@ class Frame:
         )
 
     def unfit(self, fence: int, exposure: float, line_time: float) -> str:
-        """Why it cannot be used; nothing if it can.
+        """Say why a frame cannot be used; empty if it can.
 
         Args:
             fence: before which it must not have begun [ns].
-            exposure: that was asked for [s].
-            line_time: of the sensor [s].
+            exposure: exposure that was asked for [s].
+            line_time: line time of the sensor [s].
         """
         if self.stamp - self.exposure < fence:
             return "exposed before the mask had settled"
@@ -134,7 +134,7 @@ class Frame:
 
 
 class Binning:
-    """From raw frames of one shape to averages over equal boxes, for several numbers of boxes.
+    """Averages of raw frames of one shape over equal boxes, for several numbers of boxes.
 
     Args:
         raw: shape (rows, columns) of the frames.
@@ -177,7 +177,7 @@ class Binning:
 
 
 def _axis(pixels: int, numbers: Sequence[int]) -> tuple[list[int], list[npt.NDArray[np.float64]]]:
-    """Where to cut an axis, and what share each piece has in the mean of each box."""
+    """Return the cuts of an axis, and the share of each piece in the mean of each box."""
     for boxes in numbers:
         if not 1 <= boxes <= pixels:
             raise ValueError(

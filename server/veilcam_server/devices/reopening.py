@@ -50,7 +50,7 @@ class _Part(Generic[PartT]):
 
     Args:
         open_part: opens it; raises :class:`DeviceError`.
-        kind: of the error where it cannot be opened.
+        kind: kind of the error where it cannot be opened.
         clock: monotonic time [s].
     """
 
@@ -73,7 +73,7 @@ class _Part(Generic[PartT]):
         """Have it open; it is closed if the block raises what is not the light's fault.
 
         Args:
-            at_once: whether no pause is kept.
+            at_once: True: no pause is kept.
         """
         part = self._part or self._opened(at_once)
         try:
@@ -126,7 +126,7 @@ class ReopeningDisplay:
     """A panel that is set up when it is needed, and anew after a failure.
 
     Args:
-        name: of the panel.
+        name: name of the panel.
         open_display: sets it up, opaque; raises :class:`DeviceError`.
         clock: monotonic time [s].
     """
@@ -143,7 +143,7 @@ class ReopeningDisplay:
 
     @property
     def resets(self) -> int:
-        """How often it was let go: it is set up anew when it is needed next."""
+        """Number of times that it was let go: it is set up anew when it is needed next."""
         return self._part.closings
 
     def show(self, levels: Levels) -> Shown:
@@ -165,7 +165,7 @@ class ReopeningSensor:
     """A sensor that is started when it is needed, and anew after a failure.
 
     Args:
-        name: of the sensor.
+        name: name of the sensor.
         full_scale: measurement of saturated pixels.
         open_sensor: starts it; raises :class:`DeviceError`.
         clock: monotonic time [s].

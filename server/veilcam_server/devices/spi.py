@@ -92,9 +92,9 @@ class LinuxSpi:
         """Open a bus.
 
         Args:
-            path: of the device node, e.g. ``/dev/spidev0.0``.
+            path: path of the device node, e.g. ``/dev/spidev0.0``.
             speed: clock of the bus [Hz]; the kernel rounds it down to what the chip can do.
-            one_wire: whether answers come on the wire that was written to, and not on MISO.
+            one_wire: True: answers come on the wire that was written to, and not on MISO.
 
         Raises:
             DeviceMissingError: no such node, another kind of name, no right to open it, no spidev
@@ -198,7 +198,7 @@ def open_bus(wiring: Wiring) -> Iterator[tuple[LinuxSpi, LinuxLines]]:
     """Open the bus and the lines of a panel as they are wired; closed again if the block raises.
 
     Args:
-        wiring: which ones, and how fast.
+        wiring: lines of the wiring, and their speed.
 
     Raises:
         DeviceMissingError: the bus or a line is not there.

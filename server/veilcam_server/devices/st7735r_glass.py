@@ -14,10 +14,10 @@ PIXEL_COLUMNS, PIXEL_ROWS, COLOURS = 128, 160, 3
 
 @dataclass(frozen=True, slots=True)
 class Tab:
-    """How a maker joined glass and controller; the colour of the protective film's tab tells.
+    """Join of glass and controller by a maker; the colour of the protective film's tab tells.
 
     Attributes:
-        name: of the tab.
+        name: name of the tab.
         column: address of the first visible pixel column.
         row: address of the first visible pixel row.
         memory: columns and rows of the controller that its GM pins choose to use.

@@ -1,4 +1,4 @@
-"""What an ST7735R says of itself, where its data line can be read (Sitronix data sheet, V0.2).
+"""Status of an ST7735R, where its data line can be read (Sitronix data sheet, V0.2).
 
 The line goes both ways: after the last bit of a command the panel drives it, until CS rises
 (9.4.2). Who it is and how it is set can be read so, not which picture is in its memory: the serial
@@ -40,9 +40,9 @@ def require_sound(spi: Spi, lines: Lines, madctl: int) -> None:
     """Have the panel say that it shows what is in its memory.
 
     Args:
-        spi: its bus.
+        spi: bus of the panel.
         lines: D/C of it.
-        madctl: how its memory was told to be turned.
+        madctl: turn of the memory as it was set.
 
     Raises:
         OSError: the bus failed.
@@ -60,7 +60,7 @@ def identify(spi: Spi, lines: Lines) -> str:
     """Return what the panel says of itself, in hexadecimal; nothing is changed.
 
     Args:
-        spi: its bus.
+        spi: bus of the panel.
         lines: D/C of it.
 
     Raises:
@@ -88,7 +88,7 @@ def _ask(spi: Spi, lines: Lines, code: int, bits: int) -> int:
 
 
 def _require_answer(answer: int, code: int, bits: int) -> None:
-    """A line that nobody drives is read as all zeros, or all ones."""
+    """Refuse a line that nobody drives: it reads as all zeros, or all ones."""
     if answer in (0, (1 << bits) - 1):
         raise DisplayError(
             f"the panel does not answer command {code:02X}h: check its power and the wire of its "

@@ -51,7 +51,7 @@ class Setup:
 
     @property
     def outputs(self) -> int:
-        """How many numbers one embedding has, all channels together."""
+        """Number of values of one embedding, all channels together."""
         return self.channels * self.embedding.size
 
     @property

@@ -54,10 +54,10 @@ def adapt_bundle(
     without measurements keeps its classifier.
 
     Args:
-        bundle: that the camera used, read from its file.
-        measurements: of that camera.
-        frame: of the camera as it was built, for fresh masks; None: as it was drawn.
-        seed: of the draws.
+        bundle: bundle that the camera used, read from its file.
+        measurements: measurements of that camera.
+        frame: frame of the camera as built, for fresh masks; None: as designed.
+        seed: seed of the draws.
 
     Raises:
         TrainingError: the measurements are of another bundle, or too few.
@@ -114,7 +114,7 @@ def adapt_bundle(
 
 
 def pairs_shown(bundle: Bundle, measurements: Measurements) -> Tensor:
-    """Which stored mask each measurement was probably taken behind, int64 (count,).
+    """Return the stored mask that each measurement was probably taken behind, int64 (count,).
 
     An epoch's measurements are taken for those of the mask behind which smooth scenes would most
     likely have given them: a camera may be built so badly that labels say nothing of the mask.
@@ -162,7 +162,7 @@ def _likelihood(transfer: Tensor, scenes: Tensor, values: Tensor) -> Tensor:
 def fresh_inputs(
     bundle: Bundle, fresh: Fresh, measurements: Measurements, frame: SceneFrame[Values] | None
 ) -> Tensor:
-    """What the classifier is given of measurements behind fresh masks, float32 (count, inputs).
+    """Return the classifier's inputs for measurements behind fresh masks, float32 (count, inputs).
 
     Raises:
         TrainingError: the frame is of another camera.
@@ -191,7 +191,7 @@ def _record(
     before: float,
     seed: int,
 ) -> dict[str, JsonValue]:
-    """Where the new classifiers come from; nothing of what was measured is in it."""
+    """Return the origin of the new classifiers; nothing of the measurements is in it."""
     return {
         "bundle": bundle.digest,
         "device": measurements.header.device,

@@ -89,11 +89,11 @@ def run_fit(
     """Fit, select on the validation split, then look at the test set once.
 
     Args:
-        settings: what to fit and how.
+        settings: settings of the fit.
         source: the data set.
         camera: the device.
         training: training images if they have been read before.
-        device: that computes.
+        device: device that computes.
         checkpoint: see :func:`veilcam_training.trainer.loop.fit`.
         callbacks: called after every step and epoch.
 
@@ -122,7 +122,7 @@ def run_fit(
 
 
 def transfer_error(encoder: Mask) -> TransferError | None:
-    """How far the transfer that a mask was trained with is from full reach, on the worst grid.
+    """Return the error of the transfer that a mask was trained with, on the worst grid.
 
     What training leaves out is interference of sub-pixels far apart, and what is between two
     integration nodes; the field's angle and how a panel errs are no part of it. In colour it is the
@@ -130,7 +130,7 @@ def transfer_error(encoder: Mask) -> TransferError | None:
     mask leaves the better.
 
     Args:
-        encoder: with the mask.
+        encoder: encoder with the mask.
 
     Returns:
         None for a measurement at points, of which there is no full field, and where a check would
@@ -169,11 +169,11 @@ def run_fresh(
     """Fit for fresh masks, select on the validation split, then look at the test set once.
 
     Args:
-        settings: what to fit and how.
+        settings: settings of the fit.
         source: the data set.
         camera: the device.
-        masks: how many masks to test on; by default one for each test image.
-        device: that computes.
+        masks: number of masks to test on; by default one for each test image.
+        device: device that computes.
         work: folder to leave statistics and checkpoints in; what is in it is taken up again.
         callbacks: called after every step and epoch.
 
@@ -241,12 +241,12 @@ def _statistics(
 
 
 def settle_seed(settings: SettingsT, work: Path | None) -> SettingsT:
-    """``settings`` with the seed that they were given, or else with one that is drawn.
+    """Return ``settings`` with their own seed, or else with one that is drawn.
 
     A mask can be made again by whoever knows its seed, so none is the same for everybody.
 
     Args:
-        settings: of the run.
+        settings: settings of the run.
         work: folder to keep a drawn seed in: the run that is taken up there has it again.
 
     Raises:

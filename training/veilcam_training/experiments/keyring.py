@@ -39,16 +39,16 @@ def fit_keyring(
     """Fit ``pairs`` pairs and put them into one bundle.
 
     Args:
-        settings: of every pair; pair 0 has their seed, the others have seeds derived from it.
-        pairs: how many.
+        settings: settings of every pair; pair 0 has their seed, the others seeds derived from it.
+        pairs: number of pairs.
         source: the data set.
         camera: the device.
-        device: that computes.
+        device: device that computes.
         work: folder for one checkpoint per pair, so that a broken-off run is taken up again.
         workers: fit the pairs; what comes out is the same, given as many threads.
         observe: gives the callbacks of pair ``i``, which go with it to its worker: none that cannot
             be pickled, if that is another process.
-        fitted: told of each pair as it is done.
+        fitted: function that is told of each pair as it is done.
 
     Raises:
         TrainingError: settings or data that cannot be used.
@@ -129,7 +129,7 @@ def as_pair(model: LenslessClassifier, error: TransferError | None = None) -> Pa
 
     Args:
         model: fitted.
-        error: of the transfer that it was fitted with.
+        error: error of the transfer that it was fitted with.
 
     Raises:
         TrainingError: the encoder has no mask that a panel could show.
@@ -180,9 +180,9 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
     """Bundle of mode ``fresh``: no mask is in it, and one classifier for all.
 
     Args:
-        result: of the fit.
-        source: that it was fitted to.
-        camera: that it was fitted for.
+        result: result of the fit.
+        source: data set of the fit.
+        camera: camera of the fit.
     """
     best, frame, model = result.fit.best, result.camera.frame, result.fit.model
     record = provenance(result.settings.model_dump(mode="json"), source.digests())

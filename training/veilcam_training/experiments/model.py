@@ -28,7 +28,7 @@ FRESH_DROPOUT = 0.2
 
 
 def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessClassifier:
-    """The model that ``settings`` describe, not fitted yet.
+    """Return the model that ``settings`` describe, not fitted yet.
 
     One that reads the estimated scene knows nothing of scenes yet, see :func:`prepare`.
 
@@ -85,13 +85,13 @@ def make_model(settings: Settings, source: Source, camera: Camera) -> LenslessCl
 
 
 def prepare(model: LenslessClassifier, settings: Settings, training: Images) -> None:
-    """What comes before a fit: its model is told what scenes there are, if it reads their estimate.
+    """Prepare a fit: a model that reads the estimate of scenes is told their statistics.
 
     Then its mask is sharpened where it is to start so, and held where it is to stay.
 
     Args:
-        model: of :func:`make_model`.
-        settings: of its fit.
+        model: model of :func:`make_model`.
+        settings: settings of its fit.
         training: images to fit it to.
     """
     recipe, encoder = settings.recipe, model.encoder
@@ -122,13 +122,13 @@ def white_gain(encoder: LinearEncoder) -> float:
 def make_fresh_camera(
     settings: FreshSettings, camera: Camera, image: Scene, statistics: SceneStatistics
 ) -> FreshCamera:
-    """The camera that ``settings`` describe, its masks not learned yet.
+    """Return the camera that ``settings`` describe, its masks not learned yet.
 
     Args:
-        settings: of the fit.
+        settings: settings of the fit.
         camera: the device.
-        image: how large and how far away the images are shown.
-        statistics: of the decoded scenes, public; see :func:`fresh_statistics`.
+        image: size and distance at which the images are shown.
+        statistics: public statistics of the decoded scenes; see :func:`fresh_statistics`.
     """
     shown = _fresh_change(settings, camera, image).scene
     frame = SceneFrame(
@@ -151,7 +151,7 @@ def make_fresh_camera(
 def make_fresh_model(
     settings: FreshSettings, source: Source, camera: Camera, statistics: SceneStatistics
 ) -> FreshClassifier:
-    """The model for fresh masks that ``settings`` describe, not fitted yet.
+    """Return the model for fresh masks that ``settings`` describe, not fitted yet.
 
     Raises:
         TrainingError: an unknown classifier, or an embedding that is none.

@@ -1,4 +1,4 @@
-"""What ``veilcam-train export`` writes: classifiers as ONNX and safetensors, and a model card.
+"""Files of ``veilcam-train export``: classifiers as ONNX and safetensors, and a model card.
 
 Masks stay in the bundle. A classifier of a stored pair tells of its mask all the same, so every
 file is its owner's alone.
@@ -28,7 +28,7 @@ def export_bundle(bundle: Bundle, folder: Path, command: str) -> tuple[Path, ...
     Args:
         bundle: read from its file.
         folder: made if it is not there.
-        command: that this was asked with, for the card.
+        command: command of the export, for the card.
 
     Returns:
         The files that were written.
@@ -76,7 +76,7 @@ def accuracy_interval(accuracy: Accuracy) -> tuple[float, float]:
 
 
 def model_card(bundle: Bundle, files: tuple[str, ...], command: str) -> str:
-    """What a person has to know of these classifiers, in Markdown."""
+    """Return the facts about these classifiers that a person needs, in Markdown."""
     rows, columns = bundle.embedding.shape
     taken = (
         f"a measurement of {rows} x {columns}"

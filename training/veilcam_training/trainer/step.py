@@ -112,8 +112,8 @@ def train_step(
     """One step on the images at ``chosen``; their mean loss and how many were right before it.
 
     Args:
-        model: what is fitted.
-        inputs: its training images.
+        model: model that is fitted.
+        inputs: training images of the model.
         chosen: indices of images, int64 (count,).
         optimiser: optimiser of the model.
         label_smoothing: share of the wanted probability that all classes have in common.

@@ -67,7 +67,7 @@ def use_torch_sparingly() -> None:
 
 
 class Light(Protocol):
-    """What the optics do; :class:`veilcam_optics.effects.LightOperator` is one."""
+    """Light of the optics; :class:`veilcam_optics.effects.LightOperator` is one."""
 
     def response(self, weights: torch.Tensor) -> Response:
         """Return what a mask makes of the light."""
@@ -102,10 +102,10 @@ def planned_light(
     keeps; one for the proof's own bins is ten times slower where the window is small.
 
     Args:
-        camera: as it is, its filters' leakage included.
-        scene: in front of it.
-        embedding: that is read.
-        imperfections: what a decoder need not know of.
+        camera: camera as it is, its filters' leakage included.
+        scene: scene in front of it.
+        embedding: embedding that is read.
+        imperfections: imperfections that a decoder need not know of.
     """
     # Decoders take the scene for paraxial, and so does what is simulated for them.
     conditions = replace(optical.PARAXIAL, imperfections=imperfections)
@@ -115,7 +115,7 @@ def planned_light(
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What the simulated hardware is like."""
+    """Properties of the simulated hardware."""
 
     settle: float = 0.05
     """What a sub-pixel takes to turn, once the panel's scan has reached it [s]."""
@@ -146,7 +146,7 @@ class Conditions:
 
 
 class SimulatedLight:
-    """From a scene through a panel to raw frames: called with begin and end of an exposure [s]."""
+    """Light of a scene through a panel, as raw frames of an exposure from begin to end [s]."""
 
     def __init__(
         self,
@@ -242,7 +242,7 @@ class SimulatedLight:
         return torch.stack(seen).mean(0)
 
     def _window(self, shown: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """The part of the whole panel that is the mask."""
+        """Return the part of the whole panel that is the mask."""
         if self._open_window:
             return np.full(self._camera.mask_shape, self._camera.panel.levels - 1, shown.dtype)
         window = self._camera.window
@@ -252,7 +252,7 @@ class SimulatedLight:
 
 @dataclass
 class _Responses:
-    """Of the masks shown last, by a digest of their levels."""
+    """Responses of the masks shown last, by a digest of their levels."""
 
     light: Light
     camera: Camera
@@ -287,16 +287,16 @@ def simulated_device(
 
     Args:
         light: between them, on raw pixels.
-        deck: what is in front of them, one scene after the other, the next after each capture.
+        deck: scenes in front of it, one after the other, the next after each capture.
         camera: geometry; its window is the mask.
-        embedding: that is read.
-        conditions: what the hardware is like.
+        embedding: embedding that is read.
+        conditions: properties of the hardware.
         full_scale: measurement of saturated pixels; by default a little more than that of a white
         scene
             through an open panel.
         seed: fixes the noise.
-        display: whose emulated panel it is.
-        sensor: whose emulated sensor it is.
+        display: driver whose panel is emulated.
+        sensor: driver whose sensor is emulated.
         clock: monotonic time [s].
         sleep: waits so many seconds.
 

@@ -16,8 +16,8 @@ def read_imperfections(path: Path, camera: Camera) -> Imperfections:
     """Read a JSON file, an object of the fields of :class:`Imperfections`.
 
     Args:
-        path: of the file.
-        camera: that shall have them.
+        path: path of the file.
+        camera: camera that shall have them.
 
     Raises:
         StartError: the file cannot be read, or says what ``camera`` cannot have.

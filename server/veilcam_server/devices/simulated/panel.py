@@ -47,7 +47,7 @@ _DUMMY = "1"
 
 @dataclass(frozen=True, slots=True)
 class Crystal:
-    """How a change in the memory becomes one of the light."""
+    """Crystal: its response to a change in the memory."""
 
     scan: float = REFRESH
     """Time between two refreshes of a gate line [s]; 0 for at once."""
@@ -59,7 +59,7 @@ class Crystal:
 
 @dataclass(frozen=True)
 class _Turn:
-    """From ``before`` to ``after``, for what changed ``at``."""
+    """Turn of the crystal from ``before`` to ``after``, for the changes ``at``."""
 
     at: float
     before: Shown = field(repr=False)
@@ -70,12 +70,12 @@ class PanelEmulator:
     """A panel: an ``Spi`` and a ``Lines`` in one, and a crystal that can be looked at.
 
     Args:
-        tab: how glass and controller are joined.
-        crystal: how fast it follows.
-        faults: what is wrong with it.
-        reset_time: for which commands are ignored after a reset, 120 ms on the real one [s].
+        tab: tab: the way glass and controller are joined.
+        crystal: crystal with its response time.
+        faults: faults of the panel.
+        reset_time: time after a reset in which commands are ignored, 120 ms on the real one [s].
         clock: monotonic time [s].
-        seed: of what the memory holds after power-up.
+        seed: seed of the memory's contents after power-up.
     """
 
     def __init__(
@@ -171,7 +171,7 @@ class PanelEmulator:
 
     @property
     def faults(self) -> PanelFaults:
-        """What is wrong with it."""
+        """Faults of the panel."""
         return self._faults
 
     @faults.setter
@@ -185,7 +185,7 @@ class PanelEmulator:
 
     @property
     def transparent(self) -> bool:
-        """Whether it is without power, asleep or off: a normally white panel is then open."""
+        """Return whether it is without power, asleep or off: a white panel is then open."""
         return self._faults.dead or self._faults.gone or self._asleep or not self._on
 
     @property
@@ -197,7 +197,7 @@ class PanelEmulator:
             raise OSError(errno.ENODEV, "No such device")
 
     def framebuffer(self) -> _Bytes:
-        """What the memory and the state of the panel ask for, 0 to 63, shape (384, 160)."""
+        """Return the picture of the memory in the present state, 0 to 63, shape (384, 160)."""
         shape = (PIXEL_COLUMNS * COLOURS, PIXEL_ROWS)
         if self.transparent:
             return np.full(shape, _TOP, np.uint8)
@@ -216,14 +216,14 @@ class PanelEmulator:
         return _TOP - levels if self._inverted != self._faults.inverted else levels
 
     def visible(self, at: float) -> Shown:
-        """What the crystal shows at a time that is not before the last few changes [s]."""
+        """Return the picture of the crystal at a time not before the last few changes [s]."""
         turn = next(
             (turn for turn in reversed(tuple(self._turns)) if turn.at <= at), self._turns[0]
         )
         return self._between(turn, at)
 
     def settled(self, at: float) -> bool:
-        """Whether nothing turns any more [s]: it shows the framebuffer, until that changes."""
+        """Return whether nothing turns any more [s]: it shows the framebuffer until then."""
         return self._turns[-1].at + self.crystal.scan + self.crystal.settle <= at
 
     def _changed(self) -> None:
@@ -347,7 +347,7 @@ def _decode(received: _Bytes, bits: int) -> _Bytes:
 
 
 def _widen(values: _Bytes, bits: int) -> _Bytes:
-    """From ``bits`` to six, the highest bits repeated below the lowest."""
+    """Return six bits from ``bits``, the highest bits repeated below the lowest."""
     return _as_bytes((values << (6 - bits)) | (values >> (2 * bits - 6)))
 
 

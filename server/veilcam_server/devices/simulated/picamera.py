@@ -37,7 +37,7 @@ _ADAPTING = {
 
 @dataclass(slots=True)
 class CameraFaults:
-    """What goes wrong next. Counts go down by one for every frame asked for."""
+    """Faults to come. Counts go down by one for every frame asked for."""
 
     gone: bool = False
     """It cannot be opened, and no frame comes."""
@@ -187,7 +187,7 @@ class FakePicamera2:
             self._before.release()
 
     def _next(self, flush: int) -> tuple[int, int, int]:
-        """Number of the next frame that will do, and when its first row begins and ends [ns]."""
+        """Return the next frame's number, with its first row's begin and end [ns]."""
         now = math.ceil(self._clock() * _NANO)
         pace = round(self._mode.frame_duration * _NANO)
         number = self._number + 1
@@ -202,7 +202,7 @@ class FakePicamera2:
             number += 1
 
     def _running(self) -> int:
-        """Number of the frame that is being exposed."""
+        """Return the number of the frame that is being exposed."""
         pace = self._mode.frame_duration
         if not (self.started and pace > 0):
             return self._number + 1
@@ -212,7 +212,7 @@ class FakePicamera2:
         return next(controls for since, controls in reversed(self._controls) if since <= number)
 
     def _exposure(self, number: int) -> int:
-        """Of a frame, in whole lines that do not exceed it, told in whole microseconds [ns]."""
+        """Return an exposure in whole lines that do not exceed it, in whole microseconds [ns]."""
         asked, line = int(self._in_force(number)["ExposureTime"]), self._mode.line_time * 1e6
         # As much more than asked as makes 100 lines of 0.1 ms out of 10 ms.
         return 1000 * (int(math.floor(asked / line + 1e-6) * line) if line > 0 else asked)

@@ -61,7 +61,7 @@ def _folder(folder: Path, shape: tuple[int, int]) -> Iterator[SceneSource]:
 
 
 def _data_set(name: str, shape: tuple[int, int]) -> Iterator[SceneSource]:
-    """The images of a part of a data set; labels stay on the disk."""
+    """Return the images of a part of a data set; labels stay on the disk."""
     # Imported late: of all daemons, only those that look at a data set need it.
     from veilcam_training.data import SOURCES, open_source, split  # noqa: PLC0415
     from veilcam_training.errors import TrainingError  # noqa: PLC0415

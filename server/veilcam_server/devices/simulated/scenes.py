@@ -1,4 +1,4 @@
-"""What is in front of a simulated camera: scenes one after the other, each from an instant on.
+"""Scenes in front of a simulated camera, one after the other, each from an instant on.
 
 An exposure sees one scene from its beginning to its end: the one that was there when it began.
 """
@@ -100,7 +100,7 @@ class Scenes:
     numbers after that. Safe to use from several threads.
 
     Args:
-        deck: at least one; after the last comes the first again.
+        deck: scenes, at least one; after the last comes the first again.
         clock: monotonic time [s], that of the exposures.
 
     Raises:
@@ -129,7 +129,7 @@ class Scenes:
         returned sees the picture. The deck rests meanwhile.
 
         Args:
-            picture: as :func:`veilcam_server.devices.simulated.images.as_scene` takes it.
+            picture: picture as :func:`veilcam_server.devices.simulated.images.as_scene` takes it.
 
         Returns:
             Its number, which no other scene of this camera has or gets; that of the deck's scene
