@@ -70,7 +70,7 @@ def lay_cells(cells: Tensor, feature: float, grid: Grid) -> Tensor:
     Args:
         cells: Transmittance of every cell in [0, 1], shape (n, m); centred on the axis.
         feature: Side of a cell [m].
-        grid: Where the mask is sampled.
+        grid: places of the mask's samples.
 
     Returns:
         Shape of the grid, float64; 0 beyond the cells.
@@ -96,9 +96,9 @@ def fresnel_zones(grid: Grid, radius: float, *, phase: float = 0.0, binary: bool
     2841 (2018), equation 1.
 
     Args:
-        grid: Where the mask is sampled.
-        radius: Of the innermost zone [m].
-        phase: Of the zones at the centre [rad].
+        grid: places of the mask's samples.
+        radius: radius of the innermost zone [m].
+        phase: phase of the zones at the centre [rad].
         binary: Open where the above is at least 1/2, closed elsewhere.
 
     Raises:

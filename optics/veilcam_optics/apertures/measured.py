@@ -54,7 +54,7 @@ def remove_background(image: Tensor, *, margin: float = 0.02, deviations: float 
     Args:
         image: Shape (..., rows, columns).
         margin: Width of the frame as a share of the sides.
-        deviations: How far above the background light begins, in standard deviations.
+        deviations: height above the background at which light begins, in standard deviations.
 
     Raises:
         OpticsError: If ``margin`` is not in (0, 0.5), ``deviations`` is negative, or NaN is found.

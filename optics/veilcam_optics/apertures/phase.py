@@ -56,7 +56,7 @@ def diffuser_height(
     """Return the relief of a tape-like diffuser: Gaussian noise with a Gaussian correlation.
 
     Args:
-        grid: Where the relief is sampled.
+        grid: places of the relief's samples.
         roughness: Standard deviation of the height [m].
         correlation: Distance at which the correlation has fallen to 1/e [m].
         generator: Source of the noise.
@@ -97,9 +97,9 @@ def contour_pattern(
     42, 1618 (2020), section 4; smooth Gaussian noise takes the place of Perlin's.
 
     Args:
-        grid: Where the PSF is sampled.
+        grid: places of the PSF's samples.
         spacing: Correlation distance of the noise, about the distance of lines [m].
-        width: Of a line [m].
+        width: width of a line [m].
         generator: Source of the noise.
 
     Returns:

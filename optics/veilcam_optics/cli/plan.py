@@ -109,7 +109,7 @@ def print_plan(
 
 
 def _camera(source: str, *, distance: float | None, filters: bool, leakage: float | None) -> Camera:
-    """Of a preset's name or a file, with what the command line changes."""
+    """Return the camera of a preset's name or a file, with the changes of the command line."""
     camera = preset(source) if source in PRESETS else read_camera(Path(source))
     panel = camera.panel
     if not filters:

@@ -1,4 +1,4 @@
-"""What physics says of errors without a look at any transfer: bounds and closed forms."""
+"""Bounds of errors and closed forms, without a look at any transfer."""
 
 import math
 
@@ -126,7 +126,7 @@ def far_pairs(model: Model, axis: int) -> Tensor:
 
 
 def meeting_rows(camera: Camera) -> set[int]:
-    """How far apart, in rows, two that pass light of one channel may be."""
+    """Return the distances, in rows, of two rows that pass light of one channel."""
     found: set[int] = set()
     for channel in range(len(CHANNELS)):
         lit = torch.tensor(camera.row_amplitudes(channel)).nonzero().flatten()
@@ -172,7 +172,7 @@ def fringe_step(model: Model, reach: Reach) -> float:
 
 
 def resolved(model: Model) -> bool:
-    """Whether the fringes of the model's reach can be sampled."""
+    """Return whether the fringes of the model's reach can be sampled."""
     return fringe_step(model, model.sampling.reach) > 1.01 * smallest_step(model)
 
 

@@ -35,10 +35,10 @@ class BoxFields:
     """Fields in the cells of the boxes of an axis's offsets; see :func:`~...kernels.box_kernel`.
 
     Args:
-        axis: with diffraction, and with the offsets that are wanted.
+        axis: axis with diffraction, and with the offsets that are wanted.
         of: indices of the apertures.
         wavelength: [m].
-        reach: how far apart two apertures may be, in apertures, to be counted as interfering.
+        reach: greatest distance of two apertures that interfere, in apertures.
 
     Attributes:
         points: middles of cells [m], (offsets, cells).
@@ -64,7 +64,7 @@ class BoxFields:
 
     @cached_property
     def excess(self) -> Values:
-        """How many times farther than any series holds light strays, at least 1, as :attr:`fields`.
+        """Excess of the stray over the range of any series, at least 1, as :attr:`fields`.
 
         From an aperture's nearer edge to a point that does not face it.
         """
@@ -129,7 +129,7 @@ def integrals(axis: Axis[Values], of: Values, wavelength: float, reach: int) -> 
 
 @dataclass(frozen=True, slots=True)
 class Straightening:
-    """What :func:`integrals` change by where products of fields are straight between nodes.
+    """Change of :func:`integrals` where products of fields are straight between nodes.
 
     That goes with the square of the nodes' distance: half of it leaves a quarter. Where a box holds
     all light the square cancels. What is left goes with the fourth power, and with where the box's
@@ -171,6 +171,6 @@ def _fields(axis: Axis[Values], points: Values, of: Values, wavelength: float) -
 
 
 def within_reach(of: Values, reach: int) -> Values:
-    """Which pairs of the apertures ``of`` are at most ``reach`` apart, (apertures, apertures)."""
+    """Return which pairs of the apertures ``of`` are at most ``reach`` apart, a matrix."""
     near: Values = abs(of[:, None] - of) <= reach
     return near

@@ -53,8 +53,8 @@ class Check:
         error: relative L2 error, estimated.
         low: lower end of its interval of confidence.
         high: upper end.
-        confidence: of the interval.
-        entries: how many were drawn.
+        confidence: confidence of the interval.
+        entries: number of entries that were drawn.
     """
 
     error: float
@@ -79,11 +79,11 @@ def check(
     stands in a plan's table.
 
     Args:
-        operator: as a plan chose it.
-        asked: what it stands for, with every effect.
+        operator: operator that a plan chose.
+        asked: model with every effect, which the operator stands for.
         weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
-        entries: how many to draw; fewer where that would take seconds.
-        seed: of the draw.
+        entries: number of entries to draw; fewer where that would take seconds.
+        seed: seed of the draw.
 
     Raises:
         OpticsError: the mask has another shape or holds NaN; fewer than 8 entries; a turned mask;
@@ -135,7 +135,7 @@ def estimate(
     Args:
         differences: computed minus exact, (entries,).
         values: exact, (entries,).
-        chances: of each entry, up to a common factor, (entries,).
+        chances: chance of each entry, up to a common factor, (entries,).
     """
     count = len(values)
     above, below = differences**2 / chances, values**2 / chances
@@ -269,7 +269,7 @@ class FullField:
 def _rows(
     operator: LightOperator, weights: Tensor, points: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float64]:
-    """The transfer's rows of some scene pixels by whatever method, (points, embedding pixels)."""
+    """Return the transfer's rows of some scene pixels, (points, embedding pixels)."""
     scene = operator.model.scene
     lit = torch.zeros(len(points), scene.rows * scene.columns, dtype=operator.dtype)
     lit[torch.arange(len(points)), torch.from_numpy(points)] = 1

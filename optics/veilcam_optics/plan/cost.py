@@ -1,4 +1,4 @@
-"""What a model costs: numbers held and operations done, and from them milliseconds.
+"""Cost of a model: numbers held and operations done, and from them milliseconds.
 
 The rates are those of one core of a server processor. They need not be right for another: only the
 order of the settings must be, and the ratio of arithmetic to overhead hardly changes it.
@@ -32,7 +32,7 @@ _BUILDS_PER_STEP = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What one step costs: a new mask, and a batch of scenes behind it.
+    """Cost of one step: a new mask, and a batch of scenes behind it.
 
     Attributes:
         step_ms: time of a step [ms].
@@ -46,7 +46,7 @@ class Cost:
 
     @property
     def rank(self) -> float:
-        """What plans are compared by [ms]."""
+        """Time that plans are compared by [ms]."""
         return self.step_ms + _BUILDS_PER_STEP * self.build_ms
 
 
@@ -68,11 +68,11 @@ def _counted(
     """As :func:`pairs`, of a camera; the same few are asked for again and again.
 
     Args:
-        camera: whose pairs.
-        reach: of interference.
-        channels: of every beam.
-        rotated: whether slopes are needed, too.
-        apart: whether colours are kept apart.
+        camera: camera whose pairs are counted.
+        reach: reach of interference.
+        channels: channel of every beam.
+        rotated: True where slopes are needed, too.
+        apart: True where colours are kept apart.
     """
     rows, columns = camera.mask_shape
     far_rows, far_columns = min(reach.rows, rows - 1), min(reach.columns, columns - 1)

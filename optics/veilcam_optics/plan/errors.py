@@ -71,7 +71,7 @@ class ErrorModel:
     """Compares models with the one that has everything; see :class:`~...effects.Comparison`.
 
     Args:
-        model: with every effect on.
+        model: model with every effect on.
         tolerance: errors far below it need not be known.
     """
 
@@ -127,7 +127,7 @@ class ErrorModel:
         return Interferences(errors, replace(used, conditions=given.conditions))
 
     def _reach(self, model: Model) -> tuple[Reach, tuple[float, float]]:
-        """How far apart pairs are counted, and bounds of what is farther apart along y and x."""
+        """Return the reach up to which pairs are counted, and bounds of the rest along y and x."""
         found, bounds = [], []
         nearest = (nearest_rows(model.camera), 1)
         for axis, (unit, count) in enumerate(zip(nearest, model.camera.mask_shape, strict=True)):
@@ -177,7 +177,7 @@ class ErrorModel:
         return error
 
     def _exact(self, probe: Probe, channels: Sequence[int] | None) -> Tensor:
-        """The transfer that others are compared with; many are."""
+        """Return the transfer that others are compared with; many are."""
         key = probe, None if channels is None else tuple(channels)
         if key not in self._exact_transfers:
             self._exact_transfers[key] = probe.transfer(self._near, channels=channels)
@@ -298,7 +298,7 @@ class ErrorModel:
 
     @cached_property
     def _missing(self) -> Missing | None:
-        """What is left out of exact light; None of shadows."""
+        """Light that is left out of exact light; None of shadows."""
         if not self.model.sampling.diffraction:
             return None
         return missing_light(self._fewer, self.model, self._telling)
@@ -351,7 +351,7 @@ def _dials(reach: int, meeting: Iterable[int] | None = None) -> list[int]:
 
     Args:
         reach: the farthest.
-        meeting: how far apart two lines may be that interfere at all; None for any distance.
+        meeting: distances of two lines that interfere at all; None for any distance.
     """
     there = range(reach + 1) if meeting is None else sorted({0, reach, *meeting})
     found = [0]

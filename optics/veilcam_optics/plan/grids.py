@@ -32,7 +32,7 @@ class GridErrors:
     """Relative L2 of grids for light along the axis, apart from what Fresnel's approximation has.
 
     Args:
-        model: by the grid method, with every effect that it has.
+        model: model of the grid method, with every effect that it has.
         least: coarsest oversampling.
         masks: amplitudes asked of the panel, (masks, rows, columns).
     """
@@ -42,7 +42,7 @@ class GridErrors:
         self._least, self._masks = least, masks[:_MASKS]
 
     def at(self, oversampling: float) -> float:
-        """Of one grid; 1 where it cannot work, or more: it may be brighter than all there is."""
+        """Return the error of one grid; 1 where it cannot work, or more where it is too bright."""
         fitted = grid_error(self._model, oversampling)
         found = self._transfers
         if len(found) < 2:

@@ -1,4 +1,4 @@
-"""What a setting leaves out of the light, all of it together.
+"""Joint error of a setting: all that it leaves out of the light, together.
 
 Errors of different origin are taken for uncorrelated where settings are compared. Of few pixels
 they may all have one sign: then they add up. So the setting that is chosen is looked at once more,
@@ -17,9 +17,9 @@ def joint_error(probe: Probe, full: Model, chosen: Model, missing: Missing | Non
 
     Args:
         probe: offsets where light is looked at.
-        full: with everything, and the farthest reach that counts.
+        full: model with everything, and the farthest reach that counts.
         chosen: the setting; its step counts where it has one.
-        missing: what Fresnel's approximation leaves out at the same offsets; None for nothing.
+        missing: error of Fresnel's approximation at the same offsets; None for none.
     """
     wavelengths = max(2, chosen.sampling.wavelengths)
     layers = max(2, chosen.sampling.layers)

@@ -1,4 +1,4 @@
-"""What Fresnel's approximation leaves out of exact light, to first order: equation (12).
+"""Error of Fresnel's approximation against exact light, to first order: equation (12).
 
 Around the ray from a scene point, exact light is a power series in how far it strays from there. A
 power along y times one along x is behind each aperture a product of one-dimensional fields, as the
@@ -37,12 +37,12 @@ the light of each."""
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """From scene points through the middle of the mask: where offsets see them, (offsets y, x).
+    """Rays from scene points through the middle of the mask to the offsets, (offsets y, x).
 
     Attributes:
         u_y: direction cosine along y.
         u_x: along x.
-        cosine: to the axis.
+        cosine: cosine of the angle to the axis.
     """
 
     u_y: Tensor
@@ -51,20 +51,20 @@ class Rays:
 
     @classmethod
     def of(cls, tangents_y: Tensor, tangents_x: Tensor) -> Self:
-        """Of scene points at these tangents; light goes on to where its scene point is not."""
+        """Make the rays of scene points at these tangents; light goes on to the other side."""
         cosine = (1 + tangents_y.square()[:, None] + tangents_x.square()).rsqrt()
         return cls(-tangents_y[:, None] * cosine, -tangents_x * cosine, cosine)
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """What is left out of exact light, at a probe's offsets.
+    """Light that is left out of exact light, at a probe's offsets.
 
     Attributes:
-        factored: by a factored field, to first order, (masks, offsets y, offsets x).
-        grid: by a grid.
+        factored: light left out by a factored field, to first order, (masks, offsets y, offsets x).
+        grid: light left out by a grid.
         errors: relative L2 of each, all orders counted.
-        channels: those that were looked at; None for all.
+        channels: channels that were looked at; None for all.
     """
 
     factored: Tensor
@@ -74,12 +74,12 @@ class Missing:
 
 
 def missing_light(probe: Probe, model: Model, channels: Sequence[int] | None = None) -> Missing:
-    """What a factored field and a grid leave out.
+    """Return the light that a factored field and a grid leave out.
 
     Args:
         probe: offsets where light is looked at.
-        model: with diffraction, and the reach of interference that counts.
-        channels: those that are looked at; None for all.
+        model: model with diffraction, and the reach of interference that counts.
+        channels: channels to look at; None for all.
     """
     model = model.with_sampling(wavelengths=1, layers=1)
     parts = _PARTS if scene_pixel_tangent(model) > _WIDE else 1
@@ -139,9 +139,9 @@ def uneven_error(
 
     Args:
         probe: offsets where light is looked at.
-        model: with the reach of interference that counts.
+        model: model with the reach of interference that counts.
         small: errors below it need not be known.
-        channels: those that are looked at; None for all.
+        channels: channels to look at; None for all.
     """
     side = scene_pixel_tangent(model)
     parts = _PARTS if side > _WIDE else _SIDES
@@ -200,14 +200,14 @@ def _deep(
 
 
 def _there(light: Tensor, deep_y: Tensor, deep_x: Tensor) -> tuple[Tensor, Tensor]:
-    """What arrives of a factored field's light, and of a grid's; see :func:`_deep`.
+    """Return the arriving shares of a factored field's light, and of a grid's; see :func:`_deep`.
 
     What two edges spread along both axes, exact waves make as large; the slanting flux alone makes
     it fainter, by the cosine, as it does all light of a grid.
 
     Args:
         light: (masks, offsets y, offsets x).
-        deep_y: what arrives of it, what strays along y alone considered.
+        deep_y: light that arrives, with the stray along y alone considered.
         deep_x: along x.
     """
     lost_y, lost_x = (
@@ -224,7 +224,7 @@ def _whole(light: Tensor, parts: int) -> Tensor:
 
 
 def factored_series(rays: Rays, turns: float) -> Series:
-    """What a factored field leaves out, relative to its own light.
+    """Return the series that a factored field leaves out, relative to its own light.
 
     Args:
         rays: the light's.
@@ -241,7 +241,7 @@ def factored_series(rays: Rays, turns: float) -> Series:
 
 
 def grid_series(rays: Rays, turns: float) -> Series:
-    """What a grid leaves out: it is exact on the axis, but takes ``|field|^2`` for the flux.
+    """Return the series that a grid leaves out: it is exact on the axis, but for the flux.
 
     Its light at an angle is stretched alike along y and x.
     """
@@ -253,7 +253,7 @@ def grid_series(rays: Rays, turns: float) -> Series:
 
 
 def _oblique(rays: Rays, turns: float) -> Series:
-    """What is left out because the ray is oblique.
+    """Return the series that is left out because the ray is oblique.
 
     With ``u`` its direction cosines, ``R`` its length and ``s`` the stray, amplitude and phase are
     ``(R0/R)^(5/2)``, two of it the kernel's (Goodman, equation 3-41) and half the flux's, and
@@ -292,7 +292,7 @@ def _powers(boxes: BoxFields) -> Tensor:
 
 
 def _sums(down: Tensor, across: Tensor, weights: Tensor) -> Series:
-    """Sums over all pairs, (masks, offsets y, offsets x), for every two powers that are asked for.
+    """Return sums over all pairs, (masks, offsets y, offsets x), for every two powers.
 
     Args:
         down: along y, (powers, offsets y, rows, rows).

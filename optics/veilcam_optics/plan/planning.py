@@ -1,4 +1,4 @@
-"""From a tolerance to a plan: what to compute, how finely, and why."""
+"""Planning: from a tolerance to the cheapest computation, with the reasons."""
 
 import io
 from dataclasses import dataclass, replace
@@ -44,11 +44,11 @@ class Plan:
     """A way to compute embeddings that was chosen for a tolerance; it explains itself, and runs.
 
     Attributes:
-        model: what is computed, and how finely.
-        asked: what it stands for, with every effect.
+        model: model that is computed, with its sampling.
+        asked: model with every effect, which the plan stands for.
         tolerance: relative L2 error asked for, at the embedding.
         error: relative L2 error predicted.
-        reached: whether the prediction is within the tolerance. If not, this is the best there is.
+        reached: True where the prediction is within the tolerance; if not, this is the best.
         cost: predicted time and memory of a step.
         batch: scenes in a step.
         assessments: every effect, on or off, and why.
@@ -69,7 +69,7 @@ class Plan:
         return LightOperator(self.model)
 
     def transfer(self, weights: Tensor) -> Tensor:
-        """The transfer matrix of a mask, (scene pixels, embedding pixels).
+        """Return the transfer matrix of a mask, (scene pixels, embedding pixels).
 
         Raises:
             OpticsError: the plan's method forms no matrix, or the mask has another shape or NaN.
@@ -80,7 +80,7 @@ class Plan:
     def embed(
         self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
     ) -> Tensor:
-        """What the camera reads of scenes behind a mask, (batch, rows, columns).
+        """Return the camera's readings of scenes behind a mask, (batch, rows, columns).
 
         Args:
             scenes: (batch, rows, columns), in [0, 1].
@@ -93,12 +93,12 @@ class Plan:
         return self.operator.embed(scenes, weights, generator)
 
     def check(self, weights: Tensor, *, entries: int = 48, seed: int = 0) -> Check:
-        """The relative L2 error of this mask's transfer, from entries drawn at random.
+        """Estimate the relative L2 error of this mask's transfer, from entries drawn at random.
 
         Args:
             weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
-            entries: how many to draw, each at the cost of milliseconds; 8 or more.
-            seed: of the draw.
+            entries: number of entries to draw, each at the cost of milliseconds; 8 or more.
+            seed: seed of the draw.
 
         Raises:
             OpticsError: as :func:`~veilcam_optics.plan.check.check` says.
@@ -106,7 +106,7 @@ class Plan:
         return check(self.operator, self.asked, weights, entries=entries, seed=seed)
 
     def psf(self, weights: Tensor, rows: int = 120) -> Tensor:
-        """The point spread function of a mask, (3, rows, columns): see :mod:`.psf`.
+        """Return the point spread function of a mask, (3, rows, columns): see :mod:`.psf`.
 
         Args:
             weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
@@ -118,11 +118,11 @@ class Plan:
         return psf(self.asked, weights, rows)
 
     def explain(self) -> str:
-        """A table of every effect, and what was chosen."""
+        """Return a table of every effect, and of the chosen setting."""
         return explanation(self)
 
     def _repr_html_(self) -> str:
-        """The same for a notebook."""
+        """Return the same for a notebook."""
         console = Console(file=io.StringIO(), width=118, record=True)
         print_explanation(self, console)
         return console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")
@@ -138,7 +138,7 @@ def plan(
     batch: int = 64,
     method: Method | None = None,
 ) -> Plan:
-    """The cheapest way to compute embeddings to within a tolerance.
+    """Choose the cheapest way to compute embeddings to within a tolerance.
 
     Total: for any camera, scene and conditions that can exist it returns a plan. If no setting
     reaches the tolerance the plan says so (``reached``) and holds the best.
@@ -148,7 +148,7 @@ def plan(
         scene: flat object, or its middle if ``conditions`` give it depth.
         embedding: shape of the embedding.
         tolerance: relative L2 error at the embedding, over random masks; between 0 and 1.
-        conditions: what camera and scene do beyond the ideal.
+        conditions: departures of camera and scene from the ideal.
         batch: scenes embedded with one mask, what the time of a step is counted for.
         method: the only one to choose from; by default all. A camera that is simulated to test a
             transfer matrix, say, had better not be made of one.
@@ -238,7 +238,7 @@ def table(plan: Plan) -> Table:
 
 
 def setting(plan: Plan) -> list[tuple[str, str]]:
-    """What was chosen, as (name, value)."""
+    """List the chosen setting, as (name, value)."""
     model, sampling = plan.model, plan.model.sampling
     light = "geometric shadows"
     if sampling.diffraction:
@@ -266,7 +266,7 @@ def setting(plan: Plan) -> list[tuple[str, str]]:
 
 
 def explanation(plan: Plan, width: int = 118) -> str:
-    """The table and the setting, as plain text."""
+    """Return the table and the setting, as plain text."""
     text = io.StringIO()
     console = Console(file=text, width=width, force_terminal=False, color_system=None)
     print_explanation(plan, console)

@@ -72,12 +72,12 @@ class Probe:
         ]
 
     def axes(self, model: Model, beam: Beam, parts: int = 1) -> tuple[Axis[Values], Axis[Values]]:
-        """The axes of ``model``, reduced to the kept offsets.
+        """Return the axes of ``model``, reduced to the kept offsets.
 
         Args:
             model: like the probe's.
             beam: may come from another distance.
-            parts: of every scene pixel along each axis, with an offset each.
+            parts: number of parts of every scene pixel along each axis, with an offset each.
         """
         scene = model.scene
         if beam.scene_distance is not None:
@@ -157,7 +157,7 @@ class Probe:
         return total
 
     def share(self, model: Model, channel: int, parts: int = 1) -> float | Tensor:
-        """Of a channel's light in what is read: alike everywhere, or (offsets y, offsets x)."""
+        """Return a channel's share of the reading: alike everywhere, or (offsets y, offsets x)."""
         if not model.conditions.bayer:
             return model.camera.sensor.channel_weights[channel]
         rows, columns = model.embedding.shape
@@ -165,7 +165,7 @@ class Probe:
         return shares.repeat_interleave(parts, 0).repeat_interleave(parts, 1)
 
     def faded(self, model: Model, light: Tensor) -> Tensor:
-        """What becomes of light at the kept offsets, (..., offsets y, offsets x): it fades, too."""
+        """Return the light at the kept offsets after fading, (..., offsets y, offsets x)."""
         scattered, kept = self.scattered(model, light), fade(model)
         if kept is None:
             return scattered
@@ -184,7 +184,7 @@ class Probe:
         return collected(model, apart, (-3, -1)).reshape(light.shape)
 
     def straightened(self, model: Model, *, channels: Sequence[int] | None = None) -> Tensor:
-        """What :meth:`transfer` changes by where fields' products are straight between nodes."""
+        """Return the change of :meth:`transfer` where products are straight between nodes."""
         total, of = self.dark(), Straightening(model.sampling.step)
         for beam, scaled in self.lights(model, channels):
             rows, down, across = self._pairs(model, beam, (1.0, 1.0))
@@ -195,10 +195,10 @@ class Probe:
         return self.faded(model, total)
 
     def within(self, model: Model, rows: Sequence[int], columns: Sequence[int]) -> Tensor:
-        """The transfer with pairs at most so many rows and so many columns apart.
+        """Return the transfer with pairs at most so many rows and so many columns apart.
 
         Args:
-            model: its own reach is the farthest.
+            model: model whose own reach is the farthest.
             rows: reaches along y.
             columns: reaches along x.
 
@@ -267,7 +267,7 @@ class Probe:
         return torch.from_numpy(used[0]), found[0], found[1]
 
     def integrated(self, key: object, index: int) -> tuple[int, Values | None]:
-        """How far apertures interfere in some integrals along an axis that there are, and they."""
+        """Return the reach of known integrals along an axis, and the integrals."""
         if key not in self._kept and self._whole is not None:
             far, values = self._whole.integrated(key, index)
             if values is not None:
@@ -276,7 +276,7 @@ class Probe:
 
 
 def lit_rows(model: Model, channel: int) -> Values:
-    """Indices of the rows whose filters pass light of a channel."""
+    """Return the indices of the rows whose filters pass light of a channel."""
     return np.flatnonzero(model.camera.row_amplitudes(channel))
 
 
@@ -295,7 +295,7 @@ def relative(value: Tensor, reference: Tensor) -> float:
 
 
 def pair_sums(down: Tensor, across: Tensor, one: Tensor, other: Tensor) -> Tensor:
-    """Sums over all pairs of ``Re K_y[r, s] K_x[c, d] one[r, c] other[s, d]``.
+    """Return sums over all pairs of ``Re K_y[r, s] K_x[c, d] one[r, c] other[s, d]``.
 
     Args:
         down: ``K_y``, (offsets y, rows, rows).
@@ -329,16 +329,16 @@ def _traced(down: Tensor, spread: Tensor) -> Tensor:
 
 
 def _spread(model: Model, axis: int, most: int, among: Tensor | None) -> tuple[Tensor, int]:
-    """Indices (scene pixel slower) of some offsets, and how many each belong together.
+    """Return indices (scene pixel slower) of some offsets, and the size of their groups.
 
     Of few embedding pixels all are kept, for some scene pixels; of more, as many offsets as are
     asked for, evenly spread by size.
 
     Args:
-        model: whose.
+        model: model whose offsets they are.
         axis: 0 for y, 1 for x.
-        most: how many are asked for.
-        among: to choose from, of a choice of more; None for all.
+        most: number of offsets that are asked for.
+        among: offsets to choose from; None for all.
     """
     embedding = model.embedding.shape[axis]
     if among is None:
@@ -356,7 +356,7 @@ def _spread(model: Model, axis: int, most: int, among: Tensor | None) -> tuple[T
 
 
 def _some(kept: Tensor, most: int) -> Tensor:
-    """The middle of each of ``most`` equal parts, or all where they are no more."""
+    """Return the middle of each of ``most`` equal parts, or all where they are no more."""
     if len(kept) <= most:
         return kept
     return kept[((torch.arange(most) + 0.5) * len(kept) / most).long()]

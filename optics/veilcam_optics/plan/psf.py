@@ -1,4 +1,4 @@
-"""What a mask makes of one point of light: a point spread function, by the whole field.
+"""Point spread function of a mask, by the whole field.
 
 Embedding pixels average fringes away that cells as small as a picture's do not, so that a plan's
 reach, which is enough for its embedding, is not enough here.
@@ -30,7 +30,7 @@ def psf(model: Model, weights: Tensor, rows: int) -> Tensor:
     Equation (2) of docs/mathematics.md, squared: every pair of sub-pixels interferes.
 
     Args:
-        model: with the effects that count.
+        model: model with the effects that count.
         weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
         rows: cells along the sensor's short side; those along the long one are about square.
 

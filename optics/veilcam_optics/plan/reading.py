@@ -1,4 +1,4 @@
-"""What a converter makes of an error of the light that it rounds."""
+"""Error of a reading: a converter rounds the error of the light."""
 
 import math
 
@@ -34,7 +34,7 @@ def converted(error: float, values: Tensor, conditions: Conditions, pixels: int)
     Args:
         error: relative L2 of the light.
         values: noiseless embeddings of a white scene, (masks, rows, columns).
-        conditions: with a converter.
+        conditions: conditions with a converter.
         pixels: values in a reading.
     """
     step = converter_range(conditions) / (2**conditions.adc_bits - 1)

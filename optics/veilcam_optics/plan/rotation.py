@@ -1,4 +1,4 @@
-"""What a plan leaves out of a mask's rotation, to second order in the angle, interference included.
+"""Error of a mask's rotation, to second order in the angle, interference included.
 
 Turned by a small angle ``a``, the aperture of row ``r`` and column ``c`` moves along y by
 ``a x_c`` and along x by ``-a y_r``. To first order that adds ``F' (w x) G^T - F (y w) G'^T`` to the
@@ -41,11 +41,11 @@ def rotation_errors(probe: Probe, model: Model) -> tuple[float, float]:
 
 
 def _turned(probe: Probe, model: Model, beam: Beam, weights: Tensor) -> Tensor:
-    """A straight mask's light, what turning it changes, and what the first order leaves of that.
+    """Return a straight mask's light, its change by turning, and the rest after first order.
 
     Args:
         probe: offsets where light is looked at.
-        model: with the reach of interference that counts.
+        model: model with the reach of interference that counts.
         beam: the light.
         weights: amplitudes that it passes, (masks, rows, columns).
     """
@@ -94,11 +94,11 @@ def _orders(axis: Axis[Values], of: Values, wavelength: float, reach: int, far: 
     """Integrals of ``kappa`` with a derivative of each field, by central differences.
 
     Args:
-        axis: with the offsets that are wanted.
+        axis: axis with the offsets that are wanted.
         of: indices of the apertures.
         wavelength: [m].
-        reach: of interference.
-        far: how far an aperture moves at most [m].
+        reach: reach of interference.
+        far: greatest distance that an aperture moves [m].
     """
     if axis.shadow:
         before, plain, after = (
@@ -146,7 +146,7 @@ def _as_torch(found: dict[tuple[int, int], Values]) -> Orders:
 
 
 def _moved(axis: Axis[Values], move: float, found: Callable[[], Values]) -> Values:
-    """What is found while all apertures are moved [m]."""
+    """Return the integrals while all apertures are moved [m]."""
     centres = axis.centres
     axis.centres = centres + move
     value = found()

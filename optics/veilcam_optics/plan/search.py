@@ -74,12 +74,12 @@ def search(
     batch: int,
     method: Method | None = None,
 ) -> tuple[Candidate, bool]:
-    """The cheapest candidate that reaches the tolerance and fits in memory, and whether one does.
+    """Find the cheapest candidate within tolerance and memory, and say whether there is one.
 
     Args:
         error_model: knows the errors of the sampling.
-        model: with the free effects settled.
-        errors: of every effect that is there, if it were ignored.
+        model: model with the free effects settled.
+        errors: error of every effect that is there, if it were ignored.
         tolerance: relative L2.
         made: error of the free effects that were switched off.
         batch: scenes in a step.
@@ -139,7 +139,7 @@ def _matrices(
     field: Sequence[list[Option]],
     tolerance: float,
 ) -> Iterator[tuple[Model, float]]:
-    """Settings of the factored field, with or without a matrix that is formed."""
+    """Yield settings of the factored field, with or without a matrix that is formed."""
     filters = [(model, 0.0, error_model.full)]
     if FilterLeakage.name in errors:
         ideal = FilterLeakage().without(model)
@@ -161,7 +161,7 @@ def _grids(
     batch: int,
     below: float,
 ) -> Iterator[tuple[Model, float]]:
-    """Settings of the grid path that rank below a cost: for a turned mask, or where little fits."""
+    """Yield settings of the grid path that rank below a cost."""
     sampling = replace(
         model.sampling, method="grid", diffraction=True, spherical=True, binning=True
     )
@@ -179,7 +179,7 @@ def _grids(
 
 
 def _apply(base: Model, error: float, chosen: Iterable[Option]) -> tuple[Model, float]:
-    """A model with options chosen, and the error they leave together."""
+    """Return a model with options chosen, and the error they leave together."""
     errors = [error]
     for option in chosen:
         base = option.change(base)
@@ -192,7 +192,7 @@ def _same(model: Model) -> Model:
 
 
 def _worth_it(options: list[Option], tolerance: float) -> list[Option]:
-    """From coarse to fine: without what alone is too coarse, and what is needlessly fine."""
+    """Sort from coarse to fine, without options that are too coarse or needlessly fine."""
     enough = next((k for k, o in enumerate(options) if o.error <= 0.02 * tolerance), len(options))
     options = options[: enough + 1]
     return [o for o in options if o.error <= tolerance] or [min(options, key=lambda o: o.error)]
@@ -247,7 +247,7 @@ def _field(
 
 
 def _formats(error_model: ErrorModel, tolerance: float) -> list[Option]:
-    """Number formats, by what rounding costs in accuracy."""
+    """List number formats, with the accuracy that rounding costs."""
     options = [
         Option(partial(Model.with_sampling, dtype=dtype), error_model.rounding(dtype))
         for dtype in (torch.float32, torch.float64)

@@ -1,4 +1,4 @@
-"""What every way to carry a field from one plane to another has in common."""
+"""Base of all propagators, which carry a field from one plane to another."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """Whether a method is accurate for a job, and why not in words. True or false itself."""
+    """Verdict whether a method is accurate for a job, and why not. True or false itself."""
 
     ok: bool
     reason: str = ""
@@ -62,10 +62,10 @@ class Propagator(Protocol):
         Args:
             source: Sampling of the given field.
             target: Sampling of the wanted field; may be shifted, and scaled where the method can.
-            distance: From source to target plane [m].
-            wavelength: In the medium [m].
+            distance: distance from source to target plane [m].
+            wavelength: wavelength in the medium [m].
             dtype: complex64 or complex128, the type of the fields to be propagated.
-            device: Where the fields will be.
+            device: device of the fields.
 
         Raises:
             OpticsError: If an argument has no physical meaning or the method cannot do the job.

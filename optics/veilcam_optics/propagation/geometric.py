@@ -20,7 +20,7 @@ class GeometricShadow:
     be in the field as well. Phases do not act.
 
     Attributes:
-        source_distance: From the point that lights the mask to the mask [m]; infinite: plane wave.
+        source_distance: distance from the lighting point to the mask [m]; infinite: plane wave.
     """
 
     name: ClassVar[str] = "geometric shadow"

@@ -1,4 +1,4 @@
-"""What lights the mask: a point of the scene, or a plane wave."""
+"""Illumination of the mask: a point of the scene, or a plane wave."""
 
 import torch
 from torch import Tensor
@@ -21,13 +21,13 @@ def spherical_wave(
     """Return the wave from a point, of unit amplitude at the foot of the normal, carrier left out.
 
     Args:
-        grid: Where the wave is sampled.
-        distance: From the point to the grid's plane [m].
+        grid: places of the wave's samples.
+        distance: distance from the point to the grid's plane [m].
         wavelength: [m].
         point: (y, x) of the point [m].
         paraxial: exp(i pi r^2 / (wavelength d)) if true, else exp(i k (R - d)) d / R.
         dtype: complex64 or complex128.
-        device: Where the wave will be.
+        device: device of the wave.
 
     Returns:
         Shape of the grid; differentiable in distance, wavelength, point and pitch.
@@ -56,11 +56,11 @@ def plane_wave(
     """Return a plane wave of unit amplitude.
 
     Args:
-        grid: Where the wave is sampled.
+        grid: places of the wave's samples.
         wavelength: [m].
         direction: Sines (y, x) of the angles at which it travels.
         dtype: complex64 or complex128.
-        device: Where the wave will be.
+        device: device of the wave.
 
     Returns:
         Shape of the grid; differentiable in wavelength, direction and pitch.

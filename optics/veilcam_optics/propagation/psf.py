@@ -43,7 +43,7 @@ class PointSpread:
             point: (y, x) of the scene point [m].
             propagator: Method of propagation.
             dtype: complex64 or complex128.
-            device: Where tensors live.
+            device: device of all tensors.
 
         Raises:
             OpticsError: If a length has no physical meaning, or a point at infinity is off axis.

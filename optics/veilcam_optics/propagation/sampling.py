@@ -1,4 +1,4 @@
-"""Where samples lie: uniform grids, exact area coverage, and FFT lengths that are fast.
+"""Sampling: uniform grids, exact area coverage, and FFT lengths that are fast.
 
 A grid never has a "middle sample" that depends on its parity: sample ``i`` of ``n`` lies at
 ``(i - (n - 1) / 2) * pitch + centre``, for odd and even ``n`` alike.

@@ -1,4 +1,4 @@
-"""What the transfer-function methods share: padding, the two transforms, and the band limit."""
+"""Common part of the transfer-function methods: padding, two transforms, and the band limit."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class Spectrum:
         source: Sampling of the given field.
         target: Sampling of the wanted field.
         lengths: FFT lengths (rows, columns) after padding.
-        device: Where tensors live.
+        device: device of all tensors.
     """
 
     source: Grid
@@ -144,7 +144,7 @@ def target_samples(source: Grid, target: Grid) -> tuple[int, int]:
 
 
 def same_pitch(source: Grid, target: Grid) -> bool:
-    """Whether both grids have the same pitch, and as one variable if it has a gradient."""
+    """Return whether both grids have the same pitch, as one variable if it has a gradient."""
     pairs = ((source.pitch_y, target.pitch_y), (source.pitch_x, target.pitch_x))
     return all(a is b or (isinstance(a, float) and a == b) for a, b in pairs)
 

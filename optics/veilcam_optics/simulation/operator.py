@@ -30,7 +30,7 @@ Response = tuple[Tensor, ...]
 
 
 class LightOperator(nn.Module):
-    """What a :class:`Model` describes, ready to be used many times, also in training.
+    """Operator of a :class:`Model`, ready to be used many times, also in training.
 
     ``forward`` gives the transfer matrix where the model's method forms one. All results are
     differentiable in scenes and weights.
@@ -57,16 +57,16 @@ class LightOperator(nn.Module):
 
     @property
     def has_transfer(self) -> bool:
-        """Whether calling it gives the transfer matrix."""
+        """Return whether calling it gives the transfer matrix."""
         return self.model.sampling.method == "transfer"
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of every result."""
+        """Type of every result."""
         return self.model.sampling.dtype
 
     def forward(self, weights: Tensor) -> Tensor:
-        """The transfer matrix of a mask, everything linear included.
+        """Return the transfer matrix of a mask, everything linear included.
 
         Args:
             weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
@@ -85,7 +85,7 @@ class LightOperator(nn.Module):
     def embed(
         self, scenes: Tensor, weights: Tensor, generator: torch.Generator | None = None
     ) -> Tensor:
-        """What the camera reads of scenes behind a mask.
+        """Return the camera's readings of scenes behind a mask.
 
         Args:
             scenes: (batch, rows, columns), in [0, 1].
@@ -102,7 +102,7 @@ class LightOperator(nn.Module):
         return composition.read(self.model, values, generator)
 
     def response(self, weights: Tensor) -> Response:
-        """What a mask makes of the light, for :meth:`collect` to use with many scenes.
+        """Return the response of the light to a mask, for :meth:`collect` with many scenes.
 
         Args:
             weights: amplitude transmittances asked of the panel, ``camera.mask_shape``.
@@ -126,11 +126,11 @@ class LightOperator(nn.Module):
         return spread or (shown,)
 
     def collect(self, scenes: Tensor, response: Response) -> Tensor:
-        """The light on the sensor, without what the sensor makes of it.
+        """Return the light on the sensor, without the sensor's own effects.
 
         Args:
             scenes: (batch, rows, columns), in [0, 1].
-            response: from :meth:`response`.
+            response: response of :meth:`response`.
 
         Returns:
             (batch, rows, columns) of the embedding.
@@ -176,7 +176,7 @@ class LightOperator(nn.Module):
         return (values * self.shares).sum(1) if self.model.conditions.bayer else values
 
     def _transfer(self, weights: Tensor) -> Tensor:
-        """The matrix of all zones, without fading and stray light."""
+        """Return the matrix of all zones, without fading and stray light."""
         if not self.has_transfer:
             method = self.model.sampling.method
             raise OpticsError(f'method "{method}" forms no transfer matrix: use embed')
@@ -206,7 +206,7 @@ def _cut(scenes: Tensor, part: Zone, *, coloured: bool) -> Tensor:
 
 
 def _zone(model: Model, zone: Zone) -> TransferOperator:
-    """The operator of one zone: that of a smaller scene, off the axis."""
+    """Return the operator of one zone: that of a smaller scene, off the axis."""
     scene = model.scene
     part = replace(
         scene,

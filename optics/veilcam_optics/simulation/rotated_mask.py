@@ -16,11 +16,11 @@ class RotatedMask:
 
     Args:
         camera: panel and window.
-        pitch: of the grid [m].
-        rotation: from x towards y [rad].
+        pitch: pitch of the grid [m].
+        rotation: rotation from x towards y [rad].
         shift_y: [m].
         shift_x: [m].
-        dtype: of the amplitudes.
+        dtype: type of the amplitudes.
     """
 
     def __init__(
