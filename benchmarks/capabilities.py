@@ -20,8 +20,7 @@ from resource import RUSAGE_CHILDREN, getrusage
 import torch
 import typer
 
-from benchmarks.figures import FiguresOption, record
-from veilcam_training.experiments.records import check_record
+from benchmarks.figures import FiguresOption, check_record, record
 
 ROOT = Path(__file__).resolve().parents[1]
 LEVELS = ("DEFAULT", "AVX2", "AVX512")

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 import typer
+from benchmarks.figures import record_figures
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -43,7 +44,6 @@ from veilcam_server.devices.simulated.device import Conditions, planned_light, s
 from veilcam_server.errors import CalibrationError
 from veilcam_server.masks.fresh import FreshReader, FreshSource
 from veilcam_training.bundle import Bundle, read_bundle
-from veilcam_training.experiments.records import record_figures
 
 SETTLE, SCAN, EXPOSURE = 0.05, 0.0123, 0.01
 """Of the simulated panel and sensor [s]."""

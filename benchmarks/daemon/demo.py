@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from benchmarks.figures import FiguresOption, record
+from benchmarks.figures import FiguresOption, check_record, record
 from rich.console import Console
 
 from veilcam_server.demo.run import Plan, demonstrate
-from veilcam_training.experiments.records import check_record
 
 
 def main(

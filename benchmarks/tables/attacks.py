@@ -6,7 +6,7 @@ import json
 
 from benchmarks.tables.table import ROOT, Figures
 
-PAPER = ROOT / "training" / "veilcam_training" / "experiments" / "paper.json"
+PAPER = ROOT / "benchmarks" / "paper" / "paper.json"
 
 
 def beside_paper(name: str, words: str, pattern: str) -> tuple[str, str, str]:

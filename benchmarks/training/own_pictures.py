@@ -22,7 +22,7 @@ from PIL import Image
 
 from veilcam_client import Camera
 from veilcam_server.demo.daemon import running
-from veilcam_training.experiments.style import bare, panels_of
+from veilcam_training.experiments.card_page import bare, panels_of
 
 app = typer.Typer(pretty_exceptions_enable=False)
 

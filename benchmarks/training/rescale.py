@@ -1,7 +1,7 @@
 """Which digits are lost when they are 2 to 20 cm tall: accuracy by height.
 
-Takes the bundle of a finished cell (`veilcam-train table robust --changes rescale`) and shows it
-the validation images at heights drawn as in training, noise included. Beside it, how many
+Takes the bundle of a finished cell (`python -m benchmarks.paper robust --changes rescale`) and
+shows it the validation images at heights drawn as in training, noise included. Beside it, how many
 millimetres the digit's shadow measures on the sensor, and how many boxes of the embedding that is.
 
     python -m benchmarks.training.rescale --data data/mnist --bundle PAIR.veilcam

@@ -1,6 +1,6 @@
 """Does a table that is killed end with the same numbers as one that is not?
 
-A part of the MNIST table is run by ``veilcam-train table`` in a process of its own, which is killed
+A part of the MNIST table is run by ``benchmarks.paper`` in a process of its own, which is killed
 with SIGKILL in the middle of every cell and started again; then the same part is run unbroken into
 another folder. All numbers, confusion matrices, masks and weights must be equal, bit by bit.
 
@@ -20,9 +20,9 @@ from typing import Annotated
 import numpy as np
 import typer
 from benchmarks.figures import FiguresOption, record
+from benchmarks.paper.results import BUNDLE, CHECKPOINT, RESULT, load_results
 
 from veilcam_training.bundle import read_bundle
-from veilcam_training.experiments.results import BUNDLE, CHECKPOINT, RESULT, load_results
 
 PART = (
     *("--encoders", "learned"),
@@ -55,8 +55,7 @@ def main(
 
 def run(options: list[str]) -> subprocess.Popen[bytes]:
     """Start the command."""
-    program = "from veilcam_training.cli.main import main; main()"
-    return subprocess.Popen([sys.executable, "-c", program, "table", "mnist", *options])
+    return subprocess.Popen([sys.executable, "-m", "benchmarks.paper", "mnist", *options])
 
 
 def run_until_checkpoint(options: list[str], work: Path) -> bool:

@@ -19,6 +19,7 @@ from typing import Annotated
 import torch
 import typer
 from benchmarks.figures import FiguresOption, record
+from benchmarks.paper.style import tidy
 from matplotlib.axes import Axes
 from rich.progress import track
 from torch import Tensor
@@ -35,7 +36,7 @@ from veilcam_training.config.recipes import Recipe
 from veilcam_training.config.settings import parse_embedding
 from veilcam_training.data import Images, open_source
 from veilcam_training.encoders import LearnedMask, Setup
-from veilcam_training.experiments.style import panels_of, tidy
+from veilcam_training.experiments.card_page import panels_of
 from veilcam_training.models.classifiers import Task, make_layers
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.seeding import seeded, stream

@@ -23,10 +23,9 @@ from typing import Annotated
 
 import typer
 from benchmarks.figures import FiguresOption, record
+from benchmarks.paper.results import RESULT
 from benchmarks.rig import work_folder
 from benchmarks.training.table_resume import bundles, cells
-
-from veilcam_training.experiments.results import RESULT
 
 NODES = {"veilcam-one": "10.199.77.1", "veilcam-two": "10.199.77.2"}
 """Network namespaces, and their addresses: private, and of no network but theirs."""
@@ -36,7 +35,7 @@ PATIENCE = 600.0
 """No node takes so long to start, and no cell to be finished [s]."""
 FIRST, SECOND = NODES
 SCRIPTS = Path(sys.executable).parent
-COMMAND = [str(SCRIPTS / "veilcam-train"), "table", "mnist"]
+COMMAND = [sys.executable, "-m", "benchmarks.paper", "mnist"]
 PART = (
     *("--encoders", "lens,learned"),
     *("--classifiers", "LR,FC800"),

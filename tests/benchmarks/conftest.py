@@ -7,5 +7,14 @@ from tests.server.conftest import (
     bench,
     bundle,
 )
+from tests.training.conftest import digit_folder, source
 
-__all__ = ["_no_settings_from_outside", "_own_logs", "anyio_backend", "bench", "bundle"]
+__all__ = [
+    "_no_settings_from_outside",
+    "_own_logs",
+    "anyio_backend",
+    "bench",
+    "bundle",
+    "digit_folder",
+    "source",
+]

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-
-from veilcam_training.experiments.records import check_record, record_figures
+from benchmarks.figures import check_record, record_figures
 
 from .operators import Mutant
 from .report import BAR, Report

@@ -19,9 +19,7 @@ import matplotlib as mpl
 import numpy as np
 import torch
 import typer
-from benchmarks.figures import FiguresOption, record
-
-from veilcam_training.experiments.records import check_record
+from benchmarks.figures import FiguresOption, check_record, record
 
 from .judge import Result, judge
 

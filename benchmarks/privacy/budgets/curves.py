@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import typer
+from benchmarks.paper.style import GRID
 from benchmarks.privacy.budgets.study import (
     BAR,
     CLASSES,
@@ -27,7 +28,6 @@ from matplotlib.figure import Figure
 from veilcam_optics.camera.geometry import Embedding
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle
-from veilcam_training.experiments.style import GRID
 from veilcam_training.seeding import derive
 
 ALPHA = 0.01

@@ -103,7 +103,7 @@ def likeness(estimates: Tensor, truth: Tensor) -> Values:
 
 def published() -> dict[str, float]:
     """The paper's cells by the names of figures."""
-    text = (files("veilcam_training.experiments") / "paper.json").read_text()
+    text = (files("benchmarks.paper") / "paper.json").read_text()
     attacks: dict[str, float] = json.loads(text)["attacks"]
     return attacks
 

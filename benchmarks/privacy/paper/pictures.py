@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from veilcam_training.experiments.style import bare, panels_of
+from veilcam_training.experiments.card_page import bare, panels_of
 
 
 def draw(path: Path, titles: Sequence[str], columns: Sequence[Tensor]) -> None:

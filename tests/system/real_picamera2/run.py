@@ -19,7 +19,10 @@ from typing import Annotated
 
 import typer
 
-from veilcam_training.experiments.records import record_figures
+# A script that is run by its path finds no packages of the repository.
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from benchmarks.figures import record_figures
 
 ROOT = Path(__file__).resolve().parents[3]
 TESTS, PYTHON = "tests/system/real_picamera2", "build/libcamera/venv/bin/python"

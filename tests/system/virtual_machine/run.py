@@ -26,11 +26,10 @@ from rich.table import Table
 # A script that is run by its path finds no packages of the repository.
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
+from benchmarks.figures import Origin, record_figures
 from deploy.debian.build import Architecture
 from tests.system.debian_package.emulation import EmulationError, register
 from tests.system.obstacle import obstacle
-
-from veilcam_training.experiments.records import Origin, record_figures
 
 ROOT = Path(__file__).resolve().parents[3]
 IMAGE = Path(__file__).with_name("build-image.sh")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -43,10 +42,6 @@ def count(folder: Path) -> int:
 
 def refuse(value: int) -> int:
     raise TrainingError(f"value = {value} is not valid")
-
-
-def closure(_: object) -> Callable[[], None]:
-    return lambda: None
 
 
 def linger(folder: Path) -> None:

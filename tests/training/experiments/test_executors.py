@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tests.training.experiments.tasks import closure, gpus, kill, kill_once, place, refuse
+from tests.training.experiments.tasks import gpus, kill, kill_once, place, refuse
 
 from veilcam_training.bundle import Bundle, read_bundle
 from veilcam_training.cli import main as cli
@@ -28,7 +27,6 @@ from veilcam_training.experiments.executors import (
     RayExecutor,
     make_executor,
 )
-from veilcam_training.experiments.results import load_results
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -107,7 +105,7 @@ def test_a_lost_task_is_run_again(workers: Executor, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_task_that_kills_every_worker(workers: Executor, folder: Path) -> None:
-    with pytest.raises(TrainingError, match=r"task 1 of 1 lost its worker 3 times .* use fewer"):
+    with pytest.raises(TrainingError, match=r"workers were lost 3 times .* use fewer"):
         list(workers.run(kill, [folder]))
     assert len(list(folder.iterdir())) == ATTEMPTS
 
@@ -117,13 +115,7 @@ def test_what_a_task_raises_is_raised(workers: Executor) -> None:
     with pytest.raises(TrainingError) as caught:
         list(workers.run(refuse, [1]))
     assert str(caught.value) == "value = 1 is not valid"
-    assert "in refuse" in "".join(caught.value.__notes__)  # where, in the worker
-
-
-@pytest.mark.slow
-def test_a_result_that_cannot_be_sent() -> None:
-    with pytest.raises(TrainingError, match="cannot be sent"):
-        list(LocalExecutor(2).run(closure, [0]))
+    assert "in refuse" in str(caught.value.__cause__)  # where, in the worker
 
 
 def test_nothing_to_do() -> None:
@@ -204,28 +196,6 @@ def test_a_keyring_is_the_same_wherever_it_is_made(
 
 
 @pytest.mark.slow
-def test_a_table_is_the_same_wherever_it_is_made(
-    monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path, cluster: str
-) -> None:
-    part = ("--encoders", "lens,digital", "--embeddings", "3x4", "--classifiers", "LR")
-    made = []
-    for index, options in enumerate([(), ("--workers", 2), ("--ray", cluster)]):
-        work = tmp_path / str(index)
-        places = ("--data", digit_folder, "--work", work, "--epochs", 2)
-        command = ["veilcam-train", "table", "mnist", *map(str, [*places, *part, *options])]
-        monkeypatch.setattr(sys, "argv", command)
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        assert not caught.value.code
-        results = list(load_results(work))
-        assert len(results) == 2
-        for result in results:  # also where a program of Ray's ran it
-            assert result.origin.command == result.provenance["command"] == shlex.join(command)
-        made.append([result.numbers() for result in results])
-    assert made[0] == made[1] == made[2]
-
-
-@pytest.mark.slow
 def test_a_cluster_is_started_for_local_alone(
     monkeypatch: pytest.MonkeyPatch, cluster: str
 ) -> None:
@@ -272,6 +242,3 @@ def test_workers_of_the_command_line() -> None:
     assert isinstance(make_executor(None, "local"), RayExecutor)
     with pytest.raises(TrainingError, match="use one of them"):
         make_executor(2, "local")
-    for processes, threads in ((0, 1), (2, 0)):
-        with pytest.raises(TrainingError, match="use at least 1"):
-            LocalExecutor(processes, threads=threads)

@@ -1,4 +1,4 @@
-"""A finished cell says where its numbers come from, and so does its bundle."""
+"""A bundle says where it comes from."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import platform
 import sys
 from datetime import UTC, datetime
+from importlib.machinery import ModuleSpec
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,46 +15,56 @@ import torch
 
 from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
-from veilcam_training.experiments.records import commit
-from veilcam_training.experiments.results import BUNDLE, cell_folder, load_results
+from veilcam_training.experiments.records import commit, own_command
 
 
-def test_a_cell_and_its_bundle_say_where_they_come_from(
+def test_bundle_says_where_it_comes_from(
     monkeypatch: pytest.MonkeyPatch, digit_folder: Path, tmp_path: Path
 ) -> None:
-    options = f"--data {digit_folder} --work {tmp_path} --epochs 1 --seed 3"
-    part = "--encoders learned --binnings area --classifiers LR --embeddings 3x4"
-    command = f"veilcam-train table mnist {options} {part}"
+    out = tmp_path / "a.veilcam"
+    options = f"--data {digit_folder} --out {out} --epochs 1 --seed 3 --embedding 3x4"
+    command = f"veilcam-train fit {options}"
     monkeypatch.setattr(sys, "argv", command.split())
     before = datetime.now(UTC).replace(microsecond=0)
     with pytest.raises(SystemExit):
         cli.main()
     after = datetime.now(UTC)
 
-    result = next(load_results(tmp_path))
-    bundle = read_bundle(cell_folder(tmp_path, result.cell) / BUNDLE)
-    settings = result.settings.model_dump(mode="json")
-    assert result.provenance["settings"] == settings
-    assert settings["seed"] == 3
-    assert bundle.provenance["settings"] == {k: v for k, v in settings.items() if k != "seed"}
-    assert bundle.provenance["pairs"] == [
-        {
-            "seed": 3,
-            "test_accuracy": result.test_accuracy,
-            "validation_accuracy": result.validation_accuracy,
-            "epoch": result.best_epoch + 1,
-        }
-    ]
-    for record in (result.provenance, bundle.provenance):
-        assert record["data_sha256"] == {
-            path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in digit_folder.iterdir()
-        }
-        assert record["versions"] == {
-            "veilcam": version("veilcam"),
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-        }
-        assert record["commit"] == commit()
-        assert before <= datetime.fromisoformat(str(record["date"])) <= after
-        assert record["command"] == command
+    record = read_bundle(out).provenance
+    settings = record["settings"]
+    assert isinstance(settings, dict)
+    assert settings["embedding"] == "3x4"
+    assert "seed" not in settings  # each pair has its own
+    pairs = record["pairs"]
+    assert isinstance(pairs, list)
+    (pair,) = pairs
+    assert isinstance(pair, dict)
+    assert pair.keys() == {"seed", "test_accuracy", "validation_accuracy", "epoch"}
+    assert (pair["seed"], pair["epoch"]) == (3, 1)
+    assert record["data_sha256"] == {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in digit_folder.iterdir()
+    }
+    assert record["versions"] == {
+        "veilcam": version("veilcam"),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
+    assert record["commit"] == commit()
+    assert before <= datetime.fromisoformat(str(record["date"])) <= after
+    assert record["command"] == command
+
+
+def test_own_command_is_as_one_types_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    main = sys.modules["__main__"]
+    monkeypatch.setattr(main, "__spec__", None)
+    monkeypatch.setattr(sys, "argv", ["/long/way/veilcam-train", "fit", "--data", "d"])
+    assert own_command() == ["veilcam-train", "fit", "--data", "d"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "benchmarks" / "a.py"), "-x"])
+    assert own_command() == ["python", "benchmarks/a.py", "-x"]
+    # A worker has the module's file, and no spec.
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "benchmarks" / "a" / "__main__.py"), "-x"])
+    assert own_command() == ["python", "-m", "benchmarks.a", "-x"]
+    for module in ("benchmarks.a", "benchmarks.a.__main__"):
+        monkeypatch.setattr(main, "__spec__", ModuleSpec(module, None))
+        assert own_command() == ["python", "-m", "benchmarks.a", "-x"]

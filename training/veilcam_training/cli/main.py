@@ -34,7 +34,6 @@ from veilcam_training.cli.options import (
     warn_of_precision,
     watch,
 )
-from veilcam_training.cli.table import report_command, table_command
 from veilcam_training.config.recipes import RECIPES
 from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.data import SOURCES, open_source, recognise
@@ -243,8 +242,6 @@ def keyring_command(
     console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
-app.command("table")(table_command)
-app.command("report")(report_command)
 app.command("fit-fresh")(fit_fresh_command)
 app.command("frame")(frame_command)
 app.command("adapt")(adapt_command)

@@ -1,1 +1,1 @@
-"""The paper's tables: their cells, how they are run, and the report that sets ours beside them."""
+"""Experiments: fits from settings, bundles of them, and their provenance."""

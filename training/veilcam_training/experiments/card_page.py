@@ -8,12 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from veilcam_training.attacks.card.study import Study
 from veilcam_training.attacks.card.threats import CLAIMED
 from veilcam_training.bundle import CardRow, PrivacyCard
-from veilcam_training.experiments.style import bare, panels_of
 
 Floats = npt.NDArray[np.float32]
 
@@ -85,6 +86,22 @@ def draw_pictures(study: Study) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, dpi=200, facecolor="white", metadata={"Software": None})
     return stream.getvalue()
+
+
+def panels_of(down: int, across: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with rows of panels of ``size`` (width, height) [inches]."""
+    width, height = max(size[0] * across, 4), size[1] * down + 0.5
+    figure = Figure(figsize=(width, height), layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False)
+    return figure, [list(row) for row in panels]
+
+
+def bare(axes: Axes) -> None:
+    """Take ticks and frame from a picture."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
 
 def _as_picture(values: Floats, shape: tuple[int, int]) -> Floats:

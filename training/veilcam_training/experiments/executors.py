@@ -1,10 +1,5 @@
-"""Executors: they run the same function on many tasks, here or on a cluster, and outlive lost ones.
+"""Executors: they run one function on many tasks, here, in processes, or on a Ray cluster."""
 
-``concurrent.futures`` and ``loky`` give up a whole pool when one process dies, and cannot say which
-task was at fault; so each local worker is a plain ``multiprocessing`` process with its own pipe.
-"""
-
-import contextlib
 import logging
 import multiprocessing
 import os
@@ -13,12 +8,10 @@ import signal
 import socket
 import sys
 import threading
-import traceback
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.connection import Connection, wait
-from types import ModuleType
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Protocol, TypeVar
 
 import torch
 
@@ -26,85 +19,74 @@ from veilcam_training.errors import TrainingError, require
 
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
+Function = Callable[[TaskT], ResultT]
+Results = Iterator[tuple[int, ResultT]]
 
 ATTEMPTS = 3
-"""How often a task is begun whose worker is lost each time."""
+"""Number of times that a task is begun whose worker is lost each time."""
 
 
 class Executor(Protocol):
-    """Runs tasks. Function, tasks and results must be picklable, unless it is one here."""
+    """Runner of tasks. Function, tasks and results must be picklable, unless all runs here."""
 
-    def run(
-        self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
-    ) -> Iterator[tuple[int, ResultT]]:
-        """Results as they finish, each with the index of its task.
+    def run(self, function: Function[TaskT, ResultT], tasks: Sequence[TaskT]) -> Results[ResultT]:
+        """Yield results as they finish, each with the index of its task.
 
         A task whose worker was lost is run again. Closing the iterator ends what still runs.
 
         Raises:
-            TrainingError: a task's worker was lost ``ATTEMPTS`` times.
-            Exception: what a task raised, as it raised it; the other tasks are ended.
+            TrainingError: workers were lost ``ATTEMPTS`` times, or there is no cluster.
+            Exception: what a task raised; the other tasks are ended.
         """
 
 
-def _at_least_one(name: str, value: int) -> int:
-    require(value >= 1, f"{name} = {value} is not valid: use at least 1")
-    return value
-
-
 class LocalExecutor:
-    """Processes of this machine.
-
-    One process is this one: no other is started, and tasks run in their order. More are started
-    anew ("spawn"), so a script that uses them needs its ``if __name__ == "__main__":``. They end
-    with their parent, even when that is killed.
+    """Processes of this machine, which end with their parent; one process is this one.
 
     Args:
-        processes: how many tasks run at a time.
-        threads: of torch in each, if there are several; one process keeps those that it has.
-
-    Raises:
-        TrainingError: less than one process or thread.
+        processes: number of tasks that run at a time.
+        threads: number of torch's threads in each; this process keeps those that it has.
     """
 
     def __init__(self, processes: int = 1, *, threads: int = 1) -> None:
-        self._processes = _at_least_one("workers", processes)
-        self._threads = _at_least_one("threads", threads)
+        self._processes, self._threads = processes, threads
 
-    def run(
-        self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
-    ) -> Iterator[tuple[int, ResultT]]:
+    def run(self, function: Function[TaskT, ResultT], tasks: Sequence[TaskT]) -> Results[ResultT]:
         """See :meth:`Executor.run`."""
         if self._processes == 1:
-            for index, task in enumerate(tasks):
-                yield index, function(task)
+            yield from ((index, function(task)) for index, task in enumerate(tasks))
             return
-        waiting = deque((index, 1) for index in range(len(tasks)))
-        idle: list[_Process[TaskT, ResultT]] = []
-        busy: dict[Connection, tuple[_Process[TaskT, ResultT], int, int]] = {}
+        left, lost = dict(enumerate(tasks)), 0
+        while left:
+            before = len(left)
+            for index, result in self._run_once(function, left):
+                del left[index]
+                yield index, result
+            lost = lost + 1 if len(left) == before else 1
+            if left and lost == ATTEMPTS:
+                raise _lost("a process ended")
+
+    def _run_once(
+        self, function: Function[TaskT, ResultT], tasks: Mapping[int, TaskT]
+    ) -> Results[ResultT]:
+        """Yield results; a lost worker ends all of them."""
+        others = multiprocessing.active_children()
+        pool = ProcessPoolExecutor(
+            min(self._processes, len(tasks)), multiprocessing.get_context("spawn"), _begin_worker
+        )
         try:
-            while waiting or busy:
-                while waiting and len(busy) < self._processes:
-                    index, attempt = waiting.popleft()
-                    process = idle.pop() if idle else _Process(function, self._threads)
-                    process.send(tasks[index])
-                    busy[process.connection] = process, index, attempt
-                for ready in wait(list(busy)):
-                    assert isinstance(ready, Connection)  # noqa: S101 - for mypy
-                    process, index, attempt = busy.pop(ready)
-                    try:
-                        answer = process.receive()
-                    except (EOFError, OSError):
-                        status = process.end()
-                        if attempt == ATTEMPTS:
-                            raise _lost(index, len(tasks), f"exit status {status}") from None
-                        waiting.appendleft((index, attempt + 1))
-                    else:
-                        idle.append(process)
-                        yield index, answer.result()
+            futures = {
+                pool.submit(_attempt, function, task, self._threads, sys.argv): index
+                for index, task in tasks.items()
+            }
+            for future in as_completed(futures):
+                if not isinstance(future.exception(), BrokenProcessPool):
+                    yield futures[future], pickle.loads(future.result())  # noqa: S301 - ours
         finally:
-            for process in (*idle, *(entry[0] for entry in busy.values())):
-                process.end()
+            for process in multiprocessing.active_children():
+                if process not in others:
+                    process.kill()
+            pool.shutdown(cancel_futures=True)
 
 
 HERE = LocalExecutor()
@@ -114,182 +96,99 @@ HERE = LocalExecutor()
 class RayExecutor:
     """Tasks on a Ray cluster; needs the extra ``scale``, on the cluster too.
 
-    A connection that the caller has made is used and left alone.
-
     Args:
-        address: of the cluster, e.g. ``"10.0.0.1:6379"``; ``"local"`` starts one on this machine,
-            for as long as the tasks run.
-        threads: of torch in each task, which asks the cluster for as many cores.
-        gpus: that each task asks the cluster for.
+        address: HOST:PORT of the cluster; ``"local"`` starts one for as long as the tasks run. A
+            connection that the caller has made is used and left alone.
+        threads: number of torch's threads in each task, which asks the cluster for as many cores.
+        gpus: number of GPUs that each task asks the cluster for.
 
     Raises:
-        TrainingError: Ray is not installed, or less than one thread.
+        TrainingError: Ray is not installed.
     """
 
     def __init__(self, address: str, *, threads: int = 1, gpus: int = 0) -> None:
-        _import_ray()
-        self._address, self._gpus = address, gpus
-        self._threads = _at_least_one("threads", threads)
+        try:
+            import ray  # noqa: PLC0415 - of an extra, and slow to import
+        except ImportError:
+            raise TrainingError(
+                "Ray is not installed: run pip install -e '.[scale]' in the checkout"
+            ) from None
+        self._ray, self._address, self._threads, self._gpus = ray, address, threads, gpus
 
-    def run(
-        self, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT]
-    ) -> Iterator[tuple[int, ResultT]]:
-        """See :meth:`Executor.run`; also a TrainingError if there is no cluster at the address."""
-        ray = _import_ray()
+    def run(self, function: Function[TaskT, ResultT], tasks: Sequence[TaskT]) -> Results[ResultT]:
+        """See :meth:`Executor.run`."""
+        ray = self._ray
         connected = ray.is_initialized()
         if not connected:
-            self._connect(ray)
+            self._connect()
         attempt = ray.remote(num_cpus=self._threads, num_gpus=self._gpus, max_retries=ATTEMPTS - 1)(
-            _attempt_on_cluster
+            _attempt
         )
-        running: dict[object, int] = {}
+        running = {
+            attempt.remote(function, task, self._threads, sys.argv): index
+            for index, task in enumerate(tasks)
+        }
         try:
-            shared = ray.put(function)
-            for index, task in enumerate(tasks):
-                running[attempt.remote(shared, task, self._threads, sys.argv)] = index
             while running:
                 (ready,), _ = ray.wait(list(running))
                 index = running.pop(ready)
-                try:
-                    answer: _Answer[ResultT] = ray.get(ready)
-                except ray.exceptions.RayTaskError as error:
-                    raise TrainingError(
-                        f"task {index + 1} of {len(tasks)} could not be passed to Ray or back "
-                        f"({type(error.cause).__name__}): use the same veilcam on the cluster"
-                    ) from error
-                except ray.exceptions.RayError as error:
-                    raise _lost(index, len(tasks), type(error).__name__) from None
-                yield index, answer.result()
+                yield index, pickle.loads(ray.get(ready))  # noqa: S301 - of our worker
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from error
+        except ray.exceptions.RayError as error:
+            raise _lost(type(error).__name__) from None
         finally:
             for reference in running:
                 ray.cancel(reference, force=True)
             if not connected:
                 ray.shutdown()
 
-    def _connect(self, ray: ModuleType) -> None:
-        if self._address != "local":
-            _check_reachable(self._address)  # Ray itself would try for minutes
+    def _connect(self) -> None:
         os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # Ray has no other way to say so in a program
         try:
-            ray.init(
-                address=self._address,
-                include_dashboard=False,
-                logging_level=logging.WARNING,
+            if self._address != "local":  # Ray itself would try for minutes
+                host, _, port = self._address.rpartition(":")
+                socket.create_connection((host, int(port)), timeout=10).close()
+            self._ray.init(
+                address=self._address, include_dashboard=False, logging_level=logging.WARNING
             )
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             raise TrainingError(
-                f"Ray address {self._address!r} cannot be used ({type(error).__name__}): use "
-                "HOST:PORT of a running cluster, or local"
+                f"Ray address {self._address!r} cannot be used ({error}): use HOST:PORT of a "
+                "running cluster, or local"
             ) from error
-
-
-def _check_reachable(address: str) -> None:
-    host, _, port = address.rpartition(":")
-    try:
-        socket.create_connection((host, int(port)), timeout=10).close()
-    except (OSError, ValueError) as error:
-        raise TrainingError(
-            f"Ray address {address!r} cannot be reached ({error}): use HOST:PORT of a running "
-            "cluster, or local"
-        ) from None
 
 
 def make_executor(
     processes: int | None, ray: str | None, *, threads: int | None = None, gpus: int = 0
 ) -> Executor:
-    """The executor that a command line asks for.
-
-    Args:
-        processes: of this machine; None for this one alone.
-        ray: address of a cluster instead.
-        threads: of torch in each worker; None for one.
-        gpus: that a task needs.
+    """Return the executor that a command line asks for: this process, several, or a cluster.
 
     Raises:
-        TrainingError: both are asked for, or what they cannot be.
+        TrainingError: both processes and a cluster are asked for, or Ray is not installed.
     """
     if ray is None:
-        return LocalExecutor(1 if processes is None else processes, threads=threads or 1)
-    if processes is not None:
-        raise TrainingError("--workers and --ray are both given: use one of them")
+        return LocalExecutor(processes or 1, threads=threads or 1)
+    require(processes is None, "--workers and --ray are both given: use one of them")
     return RayExecutor(ray, threads=threads or 1, gpus=gpus)
 
 
-class _Answer(Generic[ResultT]):
-    """What came out of a task: a result, or the exception that it raised."""
+def _attempt(
+    function: Function[TaskT, ResultT], task: TaskT, threads: int, arguments: Sequence[str]
+) -> bytes:
+    """Run one task in a worker, under the command line that asked for it.
 
-    def __init__(self, value: ResultT | None, error: Exception | None = None) -> None:
-        self._value, self._error = value, error
-
-    def result(self) -> ResultT:
-        if self._error is not None:
-            raise self._error
-        return self._value  # type: ignore[return-value]
-
-
-def _attempt(function: Callable[[TaskT], ResultT], task: TaskT, threads: int) -> _Answer[ResultT]:
-    """Run one task in a worker."""
-    torch.set_num_threads(threads)
-    try:
-        return _Answer(function(task))
-    except Exception as error:
-        error.add_note("".join(traceback.format_exception(error)))  # of the worker
-        return _Answer(None, error)
-
-
-def _attempt_on_cluster(
-    function: Callable[[TaskT], ResultT], task: TaskT, threads: int, arguments: Sequence[str]
-) -> _Answer[ResultT]:
-    """Run one task in a worker of Ray, under the command line that asked for it.
-
-    What is made there says which command made it. Processes of multiprocessing have it already.
+    Plain pickle copies tensors; multiprocessing would lend the worker's memory.
     """
     sys.argv[:] = arguments
-    return _attempt(function, task, threads)
+    torch.set_num_threads(threads)
+    return pickle.dumps(function(task))
 
 
-class _Process(Generic[TaskT, ResultT]):
-    """A process that runs one task after another."""
-
-    def __init__(self, function: Callable[[TaskT], ResultT], threads: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.connection, other = context.Pipe()
-        self._process = context.Process(target=_serve, args=(other, function, threads), daemon=True)
-        self._process.start()
-        other.close()
-
-    def send(self, task: TaskT) -> None:
-        with contextlib.suppress(BrokenPipeError):  # it died: there will be no answer either
-            self.connection.send_bytes(pickle.dumps(task))
-
-    def receive(self) -> _Answer[ResultT]:
-        # Plain pickle copies tensors: that of a Connection lends their memory, which goes with the
-        # worker.
-        answer: _Answer[ResultT] = pickle.loads(self.connection.recv_bytes())  # noqa: S301 - ours
-        return answer
-
-    def end(self) -> int | None:
-        """Kill it, if it still runs; its exit status."""
-        self._process.kill()
-        self._process.join()
-        self.connection.close()
-        return self._process.exitcode
-
-
-def _serve(connection: Connection, function: Callable[[TaskT], ResultT], threads: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, who ends its workers
+def _begin_worker() -> None:
+    """End this process with its parent, who alone hears Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    while True:
-        try:
-            task: TaskT = pickle.loads(connection.recv_bytes())  # noqa: S301 - of the parent
-        except EOFError:
-            return
-        answer = _attempt(function, task, threads)
-        try:
-            data = pickle.dumps(answer)
-        except (pickle.PicklingError, TypeError, AttributeError) as error:
-            data = pickle.dumps(_Answer(None, TrainingError(f"a result cannot be sent: {error}")))
-        connection.send_bytes(data)
 
 
 def _end_with_parent() -> None:
@@ -300,19 +199,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _lost(index: int, count: int, reason: str) -> TrainingError:
+def _lost(reason: str) -> TrainingError:
     return TrainingError(
-        f"task {index + 1} of {count} lost its worker {ATTEMPTS} times ({reason}): "
-        "if memory ran out, use fewer workers"
+        f"workers were lost {ATTEMPTS} times ({reason}): if memory ran out, use fewer workers"
     )
-
-
-def _import_ray() -> ModuleType:
-    try:
-        import ray  # noqa: PLC0415 - of an extra, and slow to import
-        import ray.exceptions  # noqa: PLC0415
-    except ImportError:
-        raise TrainingError(
-            "Ray is not installed: run pip install -e '.[scale]' in the checkout"
-        ) from None
-    return ray

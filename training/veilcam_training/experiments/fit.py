@@ -33,7 +33,7 @@ from veilcam_training.experiments.model import (
 from veilcam_training.files import read_private, write_private
 from veilcam_training.trainer.callbacks import Callback
 from veilcam_training.trainer.checkpoint import load_checkpoint, save_checkpoint
-from veilcam_training.trainer.evaluation import confusion, evaluate
+from veilcam_training.trainer.evaluation import evaluate
 from veilcam_training.trainer.loop import Fit, fit
 
 WRONG_KEY_IMAGES = 1000
@@ -52,8 +52,8 @@ class FitResult:
     settings: Settings
     fit: Fit
     accuracy: Accuracy
-    confusion: Tensor
-    """Of the test set, see :func:`veilcam_training.trainer.evaluation.confusion`."""
+    predictions: Tensor
+    """Labels of the test set, int64 (count,)."""
 
     @cached_property
     def transfer_error(self) -> TransferError | None:
@@ -117,7 +117,7 @@ def run_fit(
         settings,
         fitted,
         Accuracy(result.accuracy, f"{source.name} test", len(test)),
-        confusion(test.labels.cpu(), result.predictions, len(source.labels)),
+        result.predictions,
     )
 
 

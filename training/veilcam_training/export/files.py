@@ -6,20 +6,25 @@ file is its owner's alone.
 
 import json
 import math
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 import safetensors.numpy
+import torch
 
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Accuracy, Bundle, Fresh, Pair
 from veilcam_training.errors import TrainingError
-from veilcam_training.export.onnx_graph import onnx_model
+from veilcam_training.models.network import build_classifier
 
 CARD = "model-card.md"
 CONFIDENCE = 0.95
+OPSET = 18
+"""The first one that torch's exporter writes."""
+INPUT, OUTPUT = "measurement", "logits"
 
 
 def export_bundle(bundle: Bundle, folder: Path, command: str) -> tuple[Path, ...]:
@@ -39,7 +44,7 @@ def export_bundle(bundle: Bundle, folder: Path, command: str) -> tuple[Path, ...
     contents: dict[str, bytes] = {}
     for name, reader in _readers(bundle):
         contents[f"{name}.onnx"] = onnx_model(
-            reader.layers, reader.weights, inputs=bundle.inputs, labels=bundle.labels
+            build_classifier(reader.layers, reader.weights), bundle.inputs, bundle.labels
         )
         described = {
             "format": "veilcam-classifier",
@@ -57,6 +62,45 @@ def export_bundle(bundle: Bundle, folder: Path, command: str) -> tuple[Path, ...
     except OSError as error:
         raise TrainingError(f"{folder} cannot be written to ({error.strerror})") from None
     return tuple(folder / name for name in contents)
+
+
+def onnx_model(classifier: torch.nn.Module, inputs: int, labels: Sequence[str]) -> bytes:
+    """Return the file of an ONNX model from (batch, inputs) float32 to logits (batch, labels).
+
+    Its metadata hold the labels, one a line, and nothing of this machine.
+
+    Args:
+        classifier: classifier in evaluation mode.
+        inputs: number of values that it takes.
+        labels: labels in the order of the logits.
+
+    Raises:
+        TrainingError: the packages of the extra ``export`` are not installed.
+    """
+    try:
+        import onnx  # noqa: PLC0415 - of an extra, as the next
+        import onnxscript  # noqa: F401, PLC0415 - torch wants it
+    except ModuleNotFoundError:
+        raise TrainingError(
+            "ONNX files need the extra 'export': run pip install -e '.[export]' in the checkout"
+        ) from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the exporter's own packages
+        program = torch.onnx.export(
+            classifier,
+            (torch.zeros(2, inputs),),
+            input_names=[INPUT],
+            output_names=[OUTPUT],
+            opset_version=OPSET,
+            dynamic_shapes=({0: torch.export.Dim("batch")},),
+            verbose=False,
+        )
+    assert program is not None  # noqa: S101 - for mypy: it is None where a file is asked for
+    model = program.model_proto
+    for part in (model.graph, *model.graph.node, *model.graph.value_info):
+        part.ClearField("metadata_props")  # paths of source files
+    onnx.helper.set_model_props(model, {"labels": "\n".join(labels)})
+    return bytes(model.SerializeToString(deterministic=True))
 
 
 def _readers(bundle: Bundle) -> Iterator[tuple[str, Pair | Fresh]]:

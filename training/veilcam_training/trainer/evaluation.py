@@ -23,21 +23,6 @@ class Evaluation:
     """int64 (count,)."""
 
 
-def confusion(labels: Tensor, predictions: Tensor, classes: int) -> Tensor:
-    """Count how often each class, a row, was taken for each class, a column.
-
-    Args:
-        labels: int64 (count,), the true classes.
-        predictions: int64 (count,).
-        classes: number of classes.
-
-    Returns:
-        int64 (classes, classes).
-    """
-    pairs = labels * classes + predictions
-    return torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
-
-
 @torch.no_grad()
 def evaluate(
     model: LenslessClassifier,

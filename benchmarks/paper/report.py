@@ -6,10 +6,10 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from veilcam_training.experiments.grid import Table, load_paper
-from veilcam_training.experiments.plots import draw_charts
-from veilcam_training.experiments.results import SEEDS_FOR_A_VERDICT, CellResult, Summary
-from veilcam_training.experiments.style import encoder_title
+from benchmarks.paper.grid import Table, load_paper
+from benchmarks.paper.plots import draw_charts
+from benchmarks.paper.results import SEEDS_FOR_A_VERDICT, CellResult, Summary
+from benchmarks.paper.style import encoder_title
 
 PICTURE_FOLDER = "pictures"
 
@@ -28,7 +28,7 @@ def write_report(out: Path, table: Table, results: Sequence[CellResult], work: P
     summary = Summary(table, results)
     charts = draw_charts(folder, summary, work) if results else []
     environment = Environment(
-        loader=PackageLoader("veilcam_training.experiments"),
+        loader=PackageLoader("benchmarks.paper"),
         autoescape=select_autoescape(("html.jinja",)),
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -10,14 +10,14 @@ from typing import Any, Literal, TypeAlias
 from pydantic import BaseModel, JsonValue, ValidationError
 from scipy.stats import t as student
 
+from benchmarks.figures import Origin, record_figures
+from benchmarks.paper.grid import Cell, Column, Place, Row, Table
+from benchmarks.paper.pictures import Pictures, save_pictures
+from benchmarks.paper.stopwatch import Clock
 from veilcam_optics.files import write_whole
 from veilcam_training.bundle import Bundle, write_bundle
 from veilcam_training.config.settings import Settings
 from veilcam_training.errors import TrainingError, require
-from veilcam_training.experiments.grid import Cell, Column, Place, Row, Table
-from veilcam_training.experiments.pictures import Pictures, save_pictures
-from veilcam_training.experiments.records import Origin, record_figures
-from veilcam_training.experiments.stopwatch import Clock
 
 RESULT = "result.json"
 PICTURES = "pictures.npz"
@@ -58,7 +58,7 @@ class CellResult(BaseModel, frozen=True, extra="forbid"):
     seconds: float
     """All epochs together."""
     clock: Clock = "elapsed"
-    """Which measured ``seconds``, see :mod:`veilcam_training.experiments.stopwatch`."""
+    """Which measured ``seconds``, see :mod:`benchmarks.paper.stopwatch`."""
     inference_seconds: float
     """From one measurement to its label, see ``stopwatch.time_label``."""
     device: str

@@ -1,23 +1,17 @@
-"""Running the cells of a table: each is one task of the workers, and is taken up where it ended."""
+"""Runner of a table's cells: each is one task of the workers, and is taken up where it ended."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
-from veilcam_optics.camera.geometry import Camera
-from veilcam_training.data import Source, open_source, split
-from veilcam_training.data.base import ReadOnce
-from veilcam_training.encoders import Mask
-from veilcam_training.experiments.executors import Executor
-from veilcam_training.experiments.fit import run_fit
-from veilcam_training.experiments.grid import Cell
-from veilcam_training.experiments.keyring import as_bundle
-from veilcam_training.experiments.pictures import make_pictures
-from veilcam_training.experiments.records import Origin, provenance
-from veilcam_training.experiments.results import (
+from benchmarks.figures import Origin
+from benchmarks.paper.grid import Cell
+from benchmarks.paper.pictures import make_pictures
+from benchmarks.paper.results import (
     CHECKPOINT,
     CellResult,
     EpochRecord,
@@ -26,12 +20,30 @@ from veilcam_training.experiments.results import (
     load_result,
     save_finished,
 )
-from veilcam_training.experiments.stopwatch import Stopwatch, time_label
-from veilcam_training.trainer.callbacks import Callback
+from benchmarks.paper.stopwatch import Stopwatch, time_label
+from veilcam_optics.camera.geometry import Camera
+from veilcam_training.data import Source, open_source, split
+from veilcam_training.data.base import ReadOnce
+from veilcam_training.encoders import Mask
+from veilcam_training.experiments.executors import Executor
+from veilcam_training.experiments.fit import run_fit
+from veilcam_training.experiments.keyring import as_bundle
+from veilcam_training.experiments.records import provenance
 
 
-def _no_callbacks(_: Cell) -> Sequence[Callback]:
-    return ()
+def confusion(labels: Tensor, predictions: Tensor, classes: int) -> Tensor:
+    """Count how often each class, a row, was taken for each class, a column.
+
+    Args:
+        labels: int64 (count,), the true classes.
+        predictions: int64 (count,).
+        classes: how many there are.
+
+    Returns:
+        int64 (classes, classes).
+    """
+    pairs = labels * classes + predictions
+    return torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
 
 
 @dataclass
@@ -43,14 +55,12 @@ class CellRunner:
         work: folder of the cells; a broken-off one is taken up from its checkpoint there.
         device: that computes.
         until: time after which no cell is begun [s since 1970]; None for no end.
-        observe: gives the callbacks of a cell; for workers in other processes, leave it.
     """
 
     data: Path
     work: Path
     device: torch.device
     until: float | None = None
-    observe: Callable[[Cell], Sequence[Callback]] = _no_callbacks
 
     def __post_init__(self) -> None:
         self._sources: dict[str, ReadOnce] = {}
@@ -80,10 +90,11 @@ class CellRunner:
             camera,
             device=self.device,
             checkpoint=cell_folder(self.work, cell) / CHECKPOINT,
-            callbacks=[watch, *self.observe(cell)],
+            callbacks=[watch],
         )
         model, history, best = fitted.fit.model, fitted.fit.history, fitted.fit.best
         seconds, clock = watch.read(history)
+        counts = confusion(source.test().labels, fitted.predictions, len(source.labels))
         result = CellResult(
             settings=settings,
             fingerprint=settings.fingerprint(source),
@@ -95,7 +106,7 @@ class CellRunner:
             epochs=tuple(
                 EpochRecord.model_validate(epoch, from_attributes=True) for epoch in history
             ),
-            confusion=tuple(map(tuple, fitted.confusion.tolist())),
+            confusion=tuple(map(tuple, counts.tolist())),
             seconds=seconds,
             clock=clock,
             inference_seconds=time_label(model.reader(), model.encoder.setup.outputs),

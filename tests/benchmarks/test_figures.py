@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from concurrent.futures import ThreadPoolExecutor
-from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
+from benchmarks.figures import check_record, record_figures
 
 from veilcam_training.errors import TrainingError
-from veilcam_training.experiments.records import check_record, own_command, record_figures
 
 
 def test_figures_are_merged(tmp_path: Path) -> None:
@@ -34,19 +32,6 @@ def test_two_at_a_time(tmp_path: Path) -> None:
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda i: record_figures(path, {f"n{i}": i}, ["x"]), range(12)))
     assert len(json.loads(path.read_text())) == 12
-
-
-def test_the_command_is_as_one_types_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    main = sys.modules["__main__"]
-    monkeypatch.setattr(main, "__spec__", None)
-    monkeypatch.setattr(sys, "argv", ["/long/way/veilcam-train", "fit", "--data", "d"])
-    assert own_command() == ["veilcam-train", "fit", "--data", "d"]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", [str(tmp_path / "benchmarks" / "a.py"), "-x"])
-    assert own_command() == ["python", "benchmarks/a.py", "-x"]
-    for module in ("benchmarks.a", "benchmarks.a.__main__"):
-        monkeypatch.setattr(main, "__spec__", ModuleSpec(module, None))
-        assert own_command() == ["python", "-m", "benchmarks.a", "-x"]
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The pictures of a report: cost, curves, PSFs, embeddings, confusion matrices."""
+"""Pictures of a report: cost, curves, PSFs, embeddings, confusion matrices."""
 
 import math
 from collections.abc import Sequence
@@ -19,18 +19,17 @@ from matplotlib.ticker import (
     NullLocator,
 )
 
-from veilcam_training.experiments.grid import Column
-from veilcam_training.experiments.pictures import Pixels, load_pictures
-from veilcam_training.experiments.results import PICTURES, Entry, Summary, cell_folder
-from veilcam_training.experiments.style import (
+from benchmarks.paper.grid import Column
+from benchmarks.paper.pictures import Pixels, load_pictures
+from benchmarks.paper.results import PICTURES, Entry, Summary, cell_folder
+from benchmarks.paper.style import (
     COLOURS,
     MARKERS,
     NAMES,
-    bare,
     encoder_title,
-    panels_of,
     tidy,
 )
+from veilcam_training.experiments.card_page import bare, panels_of
 
 POINT_EDGE, EDGE = "#d1495b", "#333333"
 LEAST_ERROR = 0.05

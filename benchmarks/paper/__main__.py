@@ -1,6 +1,15 @@
-"""``veilcam-train table`` runs cells of a table, ``veilcam-train report`` shows them."""
+"""The paper's tables, and ours of the same kind, reported beside the paper's numbers.
+
+    python -m benchmarks.paper mnist --data data/mnist --work runs/mnist --out report
+
+Finished cells are kept in ``--work``. A table that was broken off, even by kill -9, goes on where
+it was; with ``--budget 0s`` nothing is run, and what is finished is reported.
+"""
+
+from __future__ import annotations
 
 import re
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,41 +17,32 @@ from typing import Annotated
 
 import torch
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
+from benchmarks.figures import FiguresOption, check_record
+from benchmarks.paper.grid import TABLES, Cell, Part, Place, Table, find_table
+from benchmarks.paper.report import write_report
+from benchmarks.paper.results import CellResult, load_results, record_cells
+from benchmarks.paper.runner import CellRunner, run_cells
+from veilcam_training.bundle import BundleError
 from veilcam_training.cli.options import choose_device
 from veilcam_training.config.settings import Settings, load_settings
 from veilcam_training.encoders import ENCODERS
 from veilcam_training.encoders.registry import WITH_PSF
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import make_executor
-from veilcam_training.experiments.grid import TABLES, Cell, Part, Place, Table, find_table
-from veilcam_training.experiments.records import check_record
-from veilcam_training.experiments.results import CellResult, load_results, record_cells
-from veilcam_training.experiments.runner import CellRunner, run_cells
 from veilcam_training.files import check_folder
-from veilcam_training.trainer.callbacks import Callback, Epoch, make_progress
 
-console = Console()
-
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Folder for report.html, report.md and pictures.")
-]
-Figures = Annotated[
-    Path | None, typer.Option("--figures", help="Record to write test accuracies into.")
-]
 Names = Annotated[str | None, typer.Option(help="Of them only these, e.g. lens,learned.")]
 
 
-def table_command(
+def command(
     name: Annotated[str, typer.Argument(help=f"One of {', '.join(TABLES)}.")],
     *,
-    data: Annotated[Path, typer.Option("--data", help="Folder that holds the data set's files.")],
-    work: Annotated[
-        Path, typer.Option("--work", help="Folder of the cells: what is finished there is kept.")
-    ],
-    out: Out = None,
+    data: Annotated[Path, typer.Option(help="Folder that holds the data set's files.")],
+    work: Annotated[Path, typer.Option(help="Folder of the cells: what is finished is kept.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for report.html, report.md and pictures.")
+    ] = None,
     encoders: Names = None,
     classifiers: Annotated[
         str | None, typer.Option(help="Instead of the paper's, e.g. LR,CNN32.")
@@ -75,18 +75,27 @@ def table_command(
         str | None, typer.Option(help="HOST:PORT of a Ray cluster, or local to start one.")
     ] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda, or auto: cuda if there is one.")] = "auto",
-    figures: Figures = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="One epoch, the smallest embedding, one classifier.")
+    ] = False,
+    figures: FiguresOption = None,
 ) -> None:
     """Run a table of the paper, or a part of it, and report it beside the paper's numbers.
 
-    A table that was broken off, even by kill -9, goes on where it was. The report and the figures
-    are of every finished cell of the table in --work, whenever it was run.
+    The report and the figures are of every finished cell of the table in --work, whenever it was
+    run.
     """
     table = find_table(name)
     check_folder("--work", work)
-    _check_places(out, figures)
+    if out is not None:
+        check_folder("--out", out)
+    if figures is not None:
+        check_record(figures)
     until = None if budget is None else time.time() + parse_duration(budget)
     psfs = _psfs(psf or [])
+    if quick:
+        epochs, embeddings = 1, table.embeddings[-1]
+        classifiers = classifiers or table.classifiers[0]
     part = Part(
         encoders=_names(encoders),
         classifiers=_names(classifiers),
@@ -109,41 +118,15 @@ def table_command(
     ]
     place = choose_device(device)
     torch.set_num_threads(1)  # as in every worker: a number does not depend on how many there are
+    runner = CellRunner(data.resolve(), work.resolve(), place, until)
     run_by = make_executor(workers, ray, gpus=int(place.type == "cuda"))
-    with make_progress(console) as progress:
-        bar = TableProgress(progress, table.name, len(cells))
-        runner = CellRunner(data.resolve(), work.resolve(), place, until)
-        if ray is None and workers in (None, 1):  # in this process, where it can be watched
-            runner.observe = bar.observe
-        for result, now in run_cells(cells, runner, run_by):
-            bar.finish(result, now=now)
-    if bar.finished < len(cells):
-        console.print(
-            f"{len(cells) - bar.finished} of {len(cells)} cells are left: start again to go on"
-        )
+    finished = 0
+    for finished, (result, now) in enumerate(run_cells(cells, runner, run_by), start=1):
+        if now:
+            print(f"{finished} of {len(cells)}  {_in_words(result)}", flush=True)
+    if finished < len(cells):
+        print(f"{len(cells) - finished} of {len(cells)} cells are left: start again to go on")
     _report(table, work, out, figures)
-
-
-def report_command(
-    name: Annotated[str, typer.Argument(help=f"One of {', '.join(TABLES)}.")],
-    *,
-    work: Annotated[Path, typer.Option("--work", help="Folder of the cells.")],
-    out: Out = None,
-    figures: Figures = None,
-) -> None:
-    """Report every finished cell of a table, whatever its settings; nothing is run."""
-    require(work.is_dir(), f"{work} is not a folder: give that of the cells as --work")
-    if out is None and figures is None:
-        raise TrainingError("there is nowhere to report to: give --out FOLDER or --figures FILE")
-    _check_places(out, figures)
-    _report(find_table(name), work, out, figures)
-
-
-def _check_places(out: Path | None, figures: Path | None) -> None:
-    if out is not None:
-        check_folder("--out", out)
-    if figures is not None:
-        check_record(figures)
 
 
 def _report(table: Table, work: Path, out: Path | None, figures: Path | None) -> None:
@@ -151,59 +134,12 @@ def _report(table: Table, work: Path, out: Path | None, figures: Path | None) ->
     if figures is not None:
         record_cells(figures, results)
     if out is not None:
-        from veilcam_training.experiments.report import write_report  # noqa: PLC0415 - slow to import
-
         write_report(out, table, results, work)
-        console.print(f"wrote {out / 'report.html'} and report.md: {len(results)} cells")
-
-
-class TableProgress:
-    """One bar for a table, and a line above it for each cell that was run."""
-
-    def __init__(self, progress: Progress, name: str, cells: int) -> None:
-        self._progress, self.finished = progress, 0
-        self._bar = progress.add_task(name, total=cells, note="")
-
-    def finish(self, result: CellResult, *, now: bool) -> None:
-        """Count a cell; ``now`` if it was run by this command."""
-        self.finished += 1
-        self._progress.update(self._bar, completed=self.finished, note="")
-        if now:
-            self._progress.console.print(
-                f"{result.cell.name}  validation {100 * result.validation_accuracy:.2f} %  "
-                f"test {100 * result.test_accuracy:.2f} %{_beside(result)}  "
-                f"{len(result.epochs)} epochs  {result.seconds:.0f} s",
-                highlight=False,
-                soft_wrap=True,
-            )
-
-    def observe(self, cell: Cell) -> Sequence[Callback]:
-        """Watch ``cell`` being run."""
-        return (_CellProgress(self, cell),)
-
-    def note(self, text: str, share: float) -> None:
-        """Say where a cell stands, of which ``share`` is done."""
-        self._progress.update(self._bar, completed=self.finished + share, note=text)
-
-
-class _CellProgress:
-    """Shows one cell in the bar of its table."""
-
-    def __init__(self, table: TableProgress, cell: Cell) -> None:
-        self._table, self._cell = table, cell
-        self._accuracy = ""
-
-    def step(self, epoch: int, done: int, steps: int) -> None:
-        epochs = self._cell.settings.recipe.epochs
-        text = f"{self._cell.name}  epoch {epoch + 1} of {epochs}{self._accuracy}"
-        self._table.note(text, (epoch + done / steps) / epochs)
-
-    def epoch(self, epoch: Epoch) -> None:
-        self._accuracy = f"  {100 * epoch.validation_accuracy:.2f} %"
+        print(f"wrote {out / 'report.html'} and report.md: {len(results)} cells")
 
 
 def parse_duration(text: str) -> float:
-    """Seconds in e.g. ``90s``, ``10m`` or ``2h``.
+    """Return the seconds in e.g. ``90s``, ``10m`` or ``2h``.
 
     Raises:
         TrainingError: not of that form.
@@ -214,18 +150,22 @@ def parse_duration(text: str) -> float:
     return float(match[1]) * {"s": 1, "m": 60, "h": 3600}[match[2]]
 
 
-def _beside(result: CellResult) -> str:
+def _in_words(result: CellResult) -> str:
     paper = result.cell.place.paper
-    return "" if paper is None else f" (paper {paper:.1f})"
+    return (
+        f"{result.cell.name}  validation {100 * result.validation_accuracy:.2f} %  "
+        f"test {100 * result.test_accuracy:.2f} %{'' if paper is None else f' (paper {paper:.1f})'}"
+        f"  {len(result.epochs)} epochs  {result.seconds:.0f} s"
+    )
 
 
 def _names(text: str | None) -> list[str] | None:
-    """The names in a list with commas."""
+    """Return the names in a list with commas."""
     return None if text is None else [name.strip() for name in text.split(",")]
 
 
 def _psfs(given: Sequence[str]) -> dict[str, Path]:
-    """Files of measured PSFs, by the encoder that each is of."""
+    """Return the files of measured PSFs, by the encoder that each is of."""
     found: dict[str, Path] = {}
     for each in given:
         name, equals, rest = each.partition("=")
@@ -253,3 +193,13 @@ def _settings(
     if place.row.encoder in psfs:
         values["psf"] = psfs[place.row.encoder]
     return load_settings(None, values)
+
+
+app = typer.Typer(pretty_exceptions_enable=False)
+app.command()(command)
+
+if __name__ == "__main__":
+    try:
+        app()
+    except (TrainingError, BundleError) as error:
+        sys.exit(f"error: {error}")
