@@ -197,9 +197,11 @@ test-pythons: $(INSTALLED)
 	$(BIN)/python -m tests.system.pythons $(foreach version,3.11 3.12 3.13,\
 		$(if $(shell python$(version) -c '' 2>/dev/null && echo yes),$(version)=python$(version)))
 
-# Not part of test: it runs tests a hundred times.
+# Not part of test: it runs a room's tests for each mutant.
+COUNT ?= 100
+SEED ?= 1
 mutants: $(INSTALLED)
-	$(BIN)/python -m tests.mutation --count 100 --seed 1 --figures benchmarks/results/house.json
+	$(BIN)/python -m tests.mutants --count $(COUNT) --seed $(SEED) --out build/mutants.json
 
 # The documentation as a site, for any browser; nothing is fetched while it is built or read.
 docs: $(INSTALLED)
@@ -207,4 +209,4 @@ docs: $(INSTALLED)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) demo build/mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) demo build/mutants.json .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,1 +1,0 @@
-"""Mutation testing: would a room's own tests notice if one of its modules were wrong?"""
