@@ -15,7 +15,8 @@ from veilcam_mqtt.view import View, calls_for_a_look, changes_what_is_seen
 LOOK_EVERY = 5.0
 """Between two questions what is the case, whatever events tell [s]."""
 PAUSES = (0.2, 0.5, 1.0, 2.0, 5.0)
-"""Before each attempt to reach a camera that went [s]; the last one again and again."""
+"""Before each attempt to reach a camera that went [s]; the last one again and again. A camera that
+answered for as long as the last one begins with the first one anew."""
 
 log = logging.getLogger("veilcam.mqtt")
 
@@ -47,13 +48,14 @@ class Follower:
         """Follow for ever; a camera that goes is waited for."""
         failures, said = 0, ""
         while True:
-            answered = self._view
+            answered, begun = self._view, self._clock()
             try:
                 await self._follow()
             except* VeilcamError as errors:
                 reason = str(errors.exceptions[0])
             if self._view is not None and self._view is not answered:
-                failures, said = 0, ""
+                said = ""
+                failures = 0 if self._clock() - begun >= PAUSES[-1] else failures
             if reason != said:
                 log.warning("camera: %s", reason)
             said = reason

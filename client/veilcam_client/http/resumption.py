@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from veilcam_client.errors import VeilcamError
-from veilcam_client.http.options import Options, log
+from veilcam_client.errors import RequestTimeoutError, VeilcamError
+from veilcam_client.http.options import STREAM_SILENCE, Options, log
 from veilcam_client.wire.events import Event, Gap
 
 LONGEST_PAUSE = 30.0
-"""Before a stream is opened again; one that was open as long begins with short pauses anew [s]."""
+"""Before a stream is opened again [s]."""
+HEALTHY = 30.0
+"""A stream that was alive for so long begins with short pauses anew [s]."""
 _PASSING = frozenset((502, 503, 504))
 """Statuses of a proxy whose daemon is about to come back."""
 
@@ -26,7 +29,9 @@ class Resumption:
     def __init__(self, options: Options, last_event_id: str | None, reconnect: bool) -> None:
         self._options, self._last, self._reconnect = options, last_event_id, reconnect
         self._failed = 0
+        self._answered = False
         self._opened: float | None = None
+        """Start of the present connection, None where there is none."""
 
     def headers(self) -> dict[str, str]:
         """Headers of the next request."""
@@ -37,27 +42,37 @@ class Resumption:
 
     def opened(self) -> Iterator[Gap]:
         """Note that the daemon streams; yield what the daemon cannot know that was missed."""
-        again, self._opened = self._opened is not None, time.monotonic()
+        again, self._answered, self._opened = self._answered, True, time.monotonic()
         if again and self._last is None:
             yield Gap(id="", at=datetime.now(UTC))
 
     def heard(self, event: Event) -> None:
         """Note an event: the stream goes on after it."""
         if event.id:
-            self._failed, self._last = 0, event.id
+            self._last = event.id
 
     def pause(self, error: VeilcamError) -> float:
         """Seconds to wait before the next connection, or raise what no waiting puts right."""
         retry = self._options.retry
-        if self._opened is not None and time.monotonic() - self._opened > LONGEST_PAUSE:
+        if self._alive(error) >= HEALTHY:
             self._failed = 0
+        self._opened = None
         attempt, self._failed = self._failed, self._failed + 1
-        if self._opened is None:
+        if not self._answered:
             delay = retry.delay(attempt, error)
         elif self._reconnect and (error.retryable or error.status in _PASSING):
             asked = min(error.retry_after or 0.0, retry.patience)
-            delay = asked + retry.jitter(attempt, LONGEST_PAUSE)
+            longest = min(LONGEST_PAUSE, math.ldexp(retry.base, min(attempt, 30)))
+            # Half of it is certain: chance alone would let a grown pause be short again.
+            delay = asked + retry.uniform(longest / 2, longest)
         else:
             raise error
         log.info("event stream ended with %r, once more in %.2f s", error.code, delay)
         return delay
+
+    def _alive(self, error: VeilcamError) -> float:
+        """Seconds for which the connection that ended was alive."""
+        if self._opened is None:
+            return 0.0
+        silent = STREAM_SILENCE if isinstance(error, RequestTimeoutError) else 0.0
+        return time.monotonic() - self._opened - silent

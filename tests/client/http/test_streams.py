@@ -6,8 +6,9 @@ import asyncio
 import json
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from itertools import islice
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import httpx
@@ -22,6 +23,7 @@ from veilcam_client import (
     ProtocolError,
     UnauthorizedError,
 )
+from veilcam_client.http.options import STREAM_SILENCE
 from veilcam_client.wire.base import CALL_HEADER
 
 if TYPE_CHECKING:
@@ -81,21 +83,62 @@ async def test_a_stream_that_never_was_is_an_error(both: Both, kind: type) -> No
 
 
 @KINDS
-async def test_a_stream_that_was_is_opened_again_at_growing_pauses(both: Both, kind: type) -> None:
-    away: list[httpx.Response | Exception] = [
-        *[httpx.ConnectError("gone")] * 12,
+async def test_pauses_of_a_stream_grow_and_stay_until_it_was_healthy(
+    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lasted = 0.0
+    clock = SimpleNamespace(monotonic=lambda: lasted + sum(both.waits))
+    monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
+    gone: list[httpx.Response | Exception] = [
+        *[httpx.ConnectError("gone")] * 40,
         httpx.Response(502, text="Bad Gateway"),
         httpx.ReadTimeout("slow"),
     ]
-    both.daemon.first = [events(event(1)), *away, events(event(2), event(3)), events(event(4))]
-    heard = await both(kind, lambda camera: collect(camera, 4), max_retries=0)
-    assert heard == ["e1", "e2", "e3", "e4"]
+    # It is there again, and each stream ends with its first event.
+    flapping = [events(event(n)) for n in range(10)]
+    both.daemon.first = [events(event(1)), *gone, *flapping, events(event(2)), events(event(3))]
+
+    async def follow(camera: Any) -> None:
+        nonlocal lasted
+        stream = camera.events()
+        for heard in range(13):
+            await anext(stream) if isinstance(camera, AsyncCamera) else next(stream)
+            # Of the first and of the last but one: longer than any pause.
+            lasted += 60.0 if heard in (0, 11) else 0.0
+        closed = stream.close()
+        if closed is not None:
+            await closed
+
+    await both(kind, follow, max_retries=0)
     *pauses, last = both.waits
-    assert len(pauses) == 1 + len(away)
-    assert all(pause <= min(30, 0.25 * 2**n) for n, pause in enumerate(pauses))
-    assert max(pauses) > 4
-    # Once an event came, pauses are short again.
+    assert len(pauses) == 1 + len(gone) + len(flapping)
+    grown = [min(30.0, 0.25 * 2**n) for n in range(len(pauses))]
+    assert all(most / 2 <= pause <= most for pause, most in zip(pauses, grown, strict=True))
     assert last <= 0.25
+    # Once they have grown, less than six in a minute.
+    assert min(sum(pauses[n : n + 5]) for n in range(8, len(pauses) - 4)) > 60
+
+
+@KINDS
+async def test_silence_of_a_stream_is_not_health(
+    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Silent(httpx.SyncByteStream, httpx.AsyncByteStream):
+        def __iter__(self) -> Iterator[bytes]:
+            both.waits.append(STREAM_SILENCE)
+            raise httpx.ReadTimeout("silent")
+
+        async def __aiter__(self) -> AsyncIterator[bytes]:
+            for piece in self:
+                yield piece
+
+    clock = SimpleNamespace(monotonic=lambda: sum(both.waits))
+    monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
+    both.daemon.first = [events(event(0)), events(event(1), event(2))]
+    both.daemon.first[1:1] = [httpx.Response(200, stream=Silent()) for _ in range(9)]
+    assert await both(kind, lambda camera: collect(camera, 3)) == ["e0", "e1", "e2"]
+    pauses = [pause for pause in both.waits if pause != STREAM_SILENCE]
+    assert pauses[-1] >= 15
 
 
 @KINDS
