@@ -17,6 +17,7 @@ from veilcam_server.errors import (
     BundlesBusyError,
     BundleStoreError,
     BundleUnfitError,
+    StartError,
 )
 
 Change = Callable[[LoadedBundle], Awaitable[None]]
@@ -140,17 +141,26 @@ class BundleManager:
         """Read an uploaded file that may be used later."""
         info = bundle_info(self._opener.take(path))
         if self._opener.owners.keys:  # else an older one may be allowed when it is activated
-            self._opener.owners.check_version(info, self._store.used)
+            self._opener.owners.check_version(info, self._used())
         return info
 
     def _open(self, digest: str, allow_older: bool) -> tuple[LoadedBundle, Used]:
         """Open a bundle that may be used now, and return the record that is kept of it."""
         owners, keys = self._opener.owners, self._keys
-        used = dataclasses.replace(self._store.used, version=keys.info.version)
+        used = dataclasses.replace(self._used(), version=keys.info.version)
         if digest != keys.info.digest:
             keys = self._opener.open(self._store.path(digest), digest)
             owners.check_version(keys.info, used, allow_older=allow_older)
         return keys, owners.remember(keys.info, used)
+
+    def _used(self) -> Used:
+        try:
+            return self._store.used
+        except StartError:
+            raise BundleStoreError(
+                "the bundles that were in use cannot be read: 'veilcamd doctor' on the camera's "
+                "machine says why"
+            ) from None
 
     async def _response(self, digest: str) -> InstalledBundle:
         path = self._store.path(digest)

@@ -42,7 +42,7 @@ class ReleaseBudget:
 
     Raises:
         ValueError: a number that cannot be.
-        StartError: the record is of another version of this software.
+        StartError: the record cannot be read.
     """
 
     def __init__(self, directory: Path, raw: int, report: Report = log_fault) -> None:

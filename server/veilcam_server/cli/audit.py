@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from veilcam_server.cli.terminal import JsonOption, StateDirOption, fail
+from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail
 from veilcam_server.errors import StartError
 from veilcam_server.settings import default_state_dir
 
@@ -25,8 +25,10 @@ def audit(
     # Imported late: --help need not wait for it.
     from veilcam_server.security.audit import DONE, REFUSED, read_audit  # noqa: PLC0415
 
+    directory = state_dir or default_state_dir()
+    enter_state(directory)
     try:
-        entries = read_audit((state_dir or default_state_dir()) / (REFUSED if refused else DONE))
+        entries = read_audit(directory / (REFUSED if refused else DONE))
     except StartError as error:
         fail(str(error))
     for entry in entries[-last:]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from veilcam_server.cli.options import options_of
-from veilcam_server.cli.terminal import JsonOption, fail
+from veilcam_server.cli.terminal import JsonOption, enter_state, fail, require_software
 from veilcam_server.errors import CalibrationError, FenceError, StartError
 from veilcam_server.settings import Settings, Wiring
 
@@ -50,6 +50,8 @@ def calibrate(
     from veilcam_server.devices.errors import DeviceError  # noqa: PLC0415
     from veilcam_training.bundle import BundleError  # noqa: PLC0415
 
+    enter_state(settings.state_dir)
+    require_software()
     try:
         # What is asked of a person goes where a program that reads the record does not look.
         console = Console(stderr=json)

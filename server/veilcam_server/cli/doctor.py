@@ -9,6 +9,7 @@ import typer
 
 from veilcam_server.cli.options import options_of
 from veilcam_server.cli.terminal import JsonOption, fail
+from veilcam_server.errors import StartError
 from veilcam_server.settings import DoctorSettings
 
 _SIGNS = {"ok": ("ok", "green"), "bad": ("FIX", "bold red"), "skipped": ("later", "yellow")}
@@ -29,10 +30,13 @@ def doctor(
     from veilcam_server.devices.errors import DeviceError  # noqa: PLC0415
     from veilcam_server.doctor.checkup import examine  # noqa: PLC0415
     from veilcam_server.doctor.machine import Machine  # noqa: PLC0415
+    from veilcam_server.system.state_folder import become_owner  # noqa: PLC0415
 
     try:
+        # What root may do says nothing of the daemon's user.
+        become_owner(settings.state_dir)
         findings = list(examine(Machine(), settings))
-    except DeviceError as error:
+    except (DeviceError, StartError) as error:
         fail(str(error))
     if json:
         typer.echo(encoder.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))

@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from veilcam_client import __version__
-from veilcam_server.cli import audit, calibrate, doctor, serve, tokens
-from veilcam_server.cli.terminal import JsonOption, fail
+from veilcam_server.cli import audit, calibrate, doctor, serve, siege, tokens
+from veilcam_server.cli.terminal import JsonOption, enter_state, fail
 from veilcam_server.demo_data import DIGITS, load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.settings import SCENE_NAME, default_state_dir
@@ -69,6 +69,8 @@ def show(
         if index is None:
             fitting = [n for n, label in enumerate(digits.labels) if digit in (None, label)]
             index = secrets.choice(fitting)
+        if scene is None:
+            enter_state(default_state_dir())
         path = scene or default_state_dir() / SCENE_NAME
         serve.set_scene(path, digits, index)
         held = {"digit": int(digits.labels[index]), "index": index, "file": str(path)}

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from veilcam_server.cli.options import options_of
-from veilcam_server.cli.terminal import fail
+from veilcam_server.cli.terminal import enter_state, fail, require_software
 from veilcam_server.demo_data import Digits, load_digits
 from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
@@ -27,6 +27,9 @@ def serve(settings: Settings) -> None:
         # Nor need torch be waited for, to be told that the port is occupied.
         from veilcam_server.daemon import serve as run  # noqa: PLC0415
 
+        # Root could read what the daemon's user cannot, and what it made would be root's.
+        enter_state(settings.state_dir)
+        require_software()
         logs.configure(settings.log_level)
         simulated = settings.device == "simulated"  # as the environment may say too
         if simulated and not settings.scenes and not settings.scene_file.exists():
@@ -47,9 +50,10 @@ def _say(url: str) -> None:
 def set_scene(scene: Path, digits: Digits, index: int) -> None:
     """Write one digit to the scene file."""
     from veilcam_server.devices.simulated.scenes import write_scene  # noqa: PLC0415 - torch
+    from veilcam_server.system.state_file import make_directory  # noqa: PLC0415
 
     try:
-        scene.parent.mkdir(parents=True, exist_ok=True)
+        make_directory(scene.parent)
         write_scene(scene, digits.images[index])
     except OSError as error:
         raise StartError(f"cannot write the scene {scene}: {error.strerror}") from None

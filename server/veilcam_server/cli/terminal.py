@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 from pydantic import ValidationError
+
+from veilcam_server.errors import StartError
 
 StateDirOption = Annotated[
     Path | None, typer.Option(envvar="VEILCAM_STATE_DIR", help="That of 'veilcamd serve'.")
@@ -29,6 +33,30 @@ def one_line(error: ValidationError) -> str:
             message = item["msg"].removeprefix("Value error, ")
             parts.append(f"{name}: {message}" if name else message)
     return "; ".join(parts)
+
+
+def enter_state(directory: Path) -> None:
+    """Take on the owner of a state folder where this is root; end if it cannot be used."""
+    # Imported late: --help need not wait for it.
+    from veilcam_server.system.state_folder import (  # noqa: PLC0415
+        become_owner,
+        require_usable,
+    )
+
+    try:
+        become_owner(directory)
+        require_usable(directory)
+    except StartError as error:
+        fail(str(error))
+
+
+def require_software() -> None:
+    """End where this user cannot read the software itself, much of which is imported late."""
+    if not os.access(os.__file__, os.R_OK):
+        fail(
+            f"{getpass.getuser()}, to whom the state directory belongs, cannot read "
+            f"{Path(os.__file__).parent}: install veilcam where that user can read it"
+        )
 
 
 def fail(message: str) -> NoReturn:

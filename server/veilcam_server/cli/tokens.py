@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import getpass
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,13 +12,15 @@ import typer
 from pydantic import ValidationError
 
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
-from veilcam_server.cli.terminal import JsonOption, StateDirOption, fail, one_line
+from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail, one_line
 from veilcam_server.errors import AuditError, StartError, TokenStoreError, UnknownTokenError
 from veilcam_server.settings import default_state_dir
 
 if TYPE_CHECKING:
-    from veilcam_server.security.audit import AuditLog
     from veilcam_server.security.tokens import TokenStore
+
+Note = Callable[[str, Token], None]
+"""Writes an action and its token to the audit log."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -56,9 +58,9 @@ def create(
         )
     except ValidationError as error:
         fail(one_line(error))
-    with _store(state_dir) as (store, audit):
+    with _store(state_dir) as (store, note):
         made = store.create(asked.label, asked.scopes, asked.seconds)
-        _note(audit, "token create", made)
+        note("token create", made)
     typer.echo(made.model_dump_json() if json else made.secret)
 
 
@@ -93,29 +95,31 @@ def revoke(
     json: JsonOption = False,
 ) -> None:
     """Let a token do nothing any more, from the next request on."""
-    with _store(state_dir) as (store, audit):
+    with _store(state_dir) as (store, note):
         revoked = store.revoke(token_id)
-        _note(audit, "token revoke", revoked)
+        note("token revoke", revoked)
     typer.echo(revoked.model_dump_json() if json else f"revoked {token_id}")
 
 
 @contextmanager
-def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, AuditLog]]:
+def _store(state_dir: Path | None) -> Iterator[tuple[TokenStore, Note]]:
     # Imported late: --help need not wait for them.
     from veilcam_server.security.audit import DONE, AuditLog  # noqa: PLC0415
     from veilcam_server.security.tokens import TokenStore  # noqa: PLC0415
 
     directory = state_dir or default_state_dir()
+    user = getpass.getuser()  # before it is the folder's owner
+    enter_state(directory)
     try:
         store = TokenStore(directory, report=lambda fault: typer.echo(str(fault), err=True))
         audit = AuditLog(directory / DONE)
+
+        def note(action: str, token: Token) -> None:
+            audit.write(action, durable=True, token=token.id, label=token.label, user=user)
+
         try:
-            yield store, audit
+            yield store, note
         finally:
             audit.close()
     except (AuditError, StartError, TokenStoreError, UnknownTokenError) as error:
         fail(str(error))
-
-
-def _note(audit: AuditLog, action: str, token: Token) -> None:
-    audit.write(action, durable=True, token=token.id, label=token.label, user=getpass.getuser())

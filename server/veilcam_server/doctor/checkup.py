@@ -16,6 +16,7 @@ from veilcam_server.devices.spi import GPIO_CHIPS
 from veilcam_server.doctor.machine import Machine
 from veilcam_server.errors import BundleUntrustedError, StartError
 from veilcam_server.settings import PREFIX, DoctorSettings, Settings, Wiring, unknown_names
+from veilcam_server.system.state_folder import require_readable
 
 if TYPE_CHECKING:
     from veilcam_training.bundle import Bundle
@@ -327,7 +328,7 @@ def _state_dir(machine: Machine, directory: Path) -> Finding:
             "state directory",
             "bad",
             f"{directory} cannot be written",
-            f"sudo chown $USER {directory}, or give another --state-dir",
+            f"sudo chown -R $USER: {directory}, or give another --state-dir",
         )
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
@@ -337,6 +338,10 @@ def _state_dir(machine: Machine, directory: Path) -> Finding:
             f"{directory}: others may look ({mode:04o})",
             f"chmod 700 {directory}",
         )
+    try:
+        require_readable(path)
+    except StartError as error:
+        return Finding("state directory", "bad", *_halves(error))
     return Finding("state directory", "ok", str(directory))
 
 

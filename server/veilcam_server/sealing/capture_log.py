@@ -39,6 +39,7 @@ from veilcam_client.wire.log import (
 from veilcam_server.errors import CaptureLogError, LogDamagedError
 from veilcam_server.sealing.segments import Ending, Segments, lines_of, position_of
 from veilcam_server.system.state_file import Report, log_fault
+from veilcam_server.system.state_folder import read_file
 
 FOLDER = "capture-log"
 """Of the segments in the state directory."""
@@ -49,9 +50,8 @@ log = structlog.get_logger()
 class CaptureLog:
     """The log of one device, from one life of the daemon to the next; any thread may use it.
 
-    Nothing of it keeps a daemon from starting, or an answer from leaving: what cannot be read any
-    more is set aside, what cannot be written is counted, and the chain goes on with a record that
-    says so.
+    Nothing of it keeps an answer from leaving: what is damaged is set aside, what cannot be written
+    is counted, and the chain goes on with a record that says so.
 
     Args:
         segments: segments that hold the lines.
@@ -130,7 +130,7 @@ class CaptureLog:
         found: list[LogRecord] = []
         for path, size in files:
             try:
-                content = path.read_bytes()[:size]
+                content = read_file(path)[:size]
             except FileNotFoundError:  # it was the oldest, and was dropped meanwhile
                 continue
             except OSError as error:

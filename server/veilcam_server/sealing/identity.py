@@ -14,8 +14,8 @@ from veilcam_server.system.state_file import (
     log_fault,
     make_directory,
     refuse_earlier,
-    unusable,
 )
+from veilcam_server.system.state_folder import unusable
 
 KEY_NAME = "device-key.json"
 """Of the private key in the state directory."""
@@ -43,7 +43,7 @@ class DeviceKey:
             report: takes what was damaged.
 
         Raises:
-            StartError: it cannot be made, or it is of another version.
+            StartError: it cannot be made or read.
         """
         file = StateFile(
             state_dir / KEY_NAME,

@@ -14,7 +14,6 @@ from veilcam_server.errors import (
     ReceiverInvalidError,
     ReceiverKnownError,
     ReceiverStoreError,
-    StartError,
     TooManyReceiversError,
     UnknownReceiverError,
 )
@@ -58,7 +57,7 @@ class ReceiverStore:
         report: takes what was damaged.
 
     Raises:
-        StartError: the record is of another version.
+        StartError: the record cannot be read.
     """
 
     def __init__(self, directory: Path, report: Report = log_fault) -> None:
@@ -124,11 +123,10 @@ class ReceiverStore:
     def _change(self, record: _Receivers) -> None:
         try:
             self._take(self._file.change(lambda _: record))
-        except (OSError, StartError) as error:
-            why = error.strerror if isinstance(error, OSError) else str(error)
+        except OSError as error:
             raise ReceiverStoreError(
-                f"receivers cannot be recorded ({why}), and are what they were: check the state "
-                "directory's disk"
+                f"receivers cannot be recorded ({error.strerror}), and are what they were: check "
+                "the state directory's disk"
             ) from None
 
     def _take(self, record: _Receivers) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from veilcam_client.keys.capture_log import line_digest
 from veilcam_optics.files import sync_folder
 from veilcam_server.system.state_file import make_directory
+from veilcam_server.system.state_folder import open_file, read_file
 
 SEGMENT_BYTES = 4 << 20
 """Size of one file."""
@@ -81,7 +82,7 @@ class Segments:
         """Find the newest line that holds, and set aside what comes after it.
 
         Raises:
-            OSError: the disk refuses; call it again.
+            OSError: the disk refuses, or a file cannot be read; call it again.
         """
         self.close()
         found = sorted(
@@ -95,7 +96,7 @@ class Segments:
                 self._set_aside(content[kept:] if kept else None, first=not torn)
                 torn = True
             if kept:
-                self._file, self._size = os.open(self._path(self._firsts[-1]), os.O_RDWR), kept
+                self._file, self._size = open_file(self._path(self._firsts[-1]), os.O_RDWR), kept
                 os.ftruncate(self._file, kept)
                 last = content[:kept].splitlines()[-1]
                 return Ending(last, torn, self._breaks())
@@ -160,7 +161,7 @@ class Segments:
         make_directory(self._folder)
         path = self._path(position)
         new = path.with_suffix(".new")
-        file = os.open(new, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600)
+        file = open_file(new, os.O_RDWR | os.O_CREAT | os.O_TRUNC)
         try:
             _write(file, data, 0)
             new.replace(path)
@@ -215,10 +216,10 @@ def _write(file: int, data: bytes, place: int) -> None:
 
 
 def _read(path: Path) -> bytes:
-    """Read a file; empty where it cannot be read, as if all of it were damaged."""
+    """Return what a file holds, nothing where it is gone; raises :class:`OSError`."""
     try:
-        return path.read_bytes()
-    except OSError:
+        return read_file(path)
+    except FileNotFoundError:
         return b""
 
 

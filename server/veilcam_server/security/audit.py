@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from veilcam_optics.files import sync_folder
-from veilcam_server.errors import AuditError, StartError
+from veilcam_server.errors import AuditError
 from veilcam_server.system.state_file import Report, log_fault, make_directory
+from veilcam_server.system.state_folder import open_file, read_file, unreadable
 
 DONE, REFUSED = "audit.jsonl", "refused.jsonl"
 """What callers did, and what was asked without a valid token. Apart, so that a stranger who knocks
@@ -117,7 +118,7 @@ class AuditLog:
             self.close()  # somebody removed it
         if self._file is None:
             make_directory(self._path.parent)
-            self._file = os.open(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
+            self._file = open_file(self._path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
             self._size = os.fstat(self._file).st_size
             self._torn = self._size > 0 and os.pread(self._file, 1, self._size - 1) != b"\n"
             if self._size == 0:
@@ -140,16 +141,16 @@ def read_audit(path: Path) -> list[dict[str, Any]]:
         StartError: one of them cannot be read.
     """
     number = 0
-    while _numbered(path, number + 1).exists():
-        number += 1
     entries = []
     try:
+        while _numbered(path, number + 1).exists():
+            number += 1
         for each in range(number, -1, -1):
             file = _numbered(path, each)
-            lines = file.read_bytes().split(b"\n") if file.exists() else []
+            lines = read_file(file).split(b"\n") if file.exists() else []
             entries += [_entry(line, file.name) for line in lines if line]
     except OSError as error:
-        raise StartError(f"{path} cannot be read ({error.strerror}): check it") from None
+        raise unreadable(error, path.parent) from None
     return entries
 
 

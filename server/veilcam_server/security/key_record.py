@@ -19,6 +19,7 @@ from pathlib import Path
 import structlog
 
 from veilcam_optics.files import sync_folder
+from veilcam_server.system.state_folder import open_file, read_file, unreadable
 
 LIFETIME = 60.0
 """How long a key is remembered [s]."""
@@ -52,7 +53,8 @@ class KeyRecord:
     def read(self) -> dict[bytes, bytes]:
         """Fingerprints by name, of the last minute. A clock that was set back forgets none.
 
-        What cannot be read is not known; the log says so.
+        Raises:
+            StartError: they cannot be read.
         """
         since = self._now() - LIFETIME
         lines = [list(_lines(path)) for path in self._paths]
@@ -85,7 +87,7 @@ class KeyRecord:
 
 def _append(path: Path, line: bytes) -> None:
     new = not path.exists()
-    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+    descriptor = open_file(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     try:
         if os.write(descriptor, line) < len(line):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -98,12 +100,11 @@ def _append(path: Path, line: bytes) -> None:
 
 def _lines(path: Path) -> Iterator[tuple[float, bytes, bytes]]:
     try:
-        content = path.read_bytes()
+        content = read_file(path)
     except FileNotFoundError:
         return
     except OSError as error:
-        log.warning("idempotency keys cannot be read", error=error.strerror)
-        return
+        raise unreadable(error, path.parent) from None
     damaged = 0
     for line in filter(None, content.split(b"\n")):
         found = _LINE.fullmatch(line)

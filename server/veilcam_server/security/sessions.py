@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from starlette.datastructures import Headers
 from starlette.requests import cookie_parser
 
-from veilcam_server.errors import StartError, TokenStoreError, UnauthorizedError
+from veilcam_server.errors import TokenStoreError, UnauthorizedError
 from veilcam_server.security.caller import Caller
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.system.state_file import Report, StateFile, log_fault
@@ -85,7 +85,7 @@ class SessionStore:
         report: takes what was damaged.
 
     Raises:
-        StartError: the record is of another version.
+        StartError: the record cannot be read.
     """
 
     def __init__(self, directory: Path, tokens: TokenStore, report: Report = log_fault) -> None:
@@ -170,8 +170,6 @@ class SessionStore:
                     f"the sessions cannot be written ({error.strerror}): check the state "
                     "directory's disk"
                 ) from None
-            except StartError as error:
-                raise TokenStoreError(f"the sessions cannot be written: {error}") from None
 
 
 def _digest(cookie: str, half: str) -> str:

@@ -23,8 +23,8 @@ from veilcam_server.system.state_file import (
     log_fault,
     make_directory,
     refuse_earlier,
-    unusable,
 )
+from veilcam_server.system.state_folder import unusable
 
 KEPT = 90 * 86_400.0
 """How long a token that was revoked, or has expired, stays on the list [s]."""
@@ -178,7 +178,7 @@ class TokenStore:
         Raises:
             UnauthorizedError: no token, or one that is unknown, revoked, expired or misspelt: which
                 of these it is, is nobody's business.
-            TokenStoreError: the file is of another version.
+            TokenStoreError: the file cannot be read.
         """
         self._refresh()
         match = _TOKEN.fullmatch(authorization)
@@ -212,8 +212,6 @@ class TokenStore:
             raise TokenStoreError(
                 f"the tokens cannot be written ({error.strerror}): check the state directory's disk"
             ) from None
-        except StartError as error:
-            raise TokenStoreError(f"the tokens cannot be written: {error}") from None
 
     def _refresh(self) -> None:
         version = self._file.version
@@ -221,8 +219,11 @@ class TokenStore:
             return
         try:
             held = self._file.read() or _Tokens()
-        except StartError as error:
-            raise TokenStoreError(f"the tokens cannot be read: {error}") from None
+        except StartError:
+            # Whoever asks need not know where the files are.
+            raise TokenStoreError(
+                "the tokens cannot be read: 'veilcamd doctor' on the camera's machine says why"
+            ) from None
         self._known, self._version = _by_id(held), version
 
     def _note_use(self, row: _Row, now: float) -> None:

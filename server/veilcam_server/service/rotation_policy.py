@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -13,6 +14,8 @@ from veilcam_server.system.state_file import Report, StateFile, log_fault
 
 class _SetPolicy(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
+    record: Literal["rotation"] = "rotation"
+    """Tells it from a record of another policy."""
     policy: RotationPolicy
     given: RotationPolicy | None
     """Setting of the daemon at the time."""

@@ -21,6 +21,13 @@ from pydantic import BaseModel, ValidationError
 
 from veilcam_optics.files import sync_folder
 from veilcam_server.errors import ProblemError, StartError, StateDamagedError, StateLostError
+from veilcam_server.system.state_folder import (
+    open_file,
+    read_file,
+    require_usable,
+    unreadable,
+    unusable,
+)
 
 StateT = TypeVar("StateT", bound=BaseModel)
 Report: TypeAlias = Callable[[ProblemError], None]
@@ -108,9 +115,12 @@ class StateFile(Generic[StateT]):
         """Return the record that was written last; None if there is none, or none is whole.
 
         Raises:
-            StartError: it is of another version of this software.
+            StartError: a copy cannot be read; nothing was moved.
         """
-        copies = self._copies()
+        try:
+            copies = self._copies()
+        except OSError as error:
+            raise unreadable(error, self._lock.parent) from None
         if not self._differ(copies):
             self._told = ""
             return _newest(copies).state
@@ -130,7 +140,6 @@ class StateFile(Generic[StateT]):
         Raises:
             OSError: the disk refuses, or another process keeps it. The record is what it was; if
                 the disk failed between one copy's change of names and the other's, it is either.
-            StartError: it is of another version of this software.
         """
         with closing(self.stage(update)) as staged:
             staged.commit()
@@ -143,7 +152,7 @@ class StateFile(Generic[StateT]):
             What makes it hold. Nobody else changes the record before that is closed.
 
         Raises:
-            OSError, StartError: as :meth:`change`.
+            OSError: as :meth:`change`.
         """
         with ExitStack() as undo:
             lock = undo.enter_context(self._locked(self.patience))
@@ -181,18 +190,12 @@ class StateFile(Generic[StateT]):
 
     def _copy(self, path: Path) -> _Copy[StateT]:
         try:
-            with path.open("rb") as stream:
-                content = stream.read(MAX_BYTES)
+            content = read_file(path, MAX_BYTES)
             serial, state = self._decode(content)
         except FileNotFoundError:
             return _Copy(path, fault="is gone")
-        except OSError as error:
-            return _Copy(path, fault=f"cannot be read ({error.strerror})")
         except ValidationError:
-            raise StartError(
-                f"{path} is of another version of veilcamd: start that one, or move away "
-                f"{self._paths[0].name}, its copy and its lock"
-            ) from None
+            return _Copy(path, fault="holds another record")
         except ValueError:
             return _Copy(path, fault="is damaged")
         return _Copy(path, content, serial, state)
@@ -250,7 +253,7 @@ class StateFile(Generic[StateT]):
 
     def _write_beside(self, content: bytes) -> None:
         for path in self._paths:
-            descriptor = os.open(_new(path), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            descriptor = open_file(_new(path), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             with os.fdopen(descriptor, "wb") as stream:
                 stream.write(content)
                 stream.flush()
@@ -269,7 +272,7 @@ class StateFile(Generic[StateT]):
 
     @contextmanager
     def _locked(self, patience: float) -> Iterator[int]:
-        lock = os.open(self._lock, os.O_RDWR | os.O_CREAT, 0o600)
+        lock = open_file(self._lock, os.O_RDWR | os.O_CREAT)
         try:
             _lock(lock, patience)
             yield lock
@@ -294,6 +297,11 @@ class HeldDirectory:
             self._descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         except OSError as error:
             raise unusable(directory, error) from None
+        try:
+            require_usable(directory)
+        except StartError:
+            os.close(self._descriptor)
+            raise
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -320,14 +328,8 @@ def make_directory(directory: Path) -> None:
     """Make a folder for its owner alone, durably, unless it is there; raises :class:`OSError`."""
     if not directory.is_dir():
         directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        directory.chmod(0o700)  # whatever the umask says
         sync_folder(directory.parent)
-
-
-def unusable(directory: Path, error: OSError) -> StartError:
-    """Say why a state directory cannot be used."""
-    return StartError(
-        f"{directory} cannot be used ({error.strerror}): check it, or give another --state-dir"
-    )
 
 
 def refuse_earlier(path: Path, remedy: str) -> None:

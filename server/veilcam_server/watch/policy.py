@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
@@ -14,6 +15,8 @@ from veilcam_server.system.state_file import Report, StateFile, log_fault
 
 class _SetPolicy(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
+    record: Literal["watch"] = "watch"
+    """Tells it from a record of another policy."""
     policy: WatchPolicy
     given: WatchPolicy
     """Of the daemon's settings at the time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -174,6 +175,12 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
         "state directory",
         "others may look (0755)",
         "chmod 700",
+    ),
+    (
+        lambda bed: os.mkfifo(bed.root / "var/lib/veilcam/tokens.json"),
+        "state directory",
+        "tokens.json cannot be read (Not a regular file)",
+        "move it away",
     ),
     (lambda bed: setattr(bed, "room", 2**20), "disk", "1 MiB free", "make room"),
     (lambda bed: bed.programs.update({next(iter(PROGRAMS)): "no"}), "wall clock", "not syn", "ntp"),

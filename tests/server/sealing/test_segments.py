@@ -173,17 +173,20 @@ def test_damage_before_the_end_is_counted_and_left_as_it_is(
     assert middle.read_bytes() == damaged
 
 
-def test_a_file_that_is_gone_or_cannot_be_read_is_a_break(tmp_path: Path) -> None:
+def test_a_file_that_is_gone_is_a_break_and_one_that_cannot_be_read_stays(tmp_path: Path) -> None:
     written(tmp_path / "log").close()
     middle = tmp_path / "log" / f"{3:020d}.jsonl"
     middle.unlink()
     ending, segments = recovered(tmp_path / "log")
     assert ending == Ending(LINES[7], torn=False, breaks=1)
     segments.close()
-    middle.mkdir()  # no file that anybody can read
-    ending, segments = recovered(tmp_path / "log")
-    assert ending == Ending(LINES[7], torn=False, breaks=1)
-    segments.close()
+    for unreadable in (middle, sorted((tmp_path / "log").iterdir())[-1]):
+        unreadable.unlink(missing_ok=True)
+        os.mkfifo(unreadable)
+        with pytest.raises(OSError, match="Not a regular file"):
+            recovered(tmp_path / "log")
+        assert unreadable.is_fifo()
+        assert not (tmp_path / "log.damaged").exists()
 
 
 def test_other_files_are_none_of_its_business(tmp_path: Path) -> None:

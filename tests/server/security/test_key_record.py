@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from veilcam_server.errors import StartError
 from veilcam_server.security.key_record import LIFETIME, KeyRecord
 
 KEYS = [bytes([number]) * 32 for number in range(200)]
@@ -96,7 +97,8 @@ def test_only_whole_lines_count(clocks: Clocks, capsys: pytest.CaptureFixture[st
     assert clocks.read() == []
     path.unlink()
     path.mkdir()
-    assert clocks.read() == []
+    with pytest.raises(StartError, match=r"idempotency-\d cannot be read \(Is a directory\)"):
+        clocks.read()
 
 
 def test_it_is_for_its_owner_alone_and_synced(

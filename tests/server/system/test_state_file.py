@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import io
 import os
 import stat
 import subprocess
@@ -168,13 +169,39 @@ def test_any_flipped_byte_is_noticed(rig: Rig) -> None:
     assert rig.codes() == ["state_damaged"] * len(whole)
 
 
-def test_what_is_no_file_is_damaged(rig: Rig) -> None:
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path)])
+@pytest.mark.parametrize("name", ["note.json", "note.json.copy"])
+def test_a_file_that_cannot_be_read_is_not_damaged(
+    rig: Rig, make: Callable[[Path], None], name: str
+) -> None:
     rig.write("a")
-    rig.path.unlink()
-    rig.path.mkdir()
+    path = rig.path.with_name(name)
+    kept = path.rename(path.with_name("kept"))
+    make(path)
+    before = sorted(rig.path.parent.iterdir())
+    with pytest.raises(StartError, match=rf"{name} cannot be read \(.*\): move it away"):
+        rig.read()
+    with pytest.raises(OSError, match=r"directory|regular|symbolic"):
+        rig.write("b")
+    assert sorted(rig.path.parent.iterdir()) == before
+    assert not rig.faults
+    path.rmdir() if path.is_dir() else path.unlink()
+    kept.rename(path)
     assert rig.read() == Note(text="a")
-    assert str(rig.faults[0]).startswith("note.json cannot be read (Is a directory)")
-    assert rig.path.is_file()
+
+
+def test_a_disk_that_fails_is_not_damage(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Failing(io.BytesIO):
+        def read(self, *_: object) -> bytes:
+            raise OSError(errno.EIO, "Input/output error")
+
+    rig.write("a")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fdopen", lambda *_: Failing())
+        with pytest.raises(StartError, match=r"note\.json cannot be read \(Input/output error\)"):
+            rig.read()
+    assert rig.read() == Note(text="a")
+    assert not rig.faults
 
 
 def test_a_file_that_has_no_end_is_damaged(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -362,17 +389,24 @@ def test_a_writer_that_is_killed_loses_nothing_that_it_acknowledged(tmp_path: Pa
     assert int(done.stdout) > 30
 
 
-def test_another_version_s_record_is_refused_and_left_alone(rig: Rig) -> None:
-    class Later(Note):
+def test_a_file_of_another_record_is_damage(rig: Rig) -> None:
+    class Other(BaseModel):
         more: int = 0
 
-    StateFile(rig.path, Later, lost="").change(lambda _: Later(more=1))
-    content = rig.path.read_bytes()
-    with pytest.raises(StartError, match=r"note\.json.* is of another version of veilcamd: start"):
-        rig.read()
-    with pytest.raises(StartError):
-        rig.write("a")
-    assert rig.path.read_bytes() == content
+    other = StateFile(rig.path.with_name("other.json"), Other, lost="")
+    for number in range(9):  # its serial number is the higher one
+        other.change(lambda _, number=number: Other(more=number))  # type: ignore[misc]
+    rig.write("a")
+    content = rig.path.with_name("other.json").read_bytes()
+    for path in (rig.path, rig.copy):
+        path.write_bytes(content)
+        assert rig.read() == Note(text="a")
+        assert path.with_name(f"{path.name}.damaged").read_bytes() == content
+    assert str(rig.faults[0]).startswith("note.json holds another record: its other copy is used")
+    for path in (rig.path, rig.copy):
+        path.write_bytes(content)
+    assert rig.read() is None
+    assert rig.codes() == ["state_damaged", "state_damaged", "state_lost"]
 
 
 def test_the_version_tells_a_change(rig: Rig) -> None:
@@ -485,5 +519,5 @@ def test_a_directory_that_is_made_is_durable(
 def test_what_is_no_directory_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(StartError, match=r"cannot be used \(.*\): check it, or give another"):
+        with pytest.raises(StartError, match=r"cannot be used \(.*\): move it away, or give an"):
             HeldDirectory(path)
