@@ -1,4 +1,4 @@
-"""What attackers of a camera reach: keys, logs, the siege, and privacy cards."""
+"""Figures of attackers: keys, logs, the siege, and privacy cards."""
 
 from __future__ import annotations
 

@@ -9,31 +9,32 @@ import ssl
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Literal
+from urllib.parse import urlsplit
 
-from tests.siege.client import ATTACKER, Address, head
+from tests.siege.client import ATTACKER, Address
 
 Kind = Literal["silent", "headers", "body", "half handshake"]
-"""What a socket does: nothing; a header or body byte by byte; or half of a TLS handshake."""
+"""Habit of a socket: nothing, a header or body byte by byte, or half of a TLS handshake."""
 INTERVALS = (0.5, 3.0, 4.5, 9.0)
 """Times between two bytes [s], drawn for each connection: common deadlines, and just under them."""
 AGAIN = 1.0
-"""A socket that was dropped is opened anew after so long [s]."""
+"""Pause before a dropped socket is opened anew [s]."""
 BODY = 1_000_000
 """Length that a body claims to have [bytes]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """So many sockets at once, for so long.
+    """Sockets that are held open at once.
 
     Attributes:
-        sockets: how many; they take the kinds, addresses and tokens in turn.
-        seconds: as long as what is dropped is opened anew.
-        lingering: as long as what is left is kept after that [s].
-        tokens: for those who send a body; None for who has none.
+        sockets: number of sockets; they take the kinds, sources and tokens in turn.
+        seconds: time for which dropped sockets are opened anew [s].
+        lingering: time for which the rest is kept after that [s].
+        tokens: tokens of bodies; None for none.
     """
 
     address: Address
@@ -44,86 +45,82 @@ class Attack:
     kinds: Sequence[Kind] = ("headers", "body", "silent")
     tokens: Sequence[str | None] = (None,)
 
+    async def run(self) -> Losses:
+        """Hold all sockets, to the end of the attack."""
+        losses, ends = Losses(), time.monotonic() + self.seconds
+        async with asyncio.TaskGroup() as group:
+            for number in range(self.sockets):
+                group.create_task(self._hold(number, losses, ends))
+                if number % 50 == 49:
+                    await asyncio.sleep(0.01)
+        return losses
+
+    async def _hold(self, number: int, losses: Losses, ends: float) -> None:
+        """Hold one socket, opened again whenever it is dropped."""
+        while time.monotonic() < ends:
+            began = time.monotonic()
+            try:
+                dropped = await self._one(number, ends + self.lingering)
+            except OSError:
+                losses.refused += 1
+            else:
+                losses.opened += 1
+                losses.left += not dropped
+                losses.longest = max(losses.longest, time.monotonic() - began)
+            await asyncio.sleep(AGAIN)
+
+    async def _one(self, number: int, until: float) -> bool:
+        """Return whether a connection was dropped in time; raises OSError if it was refused."""
+        kind = self.kinds[number % len(self.kinds)]
+        token = self.tokens[number // len(self.kinds) % len(self.tokens)]
+        address, place = self.address.with_token(token), urlsplit(self.address.url)
+        spoken = place.scheme == "https" and kind not in ("silent", "half handshake")
+        reader, writer = await asyncio.open_connection(
+            *(place.hostname, place.port),
+            ssl=address.context() if spoken else None,
+            local_addr=(self.sources[number % len(self.sources)], 0),
+            ssl_handshake_timeout=60.0 if spoken else None,
+        )
+        dribble = asyncio.create_task(_dribble(kind, address, writer))
+        try:
+            async with asyncio.timeout(max(0.0, until - time.monotonic())):
+                # An answer drops nobody: only the end of the connection does.
+                while await reader.read(4096):
+                    pass
+        except TimeoutError:
+            return False
+        except OSError:
+            pass
+        finally:
+            dribble.cancel()
+            await asyncio.wait([dribble])
+            writer.transport.abort()
+        return True
+
 
 @dataclass
 class Losses:
-    """What came of an attack.
-
-    Attributes:
-        opened: connections in all.
-        refused: those that did not come about.
-        longest: life of a connection, from its opening until it was dropped [s].
-        left: sockets that were still open in the end.
-    """
+    """Connections of an attack: opened and refused, longest life [s], and left open in the end."""
 
     opened: int = 0
     refused: int = 0
     longest: float = 0.0
     left: int = 0
-    ends: float = field(default=0.0, repr=False)
 
 
-def attack(plan: Attack, tell: Connection) -> None:
+def attack(tell: Connection, plan: Attack) -> None:
     """Attack, and tell the losses in the end."""
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    tell.send(asyncio.run(_attack(plan)))
+    tell.send(asyncio.run(plan.run()))
 
 
-async def _attack(plan: Attack) -> Losses:
-    losses = Losses(ends=time.monotonic() + plan.seconds)
-    async with asyncio.TaskGroup() as group:
-        for number in range(plan.sockets):
-            group.create_task(_hold(plan, number, losses))
-            if number % 50 == 49:
-                await asyncio.sleep(0.01)
-    return losses
-
-
-async def _hold(plan: Attack, number: int, losses: Losses) -> None:
-    """One socket, opened again whenever it is dropped."""
-    while time.monotonic() < losses.ends:
-        began = time.monotonic()
-        try:
-            dropped = await _one(plan, number, losses.ends + plan.lingering)
-        except OSError:
-            losses.refused += 1
-        else:
-            losses.opened += 1
-            losses.left += not dropped
-            losses.longest = max(losses.longest, time.monotonic() - began)
-        await asyncio.sleep(AGAIN)
-
-
-async def _one(plan: Attack, number: int, until: float) -> bool:
-    """Whether one connection was dropped before ``until``; raises OSError if it was not taken."""
-    kind = plan.kinds[number % len(plan.kinds)]
-    source = plan.sources[number % len(plan.sources)]
-    token = plan.tokens[number // len(plan.kinds) % len(plan.tokens)]
-    address = plan.address.with_token(token)
-    spoken = None if kind in ("silent", "half handshake") else address.tls()
-    reader, writer = await asyncio.open_connection(
-        address.host,
-        address.port,
-        ssl=spoken,
-        local_addr=(source, 0),
-        ssl_handshake_timeout=60.0 if spoken else None,
-    )
-    dribble = asyncio.create_task(_dribble(kind, address, writer))
-    try:
-        async with asyncio.timeout(max(0.0, until - time.monotonic())):
-            # An answer drops nobody: only the end of the connection does.
-            while await reader.read(4096):
-                pass
-    except TimeoutError:
-        return False
-    except OSError:
-        pass
-    finally:
-        dribble.cancel()
-        await asyncio.wait([dribble])
-        writer.transport.abort()
-    return True
+def head(address: Address, method: str, path: str, **headers: object) -> bytes:
+    """Return the bytes of a request up to its body; ``_`` stands for ``-`` in names."""
+    told = {"Host": urlsplit(address.url).netloc, **address.headers}
+    told |= {name.replace("_", "-"): str(value) for name, value in headers.items()}
+    lines = (f"{method} {path} HTTP/1.1", *(f"{name}: {told[name]}" for name in told), "", "")
+    return "\r\n".join(lines).encode()
 
 
 async def _dribble(kind: Kind, address: Address, writer: asyncio.StreamWriter) -> None:
@@ -133,12 +130,11 @@ async def _dribble(kind: Kind, address: Address, writer: asyncio.StreamWriter) -
     if kind == "half handshake":
         writer.write(_client_hello()[:100])
         return
-    path = "/v1/classifications" if kind == "body" else "/v1/status"
-    method = "POST" if kind == "body" else "GET"
-    length = {"Content-Type": "application/json", "Content-Length": str(BODY)}
-    start = head(address, method, path, length if kind == "body" else {})
-    # A body begins once its head is there; a header never ends.
-    writer.write(start + b"{" if kind == "body" else start[:-2] + b"X-Slow: ")
+    if kind == "body":  # it begins once its head is there
+        claims = {"Content_Type": "application/json", "Content_Length": BODY}
+        writer.write(head(address, "POST", "/v1/classifications", **claims) + b"{")
+    else:
+        writer.write(head(address, "GET", "/v1/status")[:-2] + b"X-Slow: ")
     interval = random.choice(INTERVALS)
     with suppress(OSError):
         while True:

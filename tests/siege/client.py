@@ -1,4 +1,4 @@
-"""A client that sends what it is told, byte for byte: no library puts right what an attack is."""
+"""Clients of a daemon under siege: single requests, and event streams."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
+import httpx
+
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+
 ATTACKER, NEIGHBOUR = "127.0.0.1", "127.0.0.2"
 """Addresses that requests come from."""
 PATIENCE = 60.0
@@ -20,139 +24,108 @@ PATIENCE = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
-    """Where a daemon is reached, and with which token.
-
-    Attributes:
-        certificate: what its TLS is checked against, a PEM file; None for plain HTTP.
-        token: None for none.
-    """
-
-    host: str
-    port: int
-    certificate: str | None = None
-    token: str | None = field(default=None, repr=False)
-
-    def with_token(self, token: str | None) -> Address:
-        """The same daemon, asked by somebody else."""
-        return replace(self, token=token)
-
-    def tls(self) -> ssl.SSLContext | None:
-        """A context that knows its certificate."""
-        return None if self.certificate is None else _context(self.certificate)
-
-
-@cache
-def _context(certificate: str) -> ssl.SSLContext:
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.load_verify_locations(certificate)
-    return context
-
-
-@dataclass(frozen=True, slots=True)
 class Reply:
-    """What was answered.
+    """Answer to ``question``, method and path; its status is 0 where none came."""
 
-    Attributes:
-        status: 0 where there was no answer.
-        seconds: from the first packet of the connection to the last byte.
-        question: method and path.
-    """
-
-    status: int
-    body: bytes = b""
-    seconds: float = 0.0
-    headers: Mapping[str, str] = field(default_factory=dict)
     question: str = ""
+    status: int = 0
+    body: bytes = b""
+    headers: Mapping[str, str] = field(default_factory=dict)
+    seconds: float = 0.0
 
     def json(self) -> Any:
-        """The body, decoded; raises :class:`ConnectionError` where there was no answer."""
+        """Return the decoded body; raises :class:`ConnectionError` where there is no answer."""
         if self.status == 0:
             raise ConnectionError(f"no answer to {self.question} in {self.seconds:.1f} s")
         return json.loads(self.body)
 
 
-def head(address: Address, method: str, path: str, headers: Mapping[str, str]) -> bytes:
-    """Return a request up to its body, with the headers that every client sends."""
-    fixed = {"Host": f"{address.host}:{address.port}", "Connection": "close"}
-    if address.token is not None:
-        fixed["Authorization"] = f"Bearer {address.token}"
-    lines = [f"{method} {path} HTTP/1.1"]
-    lines += [f"{name}: {value}" for name, value in {**fixed, **headers}.items()]
-    return "\r\n".join((*lines, "", "")).encode()
+@dataclass(frozen=True, slots=True)
+class Address:
+    """URL of a daemon, the PEM file of its certificate (None for plain HTTP), and a token."""
+
+    url: str
+    certificate: str | None = None
+    token: str | None = field(default=None, repr=False)
+
+    def with_token(self, token: str | None) -> Address:
+        """Return the same daemon for another caller."""
+        return replace(self, token=token)
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Headers of every request."""
+        told = {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
+        return {"Connection": "close", **told}
+
+    def context(self) -> ssl.SSLContext:
+        """Return a TLS context that trusts the certificate."""
+        return _context(self.certificate)
+
+    async def ask(
+        self,
+        method: str,
+        path: str,
+        body: object = None,
+        headers: Mapping[str, str] | None = None,
+        *,
+        source: str = NEIGHBOUR,
+        patience: float = PATIENCE,
+    ) -> Reply:
+        """Send one request over a connection of its own.
+
+        Args:
+            method: GET, POST, ...
+            path: path with its query.
+            body: bytes as they are, anything else as JSON, None for none.
+            headers: headers beside, or instead of, the usual ones.
+            source: address that the connection comes from.
+            patience: longest wait for the whole answer [s].
+        """
+        content = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
+        kind = {} if body is None else {"Content-Type": "application/json"}
+        question, began = f"{method} {path}", time.monotonic()
+        with suppress(httpx.HTTPError, OSError, TimeoutError):
+            async with asyncio.timeout(patience), _client(self, source) as client:
+                given = {**kind, **(headers or {})}
+                answer = await client.request(method, path, content=content, headers=given)
+                took = time.monotonic() - began
+                return Reply(question, answer.status_code, answer.content, answer.headers, took)
+        return Reply(question, seconds=time.monotonic() - began)
+
+    async def get(self, name: str) -> Any:
+        """Return the JSON of ``/v1/NAME``."""
+        return (await self.ask("GET", f"/v1/{name}")).json()
+
+    async def upload(self, bundle: bytes) -> Reply:
+        """Install a bundle."""
+        return await self.ask("POST", "/v1/bundles", bundle, {"Content-Type": BUNDLE_MEDIA_TYPE})
 
 
-async def ask(
-    address: Address,
-    method: str,
-    path: str,
-    *,
-    body: bytes | object = None,
-    headers: Mapping[str, str] | None = None,
-    source: str = NEIGHBOUR,
-    patience: float = PATIENCE,
-) -> Reply:
-    """Ask once over a connection of its own; who gets no answer gets the status 0.
+@cache
+def _context(certificate: str | None) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    if certificate is not None:
+        context.load_verify_locations(certificate)
+    return context
 
-    Args:
-        address: whom.
-        method: GET, POST, ...
-        path: with its query.
-        body: bytes as they are, anything else as JSON, None for none.
-        headers: besides, or instead of, the usual ones.
-        source: address that the connection comes from.
-        patience: longest wait for all of it [s].
-    """
-    content = (
-        body if isinstance(body, bytes) else b"" if body is None else json.dumps(body).encode()
+
+def _client(address: Address, source: str) -> httpx.AsyncClient:
+    transport = httpx.AsyncHTTPTransport(verify=address.context(), local_address=source)
+    return httpx.AsyncClient(
+        transport=transport, base_url=address.url, headers=address.headers, timeout=None
     )
-    given = dict(headers or {})
-    if body is not None:
-        given = {"Content-Type": "application/json", "Content-Length": str(len(content)), **given}
-    began, received = time.monotonic(), bytearray()
-    # A connection that is reset after the answer has answered.
-    with suppress(OSError, TimeoutError):
-        async with asyncio.timeout(patience), _connected(address, source) as (reader, writer):
-            writer.write(head(address, method, path, given) + content)
-            while chunk := await reader.read(65_536):
-                received += chunk
-    return _parse(f"{method} {path}", bytes(received), time.monotonic() - began)
-
-
-@asynccontextmanager
-async def _connected(
-    address: Address, source: str
-) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    reader, writer = await asyncio.open_connection(
-        address.host, address.port, ssl=address.tls(), local_addr=(source, 0)
-    )
-    try:
-        yield reader, writer
-    finally:
-        writer.transport.abort()
-
-
-def _parse(question: str, received: bytes, seconds: float) -> Reply:
-    start, _, body = received.partition(b"\r\n\r\n")
-    first, *lines = start.decode("latin-1").split("\r\n")
-    if not first.startswith("HTTP/1."):
-        return Reply(0, seconds=seconds, question=question)
-    pairs = (line.partition(": ") for line in lines)
-    headers = {name.lower(): value for name, _, value in pairs}
-    if len(body) < int(headers.get("content-length", 0)):
-        return Reply(0, seconds=seconds, question=question)  # cut off
-    return Reply(int(first.split()[1]), body, seconds, headers, question)
 
 
 @dataclass
 class EventStream:
-    """What came over one event stream so far.
+    """Events of one stream so far.
 
     Attributes:
-        status: of the answer, 0 before there is one.
-        kinds: how many events of each kind.
-        masks: names of the epochs that it told of.
-        ended: whether the daemon closed it.
+        status: status of the answer, 0 before there is one.
+        kinds: number of events of each kind.
+        masks: names of the epochs that were announced.
+        ended: whether the daemon closed the stream.
     """
 
     status: int = 0
@@ -161,42 +134,40 @@ class EventStream:
     ended: bool = False
 
     async def until(self, kind: str, count: int, patience: float = PATIENCE) -> bool:
-        """Whether so many events of a kind come within ``patience`` [s]."""
+        """Return whether so many events of a kind come within ``patience`` [s]."""
         with suppress(TimeoutError):
             async with asyncio.timeout(patience):
                 while self.kinds[kind] < count and not self.ended:
                     await asyncio.sleep(0.02)
         return self.kinds[kind] >= count
 
-    def _take(self, line: bytes) -> None:
-        name, _, value = line.decode().strip().partition(": ")
-        if name == "event":
-            self.kinds[value] += 1
-        elif name == "data" and '"kind":"mask"' in value:
-            self.masks.append(json.loads(value)["epoch"])
+    async def read(self, address: Address, answered: asyncio.Event) -> None:
+        """Follow the stream to its end."""
+        try:
+            async with (
+                _client(address, NEIGHBOUR) as client,
+                client.stream("GET", "/v1/events") as answer,
+            ):
+                self.status = answer.status_code
+                answered.set()
+                async for line in answer.aiter_lines():
+                    name, _, value = line.partition(": ")
+                    if name == "event":
+                        self.kinds[value] += 1
+                    elif name == "data" and '"kind":"mask"' in value:
+                        self.masks.append(json.loads(value)["epoch"])
+        except (httpx.HTTPError, OSError):
+            pass
+        finally:
+            self.ended = True
+            answered.set()
 
 
 @asynccontextmanager
-async def listening(address: Address, source: str = NEIGHBOUR) -> AsyncIterator[EventStream]:
-    """Yield an event stream that was answered, or refused, and is read as long as the context."""
+async def listening(address: Address) -> AsyncIterator[EventStream]:
+    """Yield an event stream that was answered, or refused."""
     stream, answered = EventStream(), asyncio.Event()
-
-    async def read() -> None:
-        try:
-            async with _connected(address, source) as (reader, writer):
-                writer.write(head(address, "GET", "/v1/events", {}))
-                first = await reader.readline()
-                stream.status = int(first.split()[1]) if first else 0
-                answered.set()
-                async for line in reader:
-                    stream._take(line)
-        except (OSError, ValueError):
-            pass
-        finally:
-            stream.ended = True
-            answered.set()
-
-    task = asyncio.create_task(read())
+    task = asyncio.create_task(stream.read(address, answered))
     try:
         with suppress(TimeoutError):
             async with asyncio.timeout(PATIENCE):

@@ -1,4 +1,7 @@
-"""A daemon of one's own: forked from a process that has loaded everything, and told what to do."""
+"""Daemons under siege: processes of their own, forked from one that has loaded everything.
+
+This module is imported before a daemon's clock is set: it imports nothing that looks at a clock.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerProcess, SpawnProcess
+from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from typing import TypeAlias
-from urllib.parse import urlsplit
+from typing import Any
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -32,31 +35,46 @@ from veilcam_server.errors import StartError
 from veilcam_server.settings import Settings
 from veilcam_server.system import logs
 
-Serve: TypeAlias = Callable[[Settings, Callable[[str], None]], None]
-"""What ``veilcamd serve`` runs: it tells the URL when it listens, and returns when stopped."""
-# This module is imported before a daemon's clock is set, and nothing that looks at a clock may be.
-
 FILES = 1024
 """Files that a process may open unless it asks for more: the soft limit of Debian."""
-SIMULATION = "veilcam_server.devices.simulated.device"
-"""Module that every daemon of a siege needs, and imports late."""
 START_LIMIT = 300.0
 """Longest wait for a daemon to listen [s]: ten of work, on a machine that has others to do."""
-DISK = "disk"
-"""Folder that a disk of one's own is mounted on, with the state and the log in it."""
 _CLONE_NEWNS, _CLONE_NEWUSER = 0x0002_0000, 0x1000_0000
 _MS_REC, _MS_PRIVATE = 0x4000, 0x4_0000
+
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(
+    ["veilcam_server.daemon", "veilcam_server.devices.simulated.device", "tests.siege.attacker"]
+)
+SPAWN = multiprocessing.get_context("spawn")
+
+
+@contextmanager
+def child(
+    target: Callable[..., None], *given: object, context: BaseContext = FORKS
+) -> Iterator[tuple[BaseProcess, Connection]]:
+    """Yield a process that runs ``target(connection, *given)``, and the end to hear it; kill it."""
+    hear, tell = context.Pipe(duplex=False)
+    process: BaseProcess = context.Process(target=target, args=(tell, *given))  # type: ignore[attr-defined]
+    process.start()
+    tell.close()
+    try:
+        yield process, hear
+    finally:
+        process.kill()
+        process.join()
+        hear.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circumstances:
-    """What a daemon meets on this machine.
+    """Surroundings of a daemon.
 
     Attributes:
-        log: file or device that its log goes to; beside its state by default.
-        disk: size of a disk of its own for ``DISK``, which nobody else sees [bytes]; None for none.
-        full: fill that disk before the start.
-        clock: added to the wall clock [s], at each look: it may jump. Such a daemon starts slowly.
+        log: file or device of its log; beside its state by default.
+        disk: size of a disk under state and log that it alone sees [bytes]; None for none.
+        full: whether that disk is full before the start.
+        clock: shift of its wall clock [s], which may jump. Such a daemon starts slowly.
     """
 
     log: Path | None = None
@@ -71,22 +89,12 @@ class NoDiskError(StartError):
 
 @dataclass
 class Daemon:
-    """One that runs.
-
-    Attributes:
-        address: where it is reached.
-        state: its state directory, as this process sees it.
-    """
+    """Running daemon; ``state`` and ``log`` are paths as this process sees them."""
 
     address: Address
     state: Path
     log: Path
-    process: ForkServerProcess | SpawnProcess = field(repr=False)
-
-    @property
-    def alive(self) -> bool:
-        """Whether it has not ended."""
-        return self.process.is_alive()
+    process: BaseProcess = field(repr=False)
 
     def kill(self) -> None:
         """End it at once (SIGKILL)."""
@@ -94,148 +102,93 @@ class Daemon:
         self.process.join()
 
     def resident(self) -> float:
-        """Its resident memory [MB]."""
+        """Return its resident memory [MB]."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        [line] = [line for line in status.splitlines() if line.startswith("VmRSS:")]
-        return int(line.split()[1]) / 1000
-
-    def logged(self) -> int:
-        """What it has written to its log [bytes]."""
-        return self.log.stat().st_size
+        return int(status.partition("VmRSS:")[2].split()[0]) / 1000
 
 
-class Launcher:
-    """Starts daemons, each in a process of its own under one folder.
+@contextmanager
+def started(serve: str, settings: Settings, around: Circumstances) -> Iterator[Daemon]:
+    """Yield a daemon that listens; end it afterwards.
 
     Args:
-        serve: name of what a daemon runs, ``module:function``, a :data:`Serve`.
-        folder: for their state and logs.
+        serve: name of its main function, ``module:function``; ``veilcam_server.daemon:serve``.
+        settings: settings of the daemon.
+        around: its surroundings.
+
+    Raises:
+        StartError: it did not start, for its own reason.
     """
-
-    def __init__(self, serve: str, folder: Path) -> None:
-        self._serve, self.folder = serve, folder
-        # A fork of a process that has loaded torch and has no thread: a start takes no seconds.
-        self._forks = multiprocessing.get_context("forkserver")
-        self._anew = multiprocessing.get_context("spawn")
-        self._forks.set_forkserver_preload([serve.partition(":")[0], SIMULATION])
-
-    def clock(self) -> Synchronized[float]:
-        """What is added to the wall clock of daemons that are given it [s]."""
-        return self._forks.Value("d", 0.0)
-
-    def fresh(self, name: str) -> Path:
-        """Return a new and empty folder for a row."""
-        folder = self.folder / name
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        return folder
-
-    @contextmanager
-    def running(self, settings: Settings, around: Circumstances) -> Iterator[Daemon]:
-        """Yield a daemon that listens; end it afterwards.
-
-        Raises:
-            StartError: it did not start; the reason is its own.
-        """
-        told, tell = self._forks.Pipe(duplex=False)
-        # Only what is imported later takes another clock: with it, nothing may be loaded before.
-        start = (self._forks if around.clock is None else self._anew).Process
-        process = start(target=_live, args=(self._serve, settings, around, tell))
-        process.start()
-        tell.close()
+    # Only modules that are imported later take another clock.
+    context: BaseContext = FORKS if around.clock is None else SPAWN
+    log = around.log or settings.state_dir.with_name("veilcamd.log")
+    with child(_live, serve, settings, around, log, context=context) as (process, told):
         try:
-            url = _url(told)
-            inside = Path(f"/proc/{process.pid}/root") if around.disk else Path("/")
+            url = told.recv() if told.poll(START_LIMIT) else StartError("it does not listen")
+        except EOFError:
+            url = StartError("it ended without a word")
+        if isinstance(url, StartError):
+            raise url
+        certificate = settings.tls_certificate
+        inside = Path(f"/proc/{process.pid}/root" if around.disk else "/")
+        try:
             yield Daemon(
-                _address(url, settings),
+                Address(url, None if certificate is None else str(certificate)),
                 inside / settings.state_dir.relative_to("/"),
-                inside / _log(settings, around).relative_to("/"),
+                inside / log.relative_to("/"),
                 process,
             )
         finally:
             process.terminate()
             process.join(20)
-            if process.is_alive():
-                process.kill()
-                process.join()
-            told.close()
 
 
-def _log(settings: Settings, around: Circumstances) -> Path:
-    return around.log or settings.state_dir.with_name("veilcamd.log")
-
-
-def _url(told: Connection) -> str:
-    """The first word of a daemon; raises :class:`StartError`, with its own reason."""
-    if not told.poll(START_LIMIT):
-        raise StartError(f"it did not listen within {START_LIMIT:.0f} s")
-    try:
-        word = told.recv()
-    except EOFError:
-        raise StartError("it ended without a word") from None
-    if isinstance(word, StartError):
-        raise word
-    return str(word)
-
-
-def _address(url: str, settings: Settings) -> Address:
-    place = urlsplit(url)
-    certificate = settings.tls_certificate
-    return Address(
-        place.hostname or "", place.port or 0, None if certificate is None else str(certificate)
-    )
-
-
-def _live(name: str, settings: Settings, around: Circumstances, tell: Connection) -> None:
-    """A daemon's process, from its circumstances to its end."""
-    resource.setrlimit(
-        resource.RLIMIT_NOFILE, (FILES, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
-    )
+def _live(
+    tell: Connection, serve: str, settings: Settings, around: Circumstances, log: Path
+) -> None:
+    """Run a daemon in its circumstances, to its end."""
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES, hard))
     try:
         if around.disk is not None:
             _mount(settings.state_dir.parent, around.disk)
             if around.full:
                 fill(settings.state_dir.parent)
-        log = os.open(_log(settings, around), os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-        os.dup2(log, sys.stdout.fileno())
-        os.dup2(log, sys.stderr.fileno())
+        descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        os.dup2(descriptor, sys.stdout.fileno())
+        os.dup2(descriptor, sys.stderr.fileno())
         if around.clock is not None:
-            _shift(around.clock)
+            right, clock = time.time, around.clock
+            time.time = lambda: right() + clock.value
         logs.configure(settings.log_level)
-        serve: Serve = pkgutil.resolve_name(name)
-        serve(settings, tell.send)
+        run: Any = pkgutil.resolve_name(serve)
+        run(settings, tell.send)
     except NoDiskError as error:
         tell.send(error)
     except StartError as error:
         tell.send(StartError(str(error)))
 
 
-def _shift(clock: Synchronized[float]) -> None:
-    right = time.time
-    time.time = lambda: right() + clock.value
-
-
 def _mount(folder: Path, size: int) -> None:
-    """Mount a disk of ``size`` bytes with what is in ``folder``, that this process alone sees.
+    """Mount a disk of ``size`` bytes over ``folder``, with its content, that this process sees.
 
-    Who may not mount may do so in a name space of users of its own, where the kernel allows that.
+    A user without the right to mount does so in a name space of users, if the kernel allows that.
 
     Raises:
         NoDiskError: it does not.
     """
     library, user, group = ctypes.CDLL(None, use_errno=True), os.getuid(), os.getgid()
     held = folder.with_name(f"{folder.name}-before")
-    spaces = _CLONE_NEWNS | (_CLONE_NEWUSER if user else 0)
     try:
-        _check(library.unshare(spaces))
+        _check(library.unshare(_CLONE_NEWNS | (_CLONE_NEWUSER if user else 0)))
         if user:
             Path("/proc/self/uid_map").write_text(f"0 {user} 1")
             Path("/proc/self/setgroups").write_text("deny")
             Path("/proc/self/gid_map").write_text(f"0 {group} 1")
         _check(library.mount(b"none", b"/", None, _MS_REC | _MS_PRIVATE, None))
         shutil.copytree(folder, held, dirs_exist_ok=True)
-        size_option = f"size={size},mode=0700".encode()
-        _check(library.mount(b"tmpfs", os.fsencode(folder), b"tmpfs", 0, size_option))
+        options = f"size={size},mode=0700".encode()
+        _check(library.mount(b"tmpfs", os.fsencode(folder), b"tmpfs", 0, options))
         shutil.copytree(held, folder, dirs_exist_ok=True)
         shutil.rmtree(held)
     except OSError as error:
@@ -250,18 +203,15 @@ def _check(result: int) -> None:
 def fill(folder: Path) -> Path:
     """Take all the room that is left on a folder's disk; return the file that takes it."""
     ballast = folder / "ballast"
-    with suppress(OSError), ballast.open("ab", buffering=0) as stream:
-        while True:
-            stream.write(bytes(65_536))
-    # And the rest, byte by byte of a page.
-    with suppress(OSError), ballast.open("ab", buffering=0) as stream:
-        while True:
-            stream.write(b"\0" * 64)
+    for block in (65_536, 64):
+        with suppress(OSError), ballast.open("ab", buffering=0) as stream:
+            while True:
+                stream.write(bytes(block))
     return ballast
 
 
-def write_certificate(folder: Path) -> tuple[Path, Path]:
-    """Write a certificate of 127.0.0.1 for a day and its key; return both PEM files."""
+def write_certificate(folder: Path) -> dict[str, Path]:
+    """Write a certificate of 127.0.0.1 for a day and its key; return the settings of both."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "siege")])
     now, day = datetime.datetime.now(datetime.UTC), datetime.timedelta(days=1)
@@ -273,13 +223,8 @@ def write_certificate(folder: Path) -> tuple[Path, Path]:
         .add_extension(own, critical=False)
         .sign(key, hashes.SHA256())
     )
-    paths = folder / "certificate.pem", folder / "key.pem"
-    paths[0].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-    paths[1].write_bytes(
-        key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        )
-    )
+    pem, private = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    paths = {"tls_certificate": folder / "certificate.pem", "tls_key": folder / "key.pem"}
+    paths["tls_certificate"].write_bytes(certificate.public_bytes(pem))
+    paths["tls_key"].write_bytes(key.private_bytes(pem, private, serialization.NoEncryption()))
     return paths

@@ -1,45 +1,47 @@
-"""Ground of every row: how much there is of it, daemons to try, and a judgement."""
+"""Ground of every row: extents, daemons, clients that go on, and judgements."""
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import ExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-import numpy as np
-from tests.siege.client import Address, Reply, ask, listening
-from tests.siege.daemon import DISK, Circumstances, Daemon, Launcher
+from tests.siege.client import Address, Reply, listening
+from tests.siege.daemon import Circumstances, Daemon, started
+from tests.siege.samples import write_small_bundle
 
 from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.rotation import EverySeconds
 from veilcam_client.wire.tokens import SCOPES, Scope
-from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import GivenSettings, Settings
-from veilcam_training.bundle import Bundle, Pair, write_bundle
-from veilcam_training.bundle.layers import Linear
 
-ROTATION = EverySeconds(seconds=0.5)
-"""Fast: that rotation goes on is seen at once."""
-LABELS = tuple("0123456789")
-PAIRS = 3
+SERVE = "veilcam_server.daemon:serve"
+UNHINDERED = {"rate_limit": 1e6, "rate_burst": 1_000_000, "queue_limit": 64}
+"""Settings of a daemon that meets in a second what no caller sends in an hour."""
+SPARE = 32
+"""Event streams that may be open beyond those of honest clients."""
+SHOWN = 20
+"""Most findings that a judgement names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How much of each attack there is."""
+    """Size of each row."""
 
     sockets: int = 2000
     seconds: float = 60.0
-    """Of an attack [s]."""
+    """Length of an attack [s]."""
     lingering: float = 30.0
-    """In which everything that dribbles must be dropped [s]."""
+    """Time in which every socket that dribbles must be dropped [s]."""
     streams: int = 200
     clients: int = 64
     flips: int = 20
@@ -48,24 +50,45 @@ class Extent:
     """Most starts on damaged state: a sample of all ways to damage it."""
     kills: int = 200
     gone: float = 60.0
-    """How long camera and panel are unplugged [s]."""
+    """Time for which camera and panel are unplugged [s]."""
+    examples: int = 6
+    """Made-up requests of each kind, operation and caller."""
+    more: int = 5
+    """Requests of the caller with every scope, for one of another."""
+    whole: bool = True
+    """Whether they meet the demo's bundles, not small ones, and a sensor that sees nothing."""
+    files: int = 10_000
+    """Mutated bundles."""
+    live: int = 1000
+    """Mutated bundles that are sent to a daemon, too."""
+    captures: int = 20_000
+    """Captures on hardware that fails."""
+    engine_kills: int = 20
+    """Kills of an engine on such hardware."""
 
 
-SHORT = Extent(
-    sockets=300, seconds=6.0, streams=80, clients=20, flips=1, starts=6, kills=4, gone=3.0
+QUICK = Extent(
+    *(300, 5.0, 30.0, 80, 20, 1, 6, 4, 3.0),
+    examples=1,
+    more=2,
+    whole=False,
+    files=150,
+    live=15,
+    captures=60,
+    engine_kills=3,
 )
-"""Shows that an attack is met; the bars are those of the long one."""
+"""Shows that an attack is met; the bars are those of the long form."""
 
 
 @dataclass
 class Judgement:
-    """What a row found, held against its bars.
+    """Findings of a row, compared with its bars.
 
     Attributes:
-        found: one part of a sentence each.
-        missed: those of them that missed a bar.
-        figures: by name.
-        untried: why the row, or the rest of it, could not be tried on this machine.
+        found: all findings, a part of a sentence each.
+        missed: findings that missed a bar.
+        figures: measured values by name.
+        untried: reason why this machine could not try the row, or the rest of it.
     """
 
     found: list[str] = field(default_factory=list)
@@ -75,42 +98,32 @@ class Judgement:
 
     @property
     def outcome(self) -> Literal["passed", "failed", "untried"]:
-        """Whether a bar was missed, or none could be."""
+        """Verdict of the row."""
         if self.missed:
             return "failed"
         return "passed" if self.untried is None else "untried"
 
     def at_most(
-        self,
-        what: str,
-        value: float,
-        bar: float,
-        unit: str = "",
-        *,
-        beside: str = "",
-        figure: str | None = None,
+        self, what: str, value: float, bar: float, *, beside: str = "", figure: str = ""
     ) -> None:
-        """Hold a value against the most that it may be.
-
-        Args:
-            what: the value is.
-            value: as it was measured.
-            bar: in the same unit.
-            unit: with a space in front.
-            beside: what the value is compared with.
-            figure: name that the value is recorded by.
-        """
-        bars = "; ".join((beside, f"at most {bar:g}") if beside else (f"at most {bar:g}",))
-        self._say(f"{what} {value:.4g}{unit} ({bars})", value <= bar)
-        if figure is not None:
+        """Compare a value with its upper bar, and record it under ``figure``."""
+        bars = f"{beside}; at most {bar:g}" if beside else f"at most {bar:g}"
+        self._say(f"{what} {value:.4g} ({bars})", value <= bar)
+        if figure:
             self.figures[figure] = value
 
-    def at_least(self, what: str, value: float, bar: float, unit: str = "") -> None:
-        """Hold a value against the least that it may be."""
-        self._say(f"{what} {value:.4g}{unit} (at least {bar:g})", value >= bar)
+    def at_least(self, what: str, value: float, bar: float) -> None:
+        """Compare a value with its lower bar."""
+        self._say(f"{what} {value:.4g} (at least {bar:g})", value >= bar)
+
+    def none(self, what: str, wrong: Sequence[str], figure: str = "") -> None:
+        """Expect an empty list of faults, and name those that are there."""
+        counted = list(Counter(wrong).items())[:SHOWN]
+        beside = "; ".join(f"{name} ({times} x)" if times > 1 else name for name, times in counted)
+        self.at_most(what, len(wrong), 0, beside=beside, figure=figure)
 
     def holds(self, what: str, *, true: bool) -> None:
-        """Something that must be so."""
+        """Expect a statement to be true."""
         self._say(what if true else f"not so: {what}", true)
 
     def _say(self, text: str, good: bool) -> None:
@@ -119,19 +132,27 @@ class Judgement:
             self.missed.append(text)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass
 class Ground:
-    """For all rows of one siege."""
+    """Daemons of one siege.
 
-    launcher: Launcher
+    Args:
+        serve: name of a daemon's main function, ``module:function``.
+        folder: folder for their state and logs.
+        extent: size of each row.
+        stack: end of the siege, until which the shared daemon runs.
+    """
+
+    serve: str
+    folder: Path
     extent: Extent
-    advance: Callable[[float], None] = lambda _: None
-    """Told which share of the row is done."""
+    stack: ExitStack
 
     def settings(self, name: str, **more: Any) -> Settings:
-        """Settings of a simulated daemon in a new folder of this name, with tokens."""
-        folder = self.launcher.fresh(name)
-        (folder / DISK).mkdir()
+        """Return settings of a simulated daemon with tokens, in a new folder of this name."""
+        folder = self.folder / name
+        # The state and the log have a folder of their own, which a disk can be mounted on.
+        (folder / "disk").mkdir(parents=True)
         scene = folder / "scene.npy"
         write_scene(scene, load_digits().images[0])
         given: dict[str, Any] = {
@@ -140,10 +161,11 @@ class Ground:
             "bundle": write_small_bundle(folder / "bundle.veilcam", "siege"),
             "scenes": (str(scene),),
             "port": 0,
-            "state_dir": folder / DISK / "state",
+            "state_dir": folder / "disk" / "state",
             "settle": 0.01,
             "exposure": 0.001,
-            "rotation": ROTATION,
+            # Fast: that rotation goes on is seen at once.
+            "rotation": EverySeconds(seconds=0.5),
             "heartbeat": 1.0,
         }
         return GivenSettings(**{**given, **more})
@@ -154,37 +176,28 @@ class Ground:
         settings: Settings,
         token: str | None = None,
         around: Circumstances | None = None,
+        serve: str | None = None,
     ) -> Iterator[Daemon]:
         """Yield a daemon that listens, addressed with ``token``; raises :class:`StartError`."""
-        around = around or Circumstances()
-        with self.launcher.running(settings, around) as daemon:
+        with started(serve or self.serve, settings, around or Circumstances()) as daemon:
             daemon.address = daemon.address.with_token(token)
             yield daemon
 
-    @asynccontextmanager
-    async def advancing(self, seconds: float) -> AsyncIterator[None]:
-        """Tell how the time goes, while something takes ``seconds``."""
-
-        async def tick() -> None:
-            for step in range(int(seconds)):
-                await asyncio.sleep(1)
-                self.advance((step + 1) / seconds)
-
-        task = asyncio.create_task(tick())
-        try:
-            yield
-        finally:
-            task.cancel()
+    @cached_property
+    def shared(self) -> tuple[Settings, Daemon]:
+        """Daemon of all rows that change neither its settings nor its surroundings."""
+        settings = self.settings("shared", stream_limit=self.extent.streams + SPARE)
+        return settings, self.stack.enter_context(self.start(settings))
 
 
 Run: TypeAlias = Callable[[Ground, Judgement], Awaitable[None]]
 Work: TypeAlias = Callable[[], Awaitable[None]]
-"""What a client does again and again."""
+"""One step of a client, which is repeated."""
 
 
 @asynccontextmanager
 async def busy(works: Iterable[Work]) -> AsyncIterator[None]:
-    """Do all of it at once, again and again, as long as the context."""
+    """Repeat all works side by side while the context lasts; raise what one of them raises."""
 
     async def repeat(work: Work) -> None:
         while True:
@@ -211,35 +224,44 @@ def make_tokens(
     return [store.create(label, scopes, None).secret for label in labels]
 
 
+def second_bundle(settings: Settings, task: str = "second") -> bytes:
+    """Return the content of another bundle for the same camera."""
+    return write_small_bundle(settings.bundle.with_name("other.veilcam"), task).read_bytes()
+
+
 async def tokens_of(address: Address) -> dict[str, bool]:
-    """Return the ids of all tokens, and whether each of them was not revoked."""
+    """Return the ids of all tokens, each with its validity."""
     found: dict[str, bool] = {}
     page: dict[str, Any] = {"next": ""}
     while page["next"] is not None:
-        after = f"?after={page['next']}" if page["next"] else ""
-        page = (await ask(address, "GET", f"/v1/tokens{after}")).json()
+        page = await address.get(f"tokens?after={page['next']}" if page["next"] else "tokens")
         found |= {each["id"]: each["revoked_at"] is None for each in page["tokens"]}
     return found
 
 
 async def pair(address: Address, label: str, receiver: Receiver) -> Reply:
-    """Pair a daemon with a receiver; return its reply."""
-    question = {"label": label, "key": str(receiver)}
-    return await ask(address, "POST", "/v1/receivers", body=question)
+    """Pair a daemon with a receiver."""
+    return await address.ask("POST", "/v1/receivers", {"label": label, "key": str(receiver)})
 
 
 async def standing_still(address: Address) -> list[str]:
-    """Return the tasks of a daemon that do not go on, which it is asked about with all scopes."""
+    """Return the tasks of a daemon that do not go on, which a token with all scopes asks for."""
     still = []
     async with listening(address) as stream:
         if not await stream.until("mask", 2, 15.0):
             still.append("rotation")
-        taken = await ask(address, "POST", "/v1/classifications", body={})
+        taken = await address.ask("POST", "/v1/classifications", {})
         if taken.status != 200:
             still.append(f"captures ({taken.status})")
         elif not await stream.until("capture", 1):
             still.append("events")
     return still
+
+
+async def goes_on(judgement: Judgement, address: Address, when: str = "") -> None:
+    """Expect every task of a daemon to go on."""
+    still = await standing_still(address)
+    judgement.holds(f"{when}every task goes on {still or ''}", true=not still)
 
 
 async def epochs(address: Address, count: int) -> list[str]:
@@ -250,45 +272,10 @@ async def epochs(address: Address, count: int) -> list[str]:
 
 
 async def is_ready(address: Address, patience: float) -> bool:
-    """Whether a daemon becomes ready within ``patience`` [s], by itself."""
+    """Return whether a daemon becomes ready within ``patience`` [s], by itself."""
     for _ in range(math.ceil(patience / 0.2)):
-        reply = await ask(address, "GET", "/v1/status")
+        reply = await address.ask("GET", "/v1/status")
         if reply.status == 200 and reply.json()["state"] == "ready":
             return True
         await asyncio.sleep(0.2)
     return False
-
-
-def write_small_bundle(path: Path, task: str) -> Path:
-    """Write a bundle of a small window: its light is simulated in milliseconds.
-
-    Masks and classifiers are drawn at random; of one task they are always the same.
-    """
-    chance = np.random.default_rng(len(task))
-    camera, embedding = Camera(window=Window(rows=9, columns=5)), Embedding(4, 5)
-    pairs = tuple(_pair(chance, camera, embedding) for _ in range(PAIRS))
-    write_bundle(
-        path,
-        Bundle(
-            task=task,
-            labels=LABELS,
-            camera=camera,
-            scene=Scene(),
-            embedding=embedding,
-            mode="pairs",
-            pairs=pairs,
-        ),
-    )
-    return path
-
-
-def _pair(chance: np.random.Generator, camera: Camera, embedding: Embedding) -> Pair:
-    levels = chance.integers(0, camera.panel.levels, camera.mask_shape, np.uint8)
-    return Pair(
-        levels=levels,
-        layers=(Linear(inputs=embedding.size, outputs=len(LABELS)),),
-        weights={
-            "0.weight": chance.standard_normal((len(LABELS), embedding.size), np.float32),
-            "0.bias": np.zeros(len(LABELS), np.float32),
-        },
-    )

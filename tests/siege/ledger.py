@@ -1,4 +1,4 @@
-"""What a daemon acknowledged, and whether its next life knows of it."""
+"""Ledger of what a daemon acknowledged, which its next life must know of."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tests.siege.client import Address, Reply, ask
+from tests.siege.client import Address, Reply
 from tests.siege.ground import tokens_of
 from tests.siege.witness import Life
 
@@ -16,24 +16,24 @@ from veilcam_client.wire.captures import Capture
 from veilcam_server.security.audit import read_audit
 from veilcam_server.security.key_record import LIFETIME
 
-ADVANCE, KEY, DONE = "/v1/rotation/advance", "Idempotency-Key", "done_before_restart"
+ADVANCE, KEY = "/v1/rotation/advance", "Idempotency-Key"
 
 
 @dataclass
 class Ledger:
-    """What a daemon acknowledged, over all its lives.
+    """Acknowledged changes, over all lives of a daemon.
 
     Attributes:
-        policy: rotation policies that may hold: the one acknowledged last, and one under way.
+        policy: rotation policies that may hold: the last acknowledged one, and one under way.
         active: digests of the bundles that may be active, in the same way.
         valid: ids of tokens that were made, and whose end was not asked for.
-        revoked: ids of those that were ended.
-        key: idempotency key of the last work that was acknowledged, and when that was asked for, on
-            the monotonic clock [s].
-        installed: whether a bundle is there, by its digest; None while nobody can tell.
-        paired: whether a receiver is, by its id, in the same way.
+        revoked: ids of tokens that were revoked.
+        key: idempotency key of the last acknowledged work, and the time of its request on the
+            monotonic clock [s].
+        installed: presence of each bundle, by its digest; None while nobody can tell.
+        paired: presence of each receiver, by its id, in the same way.
         noted: ids of requests that changed something, which the audit log must name.
-        lost: what an acknowledgement promised, and the next life did not keep.
+        lost: acknowledgements that the next life did not keep.
     """
 
     policy: list[object]
@@ -48,34 +48,32 @@ class Ledger:
 
     async def compare(self, address: Address, audit: Path, life: Life) -> None:
         """Compare what was acknowledged with a new life, and with the audit log."""
-        rotation = (await ask(address, "GET", "/v1/rotation")).json()
-        bundles = (await ask(address, "GET", "/v1/bundles")).json()["bundles"]
-        receivers = (await ask(address, "GET", "/v1/receivers")).json()["receivers"]
-        tokens = await tokens_of(address)
-        active = [each["digest"] for each in bundles if each["active"]]
-        valid = {token for token, is_valid in tokens.items() if is_valid}
+        rotation = await address.get("rotation")
+        bundles = (await address.get("bundles"))["bundles"]
+        paired = {each["id"] for each in (await address.get("receivers"))["receivers"]}
+        valid = {token for token, is_valid in (await tokens_of(address)).items() if is_valid}
+        [active] = [each["digest"] for each in bundles if each["active"]]
         life.told.append(rotation["epoch"])
         self._keep("policy", rotation["policy"] in self.policy)
-        self._keep("bundle", active[0] in self.active)
+        self._keep("bundle", active in self.active)
         there = {each["digest"] for each in bundles if each["bundle"] is not None}
         self.installed = self._compared("upload", self.installed, there)
-        paired = {each["id"] for each in receivers}
         self.paired = self._compared("receiver", self.paired, paired)
         self._keep("token", self.valid <= valid)
         self._keep("revocation", not self.revoked & valid)
         self._keep("audit line", self.noted <= {each.get("request") for each in read_audit(audit)})
         if self.key is not None:
             key, asked = self.key
-            repeated = await ask(address, "POST", ADVANCE, headers={KEY: key})
-            known = repeated.status == 409 and repeated.json()["code"] == DONE
+            repeated = await address.ask("POST", ADVANCE, headers={KEY: key})
+            known = repeated.status == 409 and repeated.json()["code"] == "done_before_restart"
             # A busy machine may take longer than a key is remembered, in whole seconds.
             self._keep("idempotency key", known or time.monotonic() - asked > LIFETIME - 2)
         self._keep("receivers of an epoch", await self._sealed_to(address, life) in (None, paired))
         # What was under way when it was killed either holds now, or never will.
-        self.policy, self.active = [rotation["policy"]], [active[0]]
+        self.policy, self.active = [rotation["policy"]], [active]
 
     def copied(self) -> Ledger:
-        """What was acknowledged so far; what either loses from now on is counted together."""
+        """Return a copy; losses from now on are counted together."""
         return replace(copy.deepcopy(self), lost=self.lost)
 
     def note(self, reply: Reply) -> Reply:
@@ -87,14 +85,14 @@ class Ledger:
     def _compared(
         self, what: str, known: dict[str, bool | None], there: set[Any]
     ) -> dict[str, bool | None]:
-        """What is known now of things that were there, were not, or may have been either."""
+        """Return the presence of things that were there, were not, or may have been either."""
         for name, was_there in known.items():
             self._keep(what, was_there in (None, name in there))
         return {name: name in there for name in known}
 
     async def _sealed_to(self, address: Address, life: Life) -> set[str] | None:
-        """Whom an embedding is sealed to; None if none was taken."""
-        reply = await ask(address, "POST", "/v1/captures")
+        """Return the receivers of an embedding; None if none was taken."""
+        reply = await address.ask("POST", "/v1/captures")
         if reply.status != 200:
             return None
         taken = Capture.model_validate_json(reply.body)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from urllib.parse import urlsplit
 
-from tests.siege.client import Address, ask
-from tests.siege.ground import Ground, Judgement, write_small_bundle
+from tests.siege.client import Address
+from tests.siege.ground import Ground, Judgement, second_bundle
 
 from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
@@ -18,26 +19,22 @@ Headers = Mapping[str, str]
 _ORIGIN = {"Origin": "https://evil.example"}
 _CROSS: Headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}
 _FETCH: Headers = {**_ORIGIN, **_CROSS, "Sec-Fetch-Dest": "empty"}
-_FORM: Headers = {
-    **_ORIGIN,
-    "Sec-Fetch-Site": "cross-site",
-    "Sec-Fetch-Mode": "navigate",
-    "Sec-Fetch-Dest": "document",
-}
+_NAVIGATE: Headers = {"Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+_FORM: Headers = {**_ORIGIN, "Sec-Fetch-Site": "cross-site", **_NAVIGATE}
+_PREFLIGHT: Headers = {**_ORIGIN, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
 _TEXT: Headers = {"Content-Type": "text/plain;charset=UTF-8"}
 _ENCODED: Headers = {"Content-Type": "application/x-www-form-urlencoded"}
 _JSON: Headers = {"Content-Type": "application/json"}
 _BUNDLE: Headers = {"Content-Type": BUNDLE_MEDIA_TYPE}
-_PREFLIGHT: Headers = {**_ORIGIN, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
 ADVANCE, CAPTURE, LEASE = "/v1/rotation/advance", "/v1/classifications", "/v1/lease"
 
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """What a page makes a browser send.
+    """Request that a page makes a browser send.
 
     Attributes:
-        page: headers that tell of the page, and what it may say of the body.
+        page: headers that tell of the page, and its type of the body.
         own: headers of the same request by a program.
     """
 
@@ -49,8 +46,9 @@ class PageRequest:
 
 
 def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
-    """Return twenty of them, as Chromium sends them."""
-    other_port = {"Origin": f"http://{address.host}:{address.port + 1}"}
+    """Return twenty requests, as Chromium sends them."""
+    place = urlsplit(address.url)
+    other_port = {"Origin": f"http://{place.hostname}:{(place.port or 0) + 1}"}
     rebound = {"Host": "evil.example", "Origin": "http://evil.example"}
     policy, lease = b'{"mode":"captures","captures":7}', b'{"owner":"page","seconds":60}'
     own = ReceiverRequest(label="page", key=str(ReceiverKey.generate().public))
@@ -82,52 +80,36 @@ def page_requests(address: Address, bundle: bytes) -> list[PageRequest]:
 
 
 async def foreign_page(ground: Ground, judgement: Judgement) -> None:
-    """What a page of another site sends to a daemon that wants no tokens; then the same without."""
-    settings = ground.settings(
-        "foreign-page", auth="none", rotation=RotationOff(), rate_burst=10_000
-    )
-    bundle = write_small_bundle(settings.bundle.with_name("second.veilcam"), "second").read_bytes()
+    """Send what a page of another site sends to a daemon without tokens; then the same without."""
+    settings = ground.settings("page", auth="none", rotation=RotationOff(), rate_burst=10_000)
     acted: list[str] = []
     idle: list[str] = []
     with ground.start(settings) as daemon:
         address = daemon.address
-        asked = page_requests(address, bundle)
+        asked = page_requests(address, second_bundle(settings))
         for request in asked:
             name = f"{request.method} {request.path}"
             if await _acts(address, request, {**request.own, **request.page}):
                 acted.append(name)
-            await _undo(address)
             if not await _acts(address, request, request.own):
                 idle.append(name)
-            await _undo(address)
-    judgement.at_most(
-        f"of {len(asked)} requests of a page act", len(acted), 0, beside="; ".join(acted)
-    )
-    judgement.at_most("do nothing without the page", len(idle), 0, beside="; ".join(idle))
+    judgement.none(f"of {len(asked)} requests of a page act", acted)
+    judgement.none("do nothing without the page", idle)
 
 
 async def _acts(address: Address, request: PageRequest, headers: Headers) -> bool:
-    """Whether a request is answered, or leaves the daemon other than it was."""
+    """Return whether a request is answered, or changes the daemon; undo what keeps others idle."""
     before = await _standing(address)
-    reply = await ask(address, request.method, request.path, body=request.body, headers=headers)
-    return 200 <= reply.status < 300 or await _standing(address) != before
+    reply = await address.ask(request.method, request.path, request.body, headers)
+    acts = 200 <= reply.status < 300 or await _standing(address) != before
+    await address.ask("DELETE", "/v1/lease?force=true")
+    await address.ask("DELETE", "/v1/calibration")
+    return acts
 
 
 async def _standing(address: Address) -> list[object]:
-    """All that a request could change."""
-    status, *others = [
-        await ask(address, "GET", f"/v1/{name}")
-        for name in ("status", "bundles", "lease", "calibration", "receivers")
-    ]
-    told = status.json()
+    """Return all that a request could change."""
+    told = await address.get("status")
     rotation = told["rotation"]
-    return [
-        *(told["captures"], rotation["policy"], rotation["epoch"], told["state"]),
-        *(other.json() for other in others),
-    ]
-
-
-async def _undo(address: Address) -> None:
-    """End what would keep the next request from acting."""
-    await ask(address, "DELETE", "/v1/lease?force=true")
-    await ask(address, "DELETE", "/v1/calibration")
+    others = [await address.get(name) for name in ("bundles", "lease", "calibration", "receivers")]
+    return [told["captures"], rotation["policy"], rotation["epoch"], told["state"], *others]

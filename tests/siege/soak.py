@@ -1,143 +1,337 @@
-"""The daemon's engine on emulated hardware that fails at random: no measurement mixed, reused or
-lost.
-
-    python -m tests.siege.soak --figures benchmarks/results/daemon.json
+"""Row of the soak: the daemon's engine on emulated hardware that fails at random.
 
 Every capture has a mask of its own, drawn from a key. The light carries 64 of the mask's levels to
-the 64 values of a measurement, so each measurement tells which mask, or which mixture, it was
-taken under. Every embedding leaves: sealed, and opened again by a receiver, or white. Meanwhile
-somebody changes masks by hand at random moments; the panel's bus breaks off in the middle of masks,
-the camera hangs, gives old frames and gives frames twice. Every now and then the engine is stopped
-and started. Then it is killed (SIGKILL) at random moments, again and again, on one state directory.
-What only the optical self test can see, a panel that takes bytes and does not show them, is left
-out: its own tests are for that.
+the 64 values of a measurement, so each measurement tells its mask, or its mixture of masks. Every
+embedding leaves: sealed, and opened again by a receiver, or white. Meanwhile somebody changes masks
+by hand. The panel's bus breaks off in the middle of masks; the camera hangs, gives old frames and
+gives frames twice. Engines are stopped and started, and killed (SIGKILL) at random moments on one
+state directory. A panel that takes bytes and does not show them is left to the self test's tests.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-import multiprocessing
+import math
 import os
 import random
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
-import typer
-from benchmarks.figures import FiguresOption, record
-from benchmarks.rig import resident, work_folder
-from rich.progress import track
-from tests.siege.engine import CAMERA, SETTLE, Marked, Rig, Supply
+from benchmarks.rig import resident
+from tests.server.conftest import FakeMaskTests
+from tests.siege.daemon import child
+from tests.siege.ground import Ground, Judgement
+from tests.siege.samples import fresh_bundle
 
 from veilcam_client.errors import SealedError
 from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.epoch_key import EpochKey
+from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture
+from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_client.wire.sealing import Release
+from veilcam_optics.camera.geometry import Camera, Embedding
+from veilcam_optics.simulation.operator import Response
+from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.camera import MaskedCamera
-from veilcam_server.camera.capture import Captured, MaskedCapture
-from veilcam_server.devices import DeviceError
-from veilcam_server.devices.base import Levels
+from veilcam_server.camera.capture import Captured, Fence, MaskedCapture
+from veilcam_server.camera.epochs import Preparation
+from veilcam_server.devices import Device, DeviceError
+from veilcam_server.devices.base import Levels, Measurement, Shown
+from veilcam_server.devices.imx477 import IMX477, ExposureRange
+from veilcam_server.devices.raw import SensorMode
+from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
+from veilcam_server.devices.simulated.device import Conditions, SimulatedLight
+from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
+from veilcam_server.devices.simulated.picamera import CameraFaults, FakePicamera2
+from veilcam_server.devices.simulated.scenes import Scenes
+from veilcam_server.devices.st7735r import ST7735R
+from veilcam_server.devices.st7735r_glass import TABS
 from veilcam_server.errors import FenceError, NotReadyError
+from veilcam_server.masks.fresh import FreshSource
+from veilcam_server.masks.source import Mask, Terms
+from veilcam_server.sealing.identity import DeviceKey
 
+CAMERA, EMBEDDING = Camera(), Embedding(8, 8)
+DIGEST = "0f" * 32
+"""Digest of a bundle that comes from no file."""
+MODE = SensorMode(48, 64, line_time=0.0, frame_duration=0.0)
+CRYSTAL = Crystal(scan=5e-4, settle=5e-4)
+SETTLE, TIMEOUT = 1e-3, 0.05
+"""Time that the engine grants the crystal, and its longest wait for a frame [s]."""
 FORMS: tuple[Release, ...] = ("sealed", "white")
-"""Of one engine after the other."""
+"""Forms of release, of one engine after the other."""
 WARM_UP = 0.2
 """Share of the captures after which memory must have stopped growing."""
+GROWTH = 20.0
+"""Most growth of memory after that [MB]."""
+FAULTS = 0.1
+"""Share of captures that meet a fault."""
+EVERY = 2000
+"""Captures of one engine."""
 KNOWN = (DeviceError, FenceError, NotReadyError)
+
+
+class Marked:
+    """Reader that knows the first corner of its mask, also after the mask was erased."""
+
+    def __init__(self, reader: Any, corner: Measurement) -> None:
+        self._reader, self.corner = reader, corner
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+
+class MarkedSource(FreshSource):
+    """Source of masks of the daemon, whose readers can be told apart."""
+
+    def make(self, key: EpochKey, form: Release, avoid: frozenset[str]) -> Mask:
+        """Prepare an epoch."""
+        mask = super().make(key, form, avoid)
+        corner = mask.levels[: EMBEDDING.rows, : EMBEDDING.columns].astype(np.float32)
+        return Mask(mask.levels, Marked(mask.reader, corner))
+
+
+class Supply:
+    """Source of masks, and a receiver, of all engines."""
+
+    def __init__(self) -> None:
+        # Built once: it is what takes time when an engine starts.
+        self.source = MarkedSource(replace(fresh_bundle(CAMERA, EMBEDDING, 32), digest=DIGEST))
+        self.receiver = ReceiverKey.generate()
+
+    def terms(self, form: Release) -> Terms:
+        """Return what holds for every epoch of one engine."""
+        return Terms(form, (self.receiver.public,) if form == "sealed" else ())
+
+
+class CornerLight:
+    """Light of a white scene that carries the mask's first corner, one level to each box."""
+
+    def read(self) -> npt.NDArray[np.float32]:
+        """Return the scene."""
+        return np.ones((2, 2), np.float32)
+
+    def response(self, weights: torch.Tensor) -> Response:
+        """Return the corner."""
+        return (weights[: EMBEDDING.rows, : EMBEDDING.columns].double(),)
+
+    def collect(self, scenes: torch.Tensor, response: Response) -> torch.Tensor:
+        """Return the corner on raw pixels."""
+        down, across = MODE.rows // EMBEDDING.rows, MODE.columns // EMBEDDING.columns
+        boxes = response[0].repeat_interleave(down, 0).repeat_interleave(across, 1)
+        return boxes.expand(len(scenes), -1, -1)
+
+    def run(self, device: Device, fence: Fence) -> None:
+        """Pass the self test: this light has no geometry to test by."""
+
+
+class Bus(PanelEmulator):
+    """Panel whose bus breaks off in the middle of a mask, ``breaks`` times."""
+
+    breaks = 0
+
+    def write(self, buffer: memoryview | bytes) -> None:
+        """Send all, or half of it."""
+        broken = self.breaks > 0 and len(buffer) > 1000
+        super().write(bytes(buffer[: len(buffer) // 2]) if broken else buffer)
+        if broken:
+            self.breaks -= 1
+            raise OSError(5, "Input/output error")
+
+
+def _at_once(_: float) -> None:
+    """Wait for nothing."""
+
+
+class Rig:
+    """Engine on hardware that fails when told; ``tell`` gets every mask before it is shown."""
+
+    def __init__(
+        self,
+        supply: Supply,
+        directory: Path,
+        *,
+        tell: Callable[[Levels], None],
+        form: Release = "sealed",
+        granted: float = SETTLE,
+    ) -> None:
+        self.bus, self.frames = Bus(TABS["green"], crystal=CRYSTAL, reset_time=0.0), CameraFaults()
+        # Random faults come in a row, too, and nobody waits here for another attempt.
+        unhurried = itertools.count(0.0, 100.0).__next__
+        display = ReopeningDisplay("ST7735R", self._panel, clock=unhurried)
+        show, standing = display.show, b""
+
+        def told(levels: Levels) -> Shown:
+            nonlocal standing
+            # After a failed write the mask from before is put back: the same showing goes on.
+            if levels.tobytes() != standing:
+                tell(levels)
+            shown = show(levels)
+            standing = levels.tobytes()
+            return shown
+
+        display.show = told  # type: ignore[method-assign]
+        light = CornerLight()
+        self._light = SimulatedLight(
+            *(self.bus, Scenes((light,)), light),
+            camera=CAMERA,
+            embedding=EMBEDDING,
+            conditions=Conditions(exposure=0.0, snr_db=math.inf),
+            mode=MODE,
+            full_scale=1.1,
+            seed=0,
+            began_at=0.0,
+        )
+        sensor = ReopeningSensor("IMX477", 1.1, self._sensor, clock=unhurried)
+        signer, budget = DeviceKey.open(directory), ReleaseBudget(directory, raw=0)
+        terms = supply.terms(form)
+        self.camera = MaskedCamera(
+            Device(display, sensor, simulated=True),
+            # This light is of no camera that real tests could know.
+            Preparation(supply.source, signer, lambda: terms, budget, FakeMaskTests()),
+            EMBEDDING.shape,
+            light,
+            budget=budget,
+            fence=Fence(granted, TIMEOUT),
+            policy=EveryCaptures(captures=1),
+        )
+
+    def _panel(self) -> ST7735R:
+        return ST7735R(self.bus, self.bus, camera=CAMERA, tab=TABS["green"], sleep=_at_once)
+
+    def _sensor(self) -> IMX477:
+        return IMX477(
+            lambda: FakePicamera2(self._light, mode=MODE, faults=self.frames),
+            shape=EMBEDDING.shape,
+            mode=MODE,
+            exposures=ExposureRange(0.0),
+            full_scale=1.1,
+        )
+
+    def break_something(self) -> None:
+        """Let the next thing of a random kind fail."""
+        kind = random.randrange(5)
+        if kind == 0:
+            self.bus.breaks = random.choice((1, 1, 2, 3))
+        elif kind == 1:
+            self.frames.hangs = 1
+        elif kind == 2:
+            self.frames.stale = 2
+        elif kind == 3:
+            self.frames.stuck = True
+        else:
+            self.frames.gain = 2.0
+
+    def mend(self) -> None:
+        """End what would last."""
+        self.frames.stuck, self.frames.gain = False, 1.0
+
+    def stop(self) -> None:
+        """Stop the engine, with nothing broken."""
+        self.mend()
+        self.bus.breaks = self.frames.hangs = 0
+        self.camera.stop()
+
+    @contextmanager
+    def meddling(self) -> Iterator[None]:
+        """Change masks by hand meanwhile, about five times a second."""
+        ended = threading.Event()
+
+        def meddle() -> None:
+            while not ended.wait(random.expovariate(5.0)):
+                with suppress(*KNOWN):
+                    self.camera.rotate()
+
+        meddler = threading.Thread(target=meddle)
+        meddler.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            meddler.join()
 
 
 @dataclass
 class Outcome:
-    """What a run came to."""
+    """Counts of a run.
+
+    Attributes:
+        captures: captures that came to a measurement.
+        mixed: measurements of another mask than their own, or of a mixture.
+        errors: errors that the daemon knows.
+        lost: captures that ended neither in a measurement, which its receiver could open, nor in
+            such an error.
+        epochs: names of the epochs of all measurements.
+        masks: digests of all masks that were shown, but for those that were put back.
+        growth: growth of resident memory after the warm-up [MB].
+    """
 
     captures: int = 0
     mixed: int = 0
     errors: int = 0
     lost: int = 0
-    """Captures that ended neither in a measurement, which its receiver could open, nor in an error
-    that the daemon knows."""
     epochs: list[str] = field(default_factory=list)
-    """Names of those that measurements were taken under."""
     masks: list[bytes] = field(default_factory=list)
-    """Digests of all masks that were put on the panel, but for those that were put back."""
     growth: float = 0.0
-    """Of resident memory after the warm-up [MB]."""
 
     @property
     def reused(self) -> int:
-        """Measurements under an epoch, or showings of a mask, that was there before."""
+        """Number of measurements under a used epoch, and of showings of a used mask."""
         return sum(len(items) - len(set(items)) for items in (self.epochs, self.masks))
 
+    def attempt(self, rig: Rig, opener: Opener) -> None:
+        """Take one capture and judge it."""
+        try:
+            captured = rig.camera.capture(release=True)
+        except KNOWN:
+            self.errors += 1
+            rig.mend()
+            if rig.camera.state.state in ("safe", "degraded"):
+                try:
+                    rig.camera.rotate()
+                except KNOWN:
+                    self.errors += 1
+            return
+        except Exception:
+            self.lost += 1
+            return
+        try:
+            self._judge(captured, opener)
+        except SealedError:
+            self.lost += 1
+        finally:
+            captured.done()
 
-def attempt(rig: Rig, opener: Opener, outcome: Outcome) -> None:
-    """Take one capture and judge it."""
-    try:
-        captured = rig.camera.capture(release=True)
-    except KNOWN:
-        outcome.errors += 1
-        rig.mend()
-        if rig.camera.state.state in ("safe", "degraded"):
-            try:
-                rig.camera.rotate()
-            except KNOWN:
-                outcome.errors += 1
-        return
-    except Exception:
-        outcome.lost += 1
-        return
-    try:
-        judge(captured, opener, outcome)
-    except SealedError:
-        outcome.lost += 1
-    finally:
-        captured.done()
-
-
-def judge(captured: Captured, opener: Opener, outcome: Outcome) -> None:
-    """Answer as a request would, and compare what leaves with the mask."""
-    assert isinstance(captured, MaskedCapture)
-    assert isinstance(captured.reader, Marked)
-    outcome.captures += 1
-    outcome.epochs.append(captured.epoch)
-    captured.classify()
-    answer = Capture(
-        id="",
-        epoch=captured.epoch,
-        number=captured.number,
-        taken_at=captured.taken_at,
-        embedding=captured.release(0.0),
-    )
-    measured = captured.measurement
-    if captured.form == "sealed":
-        measured = np.asarray(opener.open(answer).embedding)
-    seen = measured * (CAMERA.panel.levels - 1)
-    outcome.mixed += bool(np.abs(seen - captured.reader.corner).max() > 0.1)
-
-
-@contextmanager
-def meddling(camera: MaskedCamera) -> Iterator[None]:
-    """Meanwhile somebody changes masks by hand, about five times a second."""
-    ended = threading.Event()
-
-    def meddle() -> None:
-        while not ended.wait(random.expovariate(5.0)):
-            with suppress(*KNOWN):
-                camera.rotate()
-
-    meddler = threading.Thread(target=meddle)
-    meddler.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        meddler.join()
+    def _judge(self, captured: Captured, opener: Opener) -> None:
+        """Answer as a request would, and compare what leaves with the mask."""
+        assert isinstance(captured, MaskedCapture)
+        assert isinstance(captured.reader, Marked)
+        self.captures += 1
+        self.epochs.append(captured.epoch)
+        captured.classify()
+        measured, embedding = captured.measurement, captured.release(0.0)
+        if captured.form == "sealed":
+            answer = Capture(
+                id="",
+                epoch=captured.epoch,
+                number=captured.number,
+                taken_at=captured.taken_at,
+                embedding=embedding,
+            )
+            measured = np.asarray(opener.open(answer).embedding)
+        seen = measured * (CAMERA.panel.levels - 1)
+        self.mixed += bool(np.abs(seen - captured.reader.corner).max() > 0.1)
 
 
 def soak(
@@ -145,115 +339,82 @@ def soak(
     directory: Path,
     captures: int,
     *,
-    faults: float = 0.05,
+    faults: float = FAULTS,
     granted: float = SETTLE,
-    restart_every: int = 2000,
-    advance: Callable[[], None] = lambda: None,
+    every: int = EVERY,
 ) -> Outcome:
     """Take captures on hardware that fails, over engines that are stopped and started."""
-    outcome, opener = Outcome(), Opener(supply.receiver)
+    outcome, opener, forms = Outcome(), Opener(supply.receiver), itertools.cycle(FORMS)
 
     def tell(levels: Levels) -> None:
         outcome.masks.append(hashlib.sha256(levels.tobytes()).digest())
 
     warm, done = 0.0, 0
-    forms = itertools.cycle(FORMS)
     while done < captures:
         rig = Rig(supply, directory, form=next(forms), granted=granted, tell=tell)
         try:
             rig.camera.rotate()
-            with meddling(rig.camera):
-                for _ in range(min(restart_every, captures - done)):
+            with rig.meddling():
+                for _ in range(min(every, captures - done)):
                     if done == int(WARM_UP * captures):
                         warm = resident()
-                    rig.break_something(faults)
-                    attempt(rig, opener, outcome)
+                    if random.random() < faults:
+                        rig.break_something()
+                    outcome.attempt(rig, opener)
                     done += 1
-                    advance()
         finally:
-            rig.mend()
-            rig.bus.breaks = rig.frames.hangs = 0
-            rig.camera.stop()
+            rig.stop()
     outcome.growth = resident() - warm
     return outcome
 
 
-def kill(supply: Supply, directory: Path, lives: int) -> list[str]:
+def kill(directory: Path, lives: int) -> list[str]:
     """Kill the engine at random moments; return a digest of every mask that it ever showed."""
     log = directory / "shown"
     log.touch(mode=0o600)
-    fork = multiprocessing.get_context("fork")
-    for life in track(range(lives), "kills"):
-        child = fork.Process(target=_live, args=(supply, directory, log))
-        child.start()
-        lines = log.read_text().count("\n")
-        # Every fourth dies while it starts; the others once they have shown something.
-        while life % 4 and child.is_alive() and log.read_text().count("\n") == lines:
-            time.sleep(0.005)
-        time.sleep(random.uniform(0.0, 0.2))
-        child.kill()
-        child.join()
-        if child.exitcode != -9:
-            raise RuntimeError(f"the engine ended by itself with {child.exitcode}")
+    for life in range(lives):
+        with child(_live, directory, log) as (process, told):
+            told.recv()
+            before = log.stat().st_size
+            # Every fourth dies while it starts; the others once they have shown something.
+            while life % 4 and process.is_alive() and log.stat().st_size == before:
+                time.sleep(0.005)
+            time.sleep(random.uniform(0.0, 0.2))
+            if not process.is_alive():
+                raise RuntimeError(f"the engine ended by itself with {process.exitcode}")
     return log.read_text().splitlines()
 
 
-def _live(supply: Supply, directory: Path, log: Path) -> None:
+def _live(tell: Connection, directory: Path, log: Path) -> None:
     """Capture until killed. What the panel shows is in the log before it is shown."""
-    descriptor = os.open(log, os.O_WRONLY | os.O_APPEND)
+    torch.set_num_threads(1)
+    supply, descriptor = Supply(), os.open(log, os.O_WRONLY | os.O_APPEND)
+    tell.send("loaded")
 
-    def tell(levels: Levels) -> None:
+    def note(levels: Levels) -> None:
         os.write(descriptor, hashlib.sha256(levels.tobytes()).hexdigest().encode() + b"\n")
 
-    rig = Rig(supply, directory, tell=tell)
+    rig = Rig(supply, directory, tell=note)
     rig.camera.rotate()
     while True:
         rig.camera.capture(release=True).done()
 
 
-def main(
-    *,
-    captures: Annotated[int, typer.Option(min=10, help="To try.")] = 20_000,
-    kills: Annotated[int, typer.Option(min=0, help="How often to kill the engine.")] = 20,
-    faults: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of captures that meet a fault.")
-    ] = 0.05,
-    figures: FiguresOption = None,
-) -> None:
+async def soaked(ground: Ground, judgement: Judgement) -> None:
     """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
-    supply = Supply()
-    with work_folder() as folder:
-        # Before anything starts a thread: a fork copies no threads, but the locks they hold.
-        killed = folder / "killed"
-        killed.mkdir()
-        shown = kill(supply, killed, kills)
-        steps = iter(track(range(captures), "captures"))
-
-        def advance() -> None:
-            next(steps, None)
-
-        outcome = soak(supply, folder / "soaked", captures, faults=faults, advance=advance)
+    killed, soaked, extent = ground.folder / "engine", ground.folder / "soaked", ground.extent
+    killed.mkdir()
+    shown = kill(killed, extent.engine_kills)
+    outcome = soak(Supply(), soaked, extent.captures, every=max(20, extent.captures // 10))
     again = len(shown) - len(set(shown))
-    print(f"kills: {kills}, {len(shown)} masks shown, {again} of them again")
-    print(
-        f"captures: {captures} tried, {outcome.captures} taken, {outcome.errors} errors, "
-        f"{outcome.mixed} mixed, {outcome.reused} reused, {outcome.lost} lost, "
-        f"memory {outcome.growth:+.1f} MB"
-    )
-    record(
-        figures,
-        {
-            "soak_captures": captures,
-            "soak_mixed": outcome.mixed,
-            "soak_reused": outcome.reused + again,
-            "soak_lost": outcome.lost,
-            "soak_growth_mb": outcome.growth,
-        },
-    )
-    if outcome.mixed + outcome.reused + again + outcome.lost or outcome.growth > 20:
-        raise SystemExit(1)
-
-
-if __name__ == "__main__":
-    typer.run(main)
+    judgement.at_least(f"masks of {extent.engine_kills} killed engines", len(shown), 1)
+    for what, count, figure in (
+        ("mixed", outcome.mixed, "soak_mixed"),
+        ("used again", outcome.reused + again, "soak_reused"),
+        ("lost", outcome.lost, "soak_lost"),
+    ):
+        judgement.at_most(f"{what} of {outcome.captures} captures", count, 0, figure=figure)
+    judgement.at_least(f"captures beside {outcome.errors} errors", outcome.captures, 1)
+    judgement.at_most("memory [MB]", outcome.growth, GROWTH, figure="soak_growth_mb")
+    judgement.figures["soak_captures"] = extent.captures

@@ -1,4 +1,4 @@
-"""A receiver that opens what one device seals, over all its lives, and notices what comes twice."""
+"""Witness of the sealed embeddings of one device, over all its lives."""
 
 from __future__ import annotations
 
@@ -18,30 +18,25 @@ from veilcam_client.wire.captures import Capture, SealedEmbedding
 
 @dataclass
 class Life:
-    """What a daemon said of its epochs between a start and an end.
-
-    Attributes:
-        told: names of its epochs, each once.
-        taken: sealed embeddings, in any order, also those that came with a label.
-    """
+    """Epochs that a daemon announced between a start and an end, and embeddings that it gave."""
 
     told: list[str] = field(default_factory=list)
     taken: list[Capture] = field(default_factory=list)
 
 
 class Witness:
-    """Opens every embedding, and holds it against all that was sealed before.
+    """Receiver that opens every embedding, and compares it with all that were sealed before.
 
     Args:
-        key: of a receiver that the device is paired with in every life.
+        key: key of a receiver that the device is paired with in every life.
 
     Attributes:
-        names: of all epochs.
-        opened: how many embeddings were.
-        repeated: kinds of what came twice: names, sealing keys, and numbers within an epoch.
-        unopened: why an embedding was not opened.
+        names: names of all epochs.
+        opened: number of embeddings that were opened.
+        repeated: kinds of repetition: name, sealing key, number within an epoch.
+        unopened: reasons why embeddings were not opened.
         mixed: epochs with measurements of more than one mask: without noise, all of one scene
-            behind one mask are the same.
+            behind one mask are equal.
     """
 
     def __init__(self, key: ReceiverKey) -> None:
@@ -73,16 +68,13 @@ class Witness:
         self._seen.add((kind, what))
 
     def _sealing_key(self, answer: Capture) -> str:
-        """A digest of the key; of one that cannot be had, the epoch's name."""
-        if not isinstance(answer.embedding, SealedEmbedding):
-            return answer.epoch
+        """Return a digest of the key, or the epoch's name if the key cannot be had."""
         try:
+            assert isinstance(answer.embedding, SealedEmbedding)
             key = open_key(answer.embedding.envelope, self._key, device=None)
-        except SealedError:
+        except (AssertionError, SealedError):
             return answer.epoch
-        digest = hashlib.sha256(key.sealing()).hexdigest()
-        key.erase()
-        return digest
+        return hashlib.sha256(key.sealing()).hexdigest()
 
     def _open(self, answer: Capture) -> None:
         if not isinstance(answer.embedding, SealedEmbedding):
@@ -94,6 +86,5 @@ class Witness:
             self.unopened.append(str(error))
             return
         self.opened += 1
-        first = self._values.setdefault(answer.epoch, values)
-        if not np.array_equal(first, values):
+        if not np.array_equal(self._values.setdefault(answer.epoch, values), values):
             self.mixed.append(answer.epoch)
