@@ -25,7 +25,6 @@ import torch
 from pydantic import JsonValue
 from torch import distributed
 
-from veilcam_optics.accuracy.report import machine
 from veilcam_optics.files import write_whole
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.files import check_folder
@@ -167,3 +166,18 @@ def _git(folder: Path, *arguments: str) -> str:
         text=True,
     )
     return result.stdout.strip()
+
+
+def machine() -> str:
+    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
+    return f"{_processor()}, {os.cpu_count()} cores"
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
