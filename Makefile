@@ -57,6 +57,7 @@ help:
 	@echo "make test-clean-root  make demo in a root of Debian 13 with Python, git and make alone; needs root"
 	@echo "make test-pythons  make demo and make test with each of Python 3.11 to 3.13 that is there"
 	@echo "make public-types   how much of the SDK's surface has known types, as pyright counts it"
+	@echo "make accuracy  error against time of every way to compute light, drawn into build/accuracy"
 	@echo "make mutants  would a room's tests notice a wrong module? 100 seeded edits, half an hour"
 	@echo "make docs     the documentation as a site in build/site"
 	@echo "make clean    remove what the others made"
@@ -194,6 +195,11 @@ test-clean-root: $(INSTALLED)
 test-pythons: $(INSTALLED)
 	$(BIN)/python -m tests.system.pythons $(foreach version,3.11 3.12 3.13,\
 		$(if $(shell python$(version) -c '' 2>/dev/null && echo yes),$(version)=python$(version)))
+
+# Not part of test: error against time of every method, in minutes.
+.PHONY: accuracy
+accuracy: $(INSTALLED)
+	$(BIN)/python -m benchmarks.accuracy --out build/accuracy
 
 # Not part of test: it runs a room's tests for each mutant.
 COUNT ?= 100

@@ -39,10 +39,9 @@ from torch.nn.functional import cross_entropy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from benchmarks.accuracy.measure import example_mask, relative_error
 from benchmarks.peers.waveprop_peer import WavepropCamera
 
-from veilcam_optics.accuracy import relative_error
-from veilcam_optics.accuracy.measure import example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.masks import quantise, random_mask
 from veilcam_optics.sensor.noise import shot_noise

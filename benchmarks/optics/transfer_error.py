@@ -9,10 +9,9 @@ from typing import Annotated
 
 import torch
 import typer
+from benchmarks.accuracy.measure import example_mask, relative_error
 from benchmarks.figures import FiguresOption, record
 
-from veilcam_optics.accuracy import relative_error
-from veilcam_optics.accuracy.measure import example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import reference_transfer

@@ -1,4 +1,4 @@
-"""The jobs of ``veilcam-optics accuracy`` with other libraries in them, where they are installed.
+"""The jobs of ``benchmarks.accuracy`` with other libraries in them, where they are installed.
 
 waveprop and torchoptics (docs/accuracy.md says how to install them) do the same jobs, against the
 same references, in the same run.
@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from benchmarks.accuracy.__main__ import JobName, chosen, run
+from benchmarks.accuracy.field_job import FieldJob
+from benchmarks.accuracy.measure import Job, Setting
+from benchmarks.accuracy.psf_job import PsfJob
+from benchmarks.accuracy.transfer_job import TransferJob
 from benchmarks.peers import torchoptics_peer, waveprop_peer
-
-from veilcam_optics.accuracy.field_job import FieldJob
-from veilcam_optics.accuracy.measure import Job, Setting
-from veilcam_optics.accuracy.psf_job import PsfJob
-from veilcam_optics.accuracy.transfer_job import TransferJob
-from veilcam_optics.cli.accuracy import JobName, chosen, run
 
 
 @dataclass(frozen=True, slots=True)

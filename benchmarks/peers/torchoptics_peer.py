@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from functools import partial
 
 import torch
+from benchmarks.accuracy.field_job import DISTANCE, PITCH, WAVELENGTH, FieldJob
+from benchmarks.accuracy.measure import Prepared, Psf, Setting
+from benchmarks.accuracy.psf_job import PsfJob
+from benchmarks.accuracy.transfer_job import TransferJob
 from torch import Tensor
 
-from veilcam_optics.accuracy.field_job import DISTANCE, PITCH, WAVELENGTH, FieldJob
-from veilcam_optics.accuracy.measure import Prepared, Psf, Setting
-from veilcam_optics.accuracy.psf_job import PsfJob
-from veilcam_optics.accuracy.transfer_job import TransferJob
 from veilcam_optics.camera.geometry import Camera, Scene
 from veilcam_optics.propagation.illumination import spherical_wave
 from veilcam_optics.propagation.sampling import Grid

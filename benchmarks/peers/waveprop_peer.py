@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from benchmarks.accuracy.field_job import DISTANCE, PITCH, WAVELENGTH, FieldJob
+from benchmarks.accuracy.measure import Prepared, Setting, relative_error
+from benchmarks.accuracy.psf_job import PsfJob
+from benchmarks.accuracy.transfer_job import TransferJob
 from torch import Tensor
 
-from veilcam_optics.accuracy.field_job import DISTANCE, PITCH, WAVELENGTH, FieldJob
-from veilcam_optics.accuracy.measure import Prepared, Setting, relative_error
-from veilcam_optics.accuracy.psf_job import PsfJob
-from veilcam_optics.accuracy.transfer_job import TransferJob
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor
 from veilcam_optics.errors import OpticsError, invalid
 from veilcam_optics.propagation.sampling import Grid, coverage

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from benchmarks.accuracy.field_job import FieldJob
+from benchmarks.accuracy.measure import Setting, measure
+from benchmarks.accuracy.transfer_job import TransferJob
 from benchmarks.peers import accuracy, waveprop_peer
 
-from veilcam_optics.accuracy.field_job import FieldJob
-from veilcam_optics.accuracy.measure import Setting, measure
-from veilcam_optics.accuracy.transfer_job import TransferJob
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.errors import OpticsError
 

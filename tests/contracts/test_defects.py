@@ -18,7 +18,6 @@ from veilcam_optics.apertures import remove_background
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.camera.masks import quantise, to_levels
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.simulation.algorithm1 import Algorithm1
 from veilcam_optics.transfer.grid import GridLight
 from veilcam_optics.transfer.kernels import Approximation
 from veilcam_optics.transfer.operator import TransferOperator
@@ -177,16 +176,6 @@ def test_every_option_of_the_other_paths_does_something() -> None:
         light = GridLight(CAMERA, SCENE, oversampling)
         by_grid.append(light.embed(scenes, light.psf(some_weights()), EMBEDDING))
     assert relative(*by_grid) > 1e-4
-    measurements = [
-        algorithm(scenes, algorithm.psf(some_weights()), torch.Generator().manual_seed(0))
-        for algorithm in (
-            Algorithm1(CAMERA, SCENE, EMBEDDING, "area", 40.0),
-            Algorithm1(CAMERA, SCENE, EMBEDDING, "bilinear", 40.0),
-            Algorithm1(CAMERA, SCENE, EMBEDDING, "area", 20.0),
-        )
-    ]
-    assert relative(measurements[1], measurements[0]) > 1e-3
-    assert relative(measurements[2], measurements[0]) > 1e-3
     image = torch.rand(40, 40, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     image[15:25, 15:25] += 5
     cleaned = remove_background(image)

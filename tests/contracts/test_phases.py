@@ -17,13 +17,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from veilcam_optics.propagation import (
-    AngularSpectrum,
-    Fraunhofer,
-    FresnelImpulse,
-    Propagator,
-    RayleighSommerfeld,
-)
+from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.base import unit_phasor
 from veilcam_optics.propagation.illumination import spherical_wave
 from veilcam_optics.propagation.sampling import Grid
@@ -68,19 +62,6 @@ def paraxial(x: Number, z: Number, wavelength: Number) -> Number:
     return x * x / (2 * wavelength * z)
 
 
-def direct(x: Number, z: Number, wavelength: Number) -> Number:
-    """The kernel z / r^2 (1 / (2 pi r) - i / lambda) exp(i k (r - z)) of Rayleigh-Sommerfeld."""
-    r = mpmath.sqrt(x * x + z * z)
-    return spherical(x, z, wavelength) - mpmath.atan(2 * mpmath.pi * r / wavelength) / (
-        2 * mpmath.pi
-    )
-
-
-def quarter_behind(x: Number, z: Number, wavelength: Number) -> Number:
-    """The paraxial kernel, with its factor 1 / i."""
-    return paraxial(x, z, wavelength) - mpmath.mpf(1) / 4
-
-
 @distances
 @both_types
 def test_angular_spectrum_transfer(distance: float, dtype: torch.dtype) -> None:
@@ -100,31 +81,6 @@ def test_angular_spectrum_transfer(distance: float, dtype: torch.dtype) -> None:
     orders = [mpmath.mpf(n) for n in (*range(32), *range(-32, 0))]
     assert phase_error(spectrum, turns, orders, distance) < TOLERANCES[dtype]
     assert float((spectrum.abs() - 1).abs().max()) < TOLERANCES[dtype]
-
-
-@distances
-@both_types
-@pytest.mark.parametrize(
-    ("method", "turns"),
-    [
-        (RayleighSommerfeld(), direct),
-        (FresnelImpulse(), quarter_behind),
-        (Fraunhofer(), quarter_behind),
-    ],
-    ids=lambda value: getattr(value, "name", ""),
-)
-@pytest.mark.parametrize("pitch", [12.4e-6, 12.3e-6], ids=["same pitch", "other pitch"])
-def test_wave_of_a_point(
-    method: Propagator,
-    turns: Turns,
-    pitch: float,
-    distance: float,
-    dtype: torch.dtype,
-) -> None:
-    """What arrives from one sample on the axis is the impulse response."""
-    run = method.prepare(Grid.square(1, 1, pitch), SAMPLES, distance, WAVELENGTH, dtype=dtype)
-    arrived = run(torch.ones(1, 1, dtype=dtype))[0]
-    assert phase_error(arrived, turns, positions(), distance) < TOLERANCES[dtype]
 
 
 @distances

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from veilcam_optics.propagation import (
-    PROPAGATORS,
-    AngularSpectrum,
-    GeometricShadow,
-    Propagator,
-    RayleighSommerfeld,
-)
+from veilcam_optics.propagation import AngularSpectrum
 from veilcam_optics.propagation.illumination import plane_wave, spherical_wave
 from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import Grid
-from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
 from veilcam_optics.transfer.grid import GridLight
 
 from .setting import LENGTHS, Bound, Operator, Setting, symmetric_weights
@@ -73,13 +64,7 @@ def _grid_embed_of_psf(setting: Setting) -> Bound:
 
 
 def _propagation(
-    name: str,
-    propagator: Propagator,
-    *,
-    shifted: bool = False,
-    scale: float = 1.0,
-    quantities: tuple[str, ...] = LENGTHS,
-    widens: str = "",
+    name: str, propagator: AngularSpectrum, *, shifted: bool = False, scale: float = 1.0
 ) -> Operator:
     """Free space between two grids, the target's a little larger than the source's."""
 
@@ -106,27 +91,9 @@ def _propagation(
         bind,
         linear=True,
         batched=True,
-        quantities=quantities,
+        quantities=LENGTHS,
         mirror=((), ()) if shifted else ((-2,), (-1,)),
-        widens=widens,
     )
-
-
-def _propagations() -> Iterator[Operator]:
-    """Every method of the propagators' own registry, plain, and shifted and scaled."""
-    for method in PROPAGATORS:
-        # A shadow under a plane wave depends on no length at all.
-        quantities = () if isinstance(method, GeometricShadow) else LENGTHS
-        direct = isinstance(method, RayleighSommerfeld)
-        for shifted in (False, True):
-            yield _propagation(
-                method.name + (", shifted and scaled" if shifted else ""),
-                method,
-                shifted=shifted,
-                scale=0.7 if shifted else 1.0,
-                quantities=quantities,
-                widens="the kernel is made row by row: it is too large to keep" if direct else "",
-            )
 
 
 def _point_spread(name: str, *, scene_distance: float) -> Operator:
@@ -190,46 +157,13 @@ def _tilted_wave(setting: Setting) -> Bound:
     return Bound(apply, (2,), grid.shape, kind="signed")
 
 
-def _algorithm(setting: Setting, resampling: Resampling) -> Algorithm1:
-    # The simulation grid is an eighth of the sensor: make it one of a few dozen samples.
-    camera = setting.camera()
-    sensor = replace(camera.sensor, rows=200, columns=248, pixel=setting.pitch / 24)
-    camera = replace(camera, sensor=sensor)
-    return Algorithm1(camera, setting.scene(), setting.embedding(), resampling, math.inf)
-
-
-def _algorithm_psf(setting: Setting) -> Bound:
-    algorithm = _algorithm(setting, "area")
-    return Bound(algorithm.psf, setting.mask_shape, (3, *algorithm.grid.shape))
-
-
-def _algorithm_pictures(name: str, resampling: Resampling) -> Operator:
-    def bind(setting: Setting) -> Bound:
-        algorithm = _algorithm(setting, resampling)
-        psf = algorithm.psf(symmetric_weights(setting))
-        return Bound(
-            lambda pictures: algorithm(pictures, psf),
-            setting.scene().shape,
-            setting.embedding().shape,
-        )
-
-    return Operator(
-        name,
-        bind,
-        batched=True,
-        # Whole samples of padding: the paper's own shift where parities differ.
-        mirror=((-2,), (-1,)) if resampling == "area" else ((), ()),
-        widens=_BOXES,
-    )
-
-
 WAVES: tuple[Operator, ...] = (
     _grid_psf("grid, PSF", filters=False),
     _grid_psf("grid, PSF, leaky filters", filters=True),
     _grid_embed("grid, embed gray", colour=False),
     _grid_embed("grid, embed colour", colour=True),
     Operator("grid, embedding of a PSF", _grid_embed_of_psf, linear=True, widens=_BOXES),
-    *_propagations(),
+    _propagation("angular spectrum", AngularSpectrum()),
     _point_spread("PSF of a complex mask, near point", scene_distance=50),
     _point_spread("PSF of a complex mask, plane wave", scene_distance=math.inf),
     _illumination("spherical wave, paraxial", paraxial=True),
@@ -243,18 +177,12 @@ WAVES: tuple[Operator, ...] = (
         refuses=False,
         widens=_PHASES,
     ),
-    Operator("Algorithm 1, PSF", _algorithm_psf, widens=_PHASES),
-    _algorithm_pictures("Algorithm 1, bilinear", "bilinear"),
-    _algorithm_pictures("Algorithm 1, area", "area"),
     _propagation("angular spectrum, padded by reach", AngularSpectrum(padding="reach")),
     _propagation("angular spectrum, periodic", AngularSpectrum(padding="none")),
     _propagation("angular spectrum, no band limit", AngularSpectrum(band_limit=False)),
     _propagation("angular spectrum, shifted", AngularSpectrum(), shifted=True),
-    _propagation("angular spectrum, scaled", AngularSpectrum(), scale=0.7),
     _propagation(
-        "geometric shadow of a near point",
-        GeometricShadow(0.05),
-        shifted=True,
-        quantities=("distance",),
+        "angular spectrum, shifted and scaled", AngularSpectrum(), shifted=True, scale=0.7
     ),
+    _propagation("angular spectrum, scaled", AngularSpectrum(), scale=0.7),
 )

@@ -1,8 +1,7 @@
-"""``veilcam-optics``: what the camera's optics do, and what computing them costs."""
+"""Command line ``veilcam-optics``."""
 
 import typer
 
-from veilcam_optics.cli.accuracy import accuracy
 from veilcam_optics.cli.camera import print_camera
 from veilcam_optics.cli.plan import print_plan
 
@@ -13,7 +12,6 @@ app = typer.Typer(
     # Units stand in brackets, which markup takes for its own and leaves out.
     rich_markup_mode=None,
 )
-app.command()(accuracy)
 app.command("plan")(print_plan)
 app.command("camera")(print_camera)
 

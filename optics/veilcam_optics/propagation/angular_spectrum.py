@@ -7,7 +7,7 @@ K. Matsushima, Opt. Express 18, 18453 (2010).
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -22,12 +22,7 @@ from veilcam_optics.propagation.base import (
     unit_phasor,
 )
 from veilcam_optics.propagation.sampling import Grid, Real, as_float, fast_length
-from veilcam_optics.propagation.spectral import (
-    Spectrum,
-    full_lengths,
-    target_samples,
-    transform_cost,
-)
+from veilcam_optics.propagation.spectral import Spectrum, full_lengths, target_samples
 
 Padding = Literal["full", "reach", "none"]
 
@@ -50,7 +45,6 @@ class AngularSpectrum:
             function cannot represent. Switch it off only to compare.
     """
 
-    name: ClassVar[str] = "angular spectrum"
     padding: Padding = "full"
     guard: float = 0.25
     band_limit: bool = True
@@ -75,13 +69,6 @@ class AngularSpectrum:
                 reason = f"the guard along {axis} holds {fringes:.2g} fringes of the band limit"
                 return Support(False, f"{reason}, {FEWEST_FRINGES} are needed")
         return Support(True)
-
-    def cost(self, source: Grid, target: Grid) -> float:
-        """Two FFTs on the fully padded grid, or one and two matrix products for another pitch."""
-        lengths = (
-            source.shape if self.padding == "none" else full_lengths(source, target, self.guard)
-        )
-        return transform_cost(source, target, lengths)
 
     def prepare(
         self,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -29,7 +29,6 @@ class Support:
         return self.ok
 
 
-@runtime_checkable
 class Propagator(Protocol):
     """One method of free-space propagation.
 
@@ -37,15 +36,8 @@ class Propagator(Protocol):
     and in float32 it would cost every digit of the phase.
     """
 
-    @property
-    def name(self) -> str:
-        """The method's name in the field's terms."""
-
     def supports(self, source: Grid, target: Grid, distance: Real, wavelength: Real) -> Support:
         """Say whether the method is accurate for this job; never raises on valid input."""
-
-    def cost(self, source: Grid, target: Grid) -> float:
-        """Return the estimated number of real operations for one field, once prepared."""
 
     def prepare(
         self,
@@ -95,16 +87,6 @@ def check_field(field: Tensor, source: Grid, dtype: torch.dtype) -> None:
     """Refuse a field that does not match what was prepared."""
     require_shape("field", field, ..., *source.shape)
     require_choice("field.dtype", field.dtype, [dtype])
-
-
-def separable(source: Grid, rows: Tensor, columns: Tensor) -> Propagation:
-    """Return the propagation of a separable kernel: (target, source) samples along y and x."""
-
-    def propagate(field: Tensor) -> Tensor:
-        check_field(field, source, rows.dtype)
-        return rows @ field @ columns.mT
-
-    return propagate
 
 
 def check_job(

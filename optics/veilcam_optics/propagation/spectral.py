@@ -149,16 +149,6 @@ def same_pitch(source: Grid, target: Grid) -> bool:
     return all(a is b or (isinstance(a, float) and a == b) for a, b in pairs)
 
 
-def transform_cost(source: Grid, target: Grid, lengths: tuple[int, int]) -> float:
-    """Return the real operations of :meth:`Spectrum.filtered_by`: two FFTs, or one and products."""
-    rows, columns = lengths
-    transform = 5.0 * rows * columns * math.log2(max(2, rows * columns))
-    if same_pitch(source, target):
-        return 2 * transform + 6 * rows * columns
-    products = 8.0 * target.rows * columns * (rows + target.columns)
-    return transform + 6 * rows * columns + products
-
-
 def _frequencies(length: int, device: torch.device | None) -> Tensor:
     frequencies: Tensor = torch.fft.fftfreq(length, dtype=torch.float64, device=device)
     return frequencies

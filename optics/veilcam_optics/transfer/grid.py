@@ -13,9 +13,9 @@ from torch import Tensor
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_optics.camera.inputs import check_scenes, check_weights
 from veilcam_optics.errors import require, require_memory, require_positive, require_shape
-from veilcam_optics.propagation import AngularSpectrum, GeometricShadow, Propagator
+from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.base import TURN, complex_type, unit_phasor
-from veilcam_optics.propagation.psf import AT_INFINITY, PointSpread
+from veilcam_optics.propagation.psf import PointSpread
 from veilcam_optics.propagation.sampling import (
     Grid,
     as_float,
@@ -165,15 +165,13 @@ class GridLight:
         self._mask = mask or SampledMask(
             camera, mask_grid(camera, as_float(self.grid.pitch_y)), dtype, self.device
         )
-        # A shadow takes the mask alone: it knows where the light comes from.
-        shadow = isinstance(propagator, GeometricShadow)
         self.spreads = tuple(
             PointSpread(
                 self.mask_grid,
                 self.grid,
                 wavelength=wavelength,
                 distance=camera.distance,
-                scene_distance=AT_INFINITY if shadow else scene.distance,
+                scene_distance=scene.distance,
                 propagator=propagator,
                 dtype=complex_type(dtype),
                 device=self.device,

@@ -1,4 +1,4 @@
-"""Contracts that every propagation method keeps, and agreement between methods."""
+"""Contracts of the angular spectrum with each of its options."""
 
 from __future__ import annotations
 
@@ -7,30 +7,19 @@ import math
 
 import pytest
 import torch
+from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
 from torch import Tensor
 
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.propagation import (
-    PROPAGATORS,
-    AngularSpectrum,
-    Fraunhofer,
-    FresnelImpulse,
-    FresnelTransfer,
-    GeometricShadow,
-    Propagator,
-    RayleighSommerfeld,
-    propagator,
-)
+from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.base import unit_phasor
 from veilcam_optics.propagation.sampling import Grid
 
 VARIANTS: tuple[Propagator, ...] = (
-    *PROPAGATORS,
+    AngularSpectrum(),
     AngularSpectrum(padding="reach"),
     AngularSpectrum(padding="none"),
     AngularSpectrum(band_limit=False),
-    FresnelTransfer(band_limit=False),
-    GeometricShadow(source_distance=0.4),
 )
 WAVELENGTH, DISTANCE = 550e-9, 1e-3
 SHAPES = [(8, 8), (7, 7), (1, 9), (6, 1), (5, 8)]
@@ -119,21 +108,15 @@ def test_single_precision_stays_single_and_close(method: Propagator) -> None:
     assert relative(quick.to(torch.complex128), exact) < 1e-6
 
 
-# The shadow averages over target cells, so that its field depends on their size.
-@pytest.mark.parametrize(
-    "method", [m for m in VARIANTS if not isinstance(m, GeometricShadow)], ids=repr
-)
+@every_method
 def test_scaled_target_holds_the_same_field(method: Propagator) -> None:
     """Every third point of a grid of a third of the pitch is a point of the coarse grid."""
     source = Grid.square(9, 10, 5e-6)
     coarse, fine = Grid.square(5, 7, 6e-6), Grid.square(15, 21, 2e-6)
     wanted = method.prepare(source, coarse, DISTANCE, WAVELENGTH)(noise(9, 10))
     got = method.prepare(source, fine, DISTANCE, WAVELENGTH)(noise(9, 10))[1::3, 1::3]
-    if isinstance(method, AngularSpectrum | FresnelTransfer):
-        # The window that the band limit follows is rounded to fast lengths, which may differ.
-        assert relative(got, wanted) < 2e-1
-    else:
-        assert relative(got, wanted) < 1e-12
+    # The window that the band limit follows is rounded to fast lengths, which may differ.
+    assert relative(got, wanted) < 2e-1
 
 
 @every_method
@@ -173,50 +156,23 @@ def test_finite_at_any_distance_and_wavelength(
     assert bool(torch.isfinite(torch.view_as_real(field.grad)).all())
 
 
-@every_method
-def test_cost_grows_with_the_job(method: Propagator) -> None:
-    small, large = Grid.square(16, 16, 5e-6), Grid.square(64, 64, 5e-6)
-    assert 0 < method.cost(small, small) < method.cost(large, large)
-
-
-def test_registry() -> None:
-    names = [method.name for method in PROPAGATORS]
-    assert len(set(names)) == len(names)
-    for method in PROPAGATORS:
-        assert propagator(method.name) is method
-        assert isinstance(method, Propagator)
-    with pytest.raises(OpticsError, match="'angular spectrum', 'fresnel transfer function'"):
-        propagator("magic")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("distance", [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 1e-1])
-def test_methods_that_say_they_fit_agree(distance: float) -> None:
-    """A support that lies would show here: each is held to the direct sum."""
+@pytest.mark.parametrize("distance", [1e-4, 3e-4, 1e-3, 3e-3])
+def test_field_agrees_with_the_direct_sum_where_it_is_supported(distance: float) -> None:
     source = Grid.square(32, 31, 2e-6)
-    spread = min(20.0, max(1.0, distance / 1e-3))
-    target = Grid(31, 30, 2e-6 * spread, 2e-6 * spread, centre_y=3.1e-6, centre_x=-4.7e-6)
-    field = smooth(source, 9e-6, tilt=2e4)
+    target = Grid(31, 30, 2e-6, 2e-6, centre_y=3.1e-6, centre_x=-4.7e-6)
     # The reference is sampled so finely that it is valid at every one of these distances.
     fine = Grid.square(32 * 5, 31 * 5, 2e-6 / 5)
-    assert RayleighSommerfeld().supports(fine, target, distance, WAVELENGTH)
     direct = RayleighSommerfeld().prepare(fine, target, distance, WAVELENGTH)
     wanted = direct(smooth(fine, 9e-6, tilt=2e4))
-    fits = []
-    for method in PROPAGATORS:
-        if isinstance(method, GeometricShadow):
-            continue
-        if method.supports(source, target, distance, WAVELENGTH):
-            got = method.prepare(source, target, distance, WAVELENGTH)(field)
-            fits.append((method.name, relative(got, wanted)))
-    assert fits
-    limits = {"fraunhofer": 0.05, "rayleigh-sommerfeld": 3e-6}
-    assert all(error < limits.get(name, 1e-2) for name, error in fits), fits
+    method = AngularSpectrum(guard=2)
+    assert method.supports(source, target, distance, WAVELENGTH)
+    got = method.prepare(source, target, distance, WAVELENGTH)(smooth(source, 9e-6, tilt=2e4))
+    assert relative(got, wanted) < 1e-2
 
 
-@pytest.mark.parametrize("method", [AngularSpectrum(), FresnelTransfer()], ids=repr)
 @pytest.mark.parametrize("shape", [(64, 64), (63, 65), (1, 64)])
-def test_there_and_back_again(method: Propagator, shape: tuple[int, int]) -> None:
+def test_there_and_back_again(shape: tuple[int, int]) -> None:
     grid = Grid.square(*shape, 4e-6)
     field = smooth(grid, 30e-6)
     if shape[0] == 1:
@@ -225,6 +181,7 @@ def test_there_and_back_again(method: Propagator, shape: tuple[int, int]) -> Non
     back = AngularSpectrum(padding="none", band_limit=False).prepare(grid, grid, -2e-3, WAVELENGTH)
     assert relative(back(there(field)), field) < 1e-13
     wide = Grid.square(shape[0] + 96 if shape[0] > 1 else 1, shape[1] + 96, 4e-6)
+    method = AngularSpectrum()
     out = method.prepare(grid, wide, 2e-3, WAVELENGTH)(field)
     returned = method.prepare(wide, grid, -2e-3, WAVELENGTH)(out)
     if shape[0] > 1:
@@ -261,11 +218,9 @@ def test_gradient_is_finite_where_a_wave_just_becomes_evanescent() -> None:
         assert all(bool(torch.isfinite(gradient)) for gradient in gradients)
 
 
-@pytest.mark.parametrize(
-    "method", [AngularSpectrum(), FresnelTransfer(), FresnelImpulse()], ids=repr
-)
 @pytest.mark.parametrize("shape", [(40, 40), (41, 40), (41, 43)])
-def test_shift_of_the_source_shifts_the_field(method: Propagator, shape: tuple[int, int]) -> None:
+def test_shift_of_the_source_shifts_the_field(shape: tuple[int, int]) -> None:
+    method = AngularSpectrum()
     grid = Grid.square(*shape, 4e-6)
     field = torch.zeros(shape, dtype=torch.complex128)
     field[10:20, 12:22] = noise(10, 10)
@@ -316,49 +271,18 @@ def test_band_limit_keeps_a_far_field_clean() -> None:
     assert relative(limited, exact) < 0.3 * relative(aliased, exact)
 
 
-def test_shadow_is_magnified_from_its_point() -> None:
-    source, target = Grid.square(100, 100, 1e-6), Grid.square(300, 300, 1e-6)
-    field = torch.ones(100, 100, dtype=torch.complex128)
-    shadow = GeometricShadow(source_distance=5e-3).prepare(source, target, 5e-3, WAVELENGTH)(field)
-    lit = shadow.abs() > 0
-    assert int(lit[150].sum()) == 200
-    assert float(shadow.abs().max()) == pytest.approx(0.5)
-    assert float(shadow.norm() / field.norm()) == pytest.approx(1, rel=1e-12)
-
-
 def test_impossible_distances_are_refused() -> None:
     grid = Grid.square(4, 4, 5e-6)
-    impossible: list[tuple[Propagator, float]] = [
-        (RayleighSommerfeld(), 0.0),
-        (RayleighSommerfeld(), -1e-3),
-        (FresnelImpulse(), 0.0),
-        (Fraunhofer(), 0.0),
-        (GeometricShadow(), -1e-3),
-    ]
-    for method, distance in impossible:
-        with pytest.raises(OpticsError, match="distance"):
-            method.prepare(grid, grid, distance, WAVELENGTH)
     with pytest.raises(OpticsError, match="distance = nan"):
         AngularSpectrum().prepare(grid, grid, math.nan, WAVELENGTH)
-    with pytest.raises(OpticsError, match="too large"):
-        RayleighSommerfeld(largest=100).prepare(grid, grid, 1e-3, WAVELENGTH)
-    assert not RayleighSommerfeld(largest=100).supports(grid, grid, 1e-3, WAVELENGTH)
-    with pytest.raises(OpticsError, match="source_distance"):
-        GeometricShadow(source_distance=-1.0)
     with pytest.raises(OpticsError, match="padding"):
         AngularSpectrum(padding="some")  # type: ignore[arg-type]
 
 
 def test_supports_says_why_not() -> None:
     near = Grid.square(64, 64, 4e-6)
-    assert "far field" in Fraunhofer().supports(near, near, 1e-4, WAVELENGTH).reason
-    assert "undersampled" in FresnelImpulse().supports(near, near, 1e-4, WAVELENGTH).reason
-    assert "undersampled" in FresnelTransfer().supports(near, near, 1.0, WAVELENGTH).reason
     assert "fringes" in AngularSpectrum().supports(near, near, 1.0, WAVELENGTH).reason
-    assert "spreads" in GeometricShadow().supports(near, near, 1e-2, WAVELENGTH).reason
-    assert "undersampled" in RayleighSommerfeld().supports(near, near, 1e-5, WAVELENGTH).reason
     fine = Grid.square(64, 64, 0.5e-6)
-    assert "paraxial" in FresnelTransfer().supports(fine, fine, 2e-5, WAVELENGTH).reason
     assert AngularSpectrum().supports(fine, fine, 2e-5, WAVELENGTH)
 
 

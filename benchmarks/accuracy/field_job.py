@@ -7,14 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Setting
-from veilcam_optics.propagation import (
-    AngularSpectrum,
-    FresnelImpulse,
-    FresnelTransfer,
-    Propagator,
-    RayleighSommerfeld,
-)
+from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
+from benchmarks.accuracy.measure import PRECISIONS, Job, Prepared, Setting
+from benchmarks.accuracy.rayleigh_sommerfeld import RayleighSommerfeld
+from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.base import complex_type
 from veilcam_optics.propagation.sampling import Grid, coverage
 from veilcam_optics.transfer.factored import aperture_fields
@@ -53,25 +49,29 @@ class FieldJob:
         """The job with every setting of ours."""
         settings: list[Setting] = []
         skipped: dict[str, str] = {}
-        methods: list[tuple[Propagator, dict[str, str]]] = [
-            (AngularSpectrum(padding="full"), {"padding": "full"}),
-            (AngularSpectrum(padding="reach"), {"padding": "reach"}),
-            (FresnelTransfer(), {}),
-            (FresnelImpulse(), {}),
-            (RayleighSommerfeld(largest=2**25 if self.quick else 2**29), {}),
+        methods: list[tuple[str, Propagator, dict[str, str]]] = [
+            ("angular spectrum", AngularSpectrum(padding="full"), {"padding": "full"}),
+            ("angular spectrum", AngularSpectrum(padding="reach"), {"padding": "reach"}),
+            (FresnelTransfer.name, FresnelTransfer(), {}),
+            (FresnelImpulse.name, FresnelImpulse(), {}),
+            (
+                RayleighSommerfeld.name,
+                RayleighSommerfeld(largest=2**25 if self.quick else 2**29),
+                {},
+            ),
         ]
         for precision, dtype in PRECISIONS.items():
-            for propagator, extra in methods:
+            for name, propagator, extra in methods:
                 for oversampling in (1, 3, 5) if self.quick else (1, 3, 5, 9, 15):
                     support = propagator.supports(
                         self.source(oversampling), self.target(oversampling), DISTANCE, WAVELENGTH
                     )
                     if isinstance(propagator, RayleighSommerfeld) and not support:
-                        skipped[f"{propagator.name}, oversampling {oversampling}"] = support.reason
+                        skipped[f"{name}, oversampling {oversampling}"] = support.reason
                         continue
                     settings.append(
                         Setting(
-                            propagator.name,
+                            name,
                             {"oversampling": oversampling, **extra, "dtype": precision},
                             partial(self._prepare_grid, propagator, oversampling, dtype),
                             supported=bool(support),

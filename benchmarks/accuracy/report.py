@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import os
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,7 +10,8 @@ from pathlib import Path
 import torch
 from rich.table import Column, Table
 
-from veilcam_optics.accuracy.measure import Point, pareto_front
+from benchmarks.accuracy.measure import Point, pareto_front
+from veilcam_training.experiments.records import machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,18 +80,3 @@ def write_json(path: Path, results: Sequence[Result], *, quick: bool) -> None:
         },
     }
     path.write_text(json.dumps(record, indent=1) + "\n")
-
-
-def machine() -> str:
-    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
-    return f"{_processor()}, {os.cpu_count()} cores"
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

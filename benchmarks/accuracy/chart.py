@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from veilcam_optics.accuracy.measure import OURS, Point, pareto_front
-from veilcam_optics.accuracy.report import Result, duration
-from veilcam_optics.accuracy.transfer_job import PLAN
+from benchmarks.accuracy.measure import OURS, Point, pareto_front
+from benchmarks.accuracy.report import Result, duration
+from benchmarks.accuracy.transfer_job import PLAN
 
 WORST_ERROR = 1.5
 """Larger errors are not drawn: the result has nothing to do with the truth."""
@@ -21,7 +21,6 @@ _OURS = {
     "angular spectrum": ("#6a4fb3", "^"),
     "fresnel transfer function": ("#4aa3a2", "v"),
     "fresnel impulse response": ("#8fb339", "D"),
-    "fraunhofer": ("#9a9a9a", "<"),
     "geometric shadow": ("#5c5c5c", ">"),
     "rayleigh-sommerfeld": ("#2f4858", "h"),
     "Algorithm 1": ("#8c510a", "p"),

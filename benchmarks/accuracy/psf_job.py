@@ -6,15 +6,11 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
+from benchmarks.accuracy.fresnel import FresnelImpulse, FresnelTransfer
+from benchmarks.accuracy.geometric import GeometricShadow
+from benchmarks.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.propagation import (
-    AngularSpectrum,
-    FresnelImpulse,
-    FresnelTransfer,
-    GeometricShadow,
-    Propagator,
-)
+from veilcam_optics.propagation import AngularSpectrum, Propagator
 from veilcam_optics.propagation.sampling import Grid, covering_grid
 from veilcam_optics.transfer.grid import GridLight, mask_grid, sample_pitch
 from veilcam_optics.transfer.operator import TransferOperator
@@ -113,18 +109,18 @@ class PsfJob:
     def _grids(self, skipped: dict[str, str]) -> Iterator[Setting]:
         """Every propagator that calls itself accurate here, and the shadow for comparison."""
         shadow = GeometricShadow(source_distance=self.scene.distance)
-        methods: list[tuple[Propagator, dict[str, str]]] = [
-            (AngularSpectrum(padding="reach"), {"padding": "reach"}),
-            (AngularSpectrum(padding="full"), {"padding": "full"}),
-            (FresnelTransfer(), {}),
-            (FresnelImpulse(), {}),
-            (shadow, {}),
+        methods: list[tuple[str, Propagator, dict[str, str]]] = [
+            ("angular spectrum", AngularSpectrum(padding="reach"), {"padding": "reach"}),
+            ("angular spectrum", AngularSpectrum(padding="full"), {"padding": "full"}),
+            (FresnelTransfer.name, FresnelTransfer(), {}),
+            (FresnelImpulse.name, FresnelImpulse(), {}),
+            (shadow.name, shadow, {}),
         ]
-        for propagator, extra in methods:
+        for name, propagator, extra in methods:
             for oversampling in (1, 2) if self.quick else (1, 2, 4):
                 reason = self._reason_against(propagator, oversampling)
                 if reason and propagator is not shadow:
-                    skipped[f"{propagator.name}, oversampling {oversampling}"] = reason
+                    skipped[f"{name}, oversampling {oversampling}"] = reason
                     continue
                 if propagator is shadow and oversampling > 1:
                     continue  # its error is not one of sampling
@@ -132,7 +128,7 @@ class PsfJob:
                     if self.quick and precision == "float64" and oversampling > 1:
                         continue
                     yield Setting(
-                        propagator.name,
+                        name,
                         {"oversampling": oversampling, **extra, "dtype": precision},
                         partial(self._prepare_grid, propagator, oversampling, dtype),
                         supported=not reason,

@@ -17,9 +17,9 @@ from veilcam_optics.propagation.base import (
     TURN,
     Propagation,
     Support,
+    check_field,
     check_job,
     real_type,
-    separable,
     unit_phasor,
 )
 from veilcam_optics.propagation.sampling import Grid, Real, as_float
@@ -28,7 +28,6 @@ from veilcam_optics.propagation.spectral import (
     convolved,
     full_lengths,
     same_pitch,
-    transform_cost,
 )
 
 PARAXIAL_PHASE = 0.3
@@ -58,10 +57,6 @@ class FresnelTransfer:
             if abs(as_float(length) * as_float(z)) > window * (1 + self.guard) * pitch:
                 return Support(False, f"undersampled along {axis} at this distance")
         return _paraxial(source, target, as_float(z), as_float(length))
-
-    def cost(self, source: Grid, target: Grid) -> float:
-        """Two FFTs on the padded grid, or one and two matrix products for another pitch."""
-        return transform_cost(source, target, full_lengths(source, target, self.guard))
 
     def prepare(
         self,
@@ -108,12 +103,6 @@ class FresnelImpulse:
                 return Support(False, f"undersampled along {axis} at this distance")
         return _paraxial(source, target, as_float(z), as_float(length))
 
-    def cost(self, source: Grid, target: Grid) -> float:
-        """Two FFTs on the padded grid, or two matrix products for another pitch."""
-        if same_pitch(source, target):
-            return transform_cost(source, target, full_lengths(source, target, 0))
-        return 8.0 * target.rows * source.columns * (source.rows + target.columns)
-
     def prepare(
         self,
         source: Grid,
@@ -150,6 +139,16 @@ class FresnelImpulse:
         columns = unit_phasor(torch.pi / (length * z) * (u[:, None] - x).square(), dtype)
         rows = rows * factor.to(dtype)
         return separable(source, rows, columns)
+
+
+def separable(source: Grid, rows: Tensor, columns: Tensor) -> Propagation:
+    """Return the propagation of a separable kernel: (target, source) samples along y and x."""
+
+    def propagate(field: Tensor) -> Tensor:
+        check_field(field, source, rows.dtype)
+        return rows @ field @ columns.mT
+
+    return propagate
 
 
 def _convolution(

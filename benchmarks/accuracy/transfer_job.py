@@ -8,12 +8,12 @@ from typing import get_args
 import torch
 from torch import Tensor
 
-from veilcam_optics.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
+from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
+from benchmarks.accuracy.measure import PRECISIONS, Job, Prepared, Psf, Setting, example_mask
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import PARAXIAL
 from veilcam_optics.plan import plan
 from veilcam_optics.propagation.sampling import Grid, covering_grid
-from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
 from veilcam_optics.transfer.grid import GridLight, sample_pitch
 from veilcam_optics.transfer.operator import TransferOperator
 from veilcam_optics.transfer.reference import (

@@ -7,8 +7,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from benchmarks.accuracy.fresnel import separable
 from veilcam_optics.errors import require, require_positive
-from veilcam_optics.propagation.base import Propagation, Support, check_job, real_type, separable
+from veilcam_optics.propagation.base import Propagation, Support, check_job, real_type
 from veilcam_optics.propagation.sampling import Grid, Real, as_float
 
 
@@ -16,8 +17,7 @@ from veilcam_optics.propagation.sampling import Grid, Real, as_float
 class GeometricShadow:
     """The source's amplitude, magnified from a point and averaged over every target cell.
 
-    The given field is the mask alone: the wavefront is known from ``source_distance`` and must not
-    be in the field as well. Phases do not act.
+    Phases do not act: the wavefront is known from ``source_distance``.
 
     Attributes:
         source_distance: distance from the lighting point to the mask [m]; infinite: plane wave.
@@ -45,10 +45,6 @@ class GeometricShadow:
             reason = f"diffraction spreads {spread * 1e6:.3g} um, a cell is {cell * 1e6:.3g} um"
             return Support(False, reason)
         return Support(True)
-
-    def cost(self, source: Grid, target: Grid) -> float:
-        """Two matrix products with a real matrix."""
-        return 4.0 * target.rows * source.columns * (source.rows + target.columns)
 
     def prepare(
         self,
@@ -83,7 +79,8 @@ class GeometricShadow:
         )
         # Energy is spread over magnified^2 the area, amplitude falls by magnified.
         rows, columns = (rows / magnified).to(kind).to(dtype), columns.to(kind).to(dtype)
-        return separable(source, rows, columns)
+        shadow = separable(source, rows, columns)
+        return lambda field: shadow(field.abs().to(dtype))
 
 
 def _overlap(target: Tensor, cell: Real, source: Tensor, pitch: Real, magnified: Tensor) -> Tensor:

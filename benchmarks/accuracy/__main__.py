@@ -1,4 +1,7 @@
-"""``veilcam-optics accuracy``: run every method on the jobs and show what accuracy costs."""
+"""Error against time of every optics method over its dials, as a table, JSON and charts.
+
+python -m benchmarks.accuracy --out build/accuracy
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -11,12 +14,12 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from veilcam_optics.accuracy.chart import draw
-from veilcam_optics.accuracy.field_job import FieldJob
-from veilcam_optics.accuracy.measure import Job, measure
-from veilcam_optics.accuracy.psf_job import PsfJob
-from veilcam_optics.accuracy.report import Result, table, write_json
-from veilcam_optics.accuracy.transfer_job import TransferJob
+from benchmarks.accuracy.chart import draw
+from benchmarks.accuracy.field_job import FieldJob
+from benchmarks.accuracy.measure import Job, measure
+from benchmarks.accuracy.psf_job import PsfJob
+from benchmarks.accuracy.report import Result, table, write_json
+from benchmarks.accuracy.transfer_job import TransferJob
 
 
 class JobName(StrEnum):
@@ -38,14 +41,14 @@ def chosen(name: JobName, *, quick: bool) -> list[TransferJob | PsfJob | FieldJo
     return [kind(quick=quick) for own, kind in kinds.items() if name in {own, JobName.all}]
 
 
-def accuracy(
+def main(
     *,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer settings, a coarser scene: under a minute.")
     ] = False,
     job: Annotated[JobName, typer.Option(help="Which job to run.")] = JobName.all,
     out: Annotated[Path, typer.Option(help="Folder for accuracy.json and accuracy.png.")] = Path(
-        "accuracy"
+        "build/accuracy"
     ),
     threads: Annotated[int, typer.Option(min=1, help="Threads of every method.")] = 1,
 ) -> None:
@@ -85,3 +88,7 @@ def _measured(job: Job, progress: Progress, *, budget: float) -> Result:
         progress.advance(bar)
     progress.update(bar, description=job.name)
     return Result(job.name, job.title, points, job.skipped)
+
+
+if __name__ == "__main__":
+    typer.run(main)

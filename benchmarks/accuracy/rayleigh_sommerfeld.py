@@ -53,10 +53,6 @@ class RayleighSommerfeld:
                 return Support(False, f"the source is undersampled along {axis} at this distance")
         return Support(True)
 
-    def cost(self, source: Grid, target: Grid) -> float:
-        """About 100 operations for every pair of samples."""
-        return 100.0 * source.rows * source.columns * target.rows * target.columns
-
     def prepare(
         self,
         source: Grid,

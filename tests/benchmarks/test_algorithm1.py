@@ -7,11 +7,11 @@ import math
 
 import pytest
 import torch
+from benchmarks.accuracy.algorithm1 import Algorithm1, Resampling
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Sensor, Window
 from veilcam_optics.errors import OpticsError
-from veilcam_optics.simulation.algorithm1 import Algorithm1, Resampling
 from veilcam_optics.transfer.grid import GridLight
 
 SCENE = Scene(14, 14, 0.12, 0.4)
