@@ -11,73 +11,6 @@ from pathlib import Path
 
 import torch
 from pydantic import JsonValue
-from torch import distributed
-
-from veilcam_optics.files import write_whole
-from veilcam_training.errors import TrainingError, require
-from veilcam_training.files import check_folder
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What measured a figure, from which source, when and where."""
-
-    command: str
-    commit: str
-    date: str
-    """Of the day, as 2026-01-31 (UTC)."""
-    machine: str
-
-    @classmethod
-    def here(cls, command: Sequence[str] | None = None) -> Self:
-        """Now, on this machine, by ``command``: this process's own by default."""
-        return cls(
-            command=shlex.join(command if command is not None else own_command()),
-            commit=commit(),
-            date=datetime.now(UTC).date().isoformat(),
-            machine=machine(),
-        )
-
-
-def record_figures(
-    path: Path,
-    values: Mapping[str, float],
-    command: Sequence[str] | None = None,
-    *,
-    origin: Origin | None = None,
-) -> None:
-    """Write figures into the record at ``path``; other figures in it stay as they are.
-
-    Args:
-        path: JSON file, made if it is not there.
-        values: by name.
-        command: that measured them; this process's own by default.
-        origin: of figures that were measured before, in the place of a command.
-
-    Raises:
-        TrainingError: a figure that is no finite number, or a place as :func:`check_record` says.
-    """
-    check_record(path)
-    for name, value in values.items():
-        require(math.isfinite(value), f"figure {name} = {value} is not valid: use a finite number")
-    entry = asdict(Origin.here(command) if origin is None else origin)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Two benchmarks may end at the same time: one at a time reads, changes and writes.
-    with _locked(path.parent):
-        record = _read(path)
-        for name, value in values.items():
-            record[name] = {"value": value, **entry}
-        write_whole(path, f"{json.dumps(record, indent=1, sort_keys=True)}\n".encode())
-
-
-def check_record(path: Path) -> None:
-    """Refuse, also before the work that measures, a place that can hold no record.
-
-    Raises:
-        TrainingError: a place that cannot be written to, or a file that is no such record.
-    """
-    check_folder("--figures", path.parent)
-    _read(path)
 
 
 def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, JsonValue]:
@@ -134,18 +67,3 @@ def _git(folder: Path, *arguments: str) -> str:
         text=True,
     )
     return result.stdout.strip()
-
-
-def machine() -> str:
-    """Processor and number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
-    return f"{_processor()}, {os.cpu_count()} cores"
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
