@@ -11,6 +11,7 @@ import fcntl
 import json
 import math
 import os
+import platform
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,7 +22,6 @@ from typing import Annotated, Self, TypeAlias
 
 import typer
 
-from veilcam_optics.accuracy.report import machine
 from veilcam_optics.files import write_whole
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.records import commit, own_command
@@ -120,3 +120,18 @@ def _read(path: Path) -> dict[str, object]:
     if not isinstance(record, dict):
         raise TrainingError(f"{path} is not a record of figures: move it away or mend it")
     return record
+
+
+def machine() -> str:
+    """Return the processor and the number of its cores, e.g. ``AMD EPYC 7B13, 2 cores``."""
+    return f"{_processor()}, {os.cpu_count()} cores"
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

@@ -11,7 +11,7 @@ import torch
 from rich.table import Column, Table
 
 from benchmarks.accuracy.measure import Point, pareto_front
-from veilcam_training.experiments.records import machine
+from benchmarks.figures import machine
 
 
 @dataclass(frozen=True, slots=True)
