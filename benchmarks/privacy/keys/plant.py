@@ -162,4 +162,4 @@ def released_of(found: Sequence[Answer], labels: npt.NDArray[np.int64]) -> Relea
     """White embeddings of answers, (answers, 1, rows, columns)."""
     captures = [Capture.model_validate_json(each.body) for each in found]
     vectors = np.stack([np.asarray(each) for each in captures])[:, None]
-    return Released(vectors, labels[:, None], None)
+    return Released(vectors, labels[:, None])
