@@ -17,6 +17,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from veilcam_client.arguments import of_type
 from veilcam_client.errors import CatalogueError
 from veilcam_client.http.places import open_place
 
@@ -75,15 +76,20 @@ def pull_bundle(place: str, name: str, owner: str, out: Path) -> CatalogueEntry:
         CatalogueError: there is no such catalogue or bundle, it is not what the owner signed, or a
             file cannot be read or written.
     """
+    for argument, value in (("place", place), ("name", name), ("owner", owner)):
+        of_type(argument, value, str, "text")
+    of_type("out", out, Path, "a pathlib.Path")
     with open_place(place) as read:
         try:
             found = Catalogue.model_validate_json(b"".join(read(CATALOGUE, MOST_LISTED)))
         except ValidationError:
-            raise CatalogueError(f"{place} holds no catalogue of bundles: check --from") from None
+            raise CatalogueError(
+                f"{read.name} holds no catalogue of bundles: check --from"
+            ) from None
         entries = [entry for entry in found.bundles if entry.name == name]
         if len(entries) != 1:
             named = ", ".join(sorted(entry.name for entry in found.bundles)) or "none"
-            raise CatalogueError(f"{place} lists {name!r} {len(entries)} times: it has {named}")
+            raise CatalogueError(f"{read.name} lists {name!r} {len(entries)} times: it has {named}")
         entry = entries[0]
         _check_signature(entry, owner)
         _write_checked(out, entry, read(entry.file, entry.size))

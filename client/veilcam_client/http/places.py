@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import httpx
 
+from veilcam_client.arguments import masked
 from veilcam_client.errors import CatalogueError
 
 _PIECE = 2**16
@@ -17,10 +17,11 @@ _TIMEOUT_S = 30.0
 
 
 class Place:
-    """A folder whose files are read by name."""
+    """A folder whose files are read by name; ``name`` has no password."""
 
     def __init__(self, place: str, client: httpx.Client | None) -> None:
-        self._place, self._client = place.rstrip("/"), client
+        self.name: str = place.rstrip("/")
+        self._client = client
 
     def __call__(self, name: str, most: int) -> Iterator[bytes]:
         """The pieces of a file; raises CatalogueError where it is longer than ``most`` bytes."""
@@ -32,16 +33,19 @@ class Place:
                     raise CatalogueError(f"{name} is longer than {most} bytes: do not use it")
                 yield piece
         except (OSError, httpx.HTTPError, httpx.InvalidURL) as error:
-            why = getattr(error, "strerror", None) or str(error) or type(error).__name__
-            raise CatalogueError(f"{self._place}/{name} cannot be read: {why}") from None
+            if isinstance(error, httpx.HTTPStatusError):
+                why = f"HTTP {error.response.status_code}"
+            else:
+                why = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            raise CatalogueError(f"{self.name}/{name} cannot be read: {why}") from None
 
     def _pieces(self, name: str) -> Iterator[bytes]:
         if self._client is None:
-            with (Path(self._place) / name).open("rb") as stream:
+            with (Path(self.name) / name).open("rb") as stream:
                 while piece := stream.read(_PIECE):
                     yield piece
             return
-        with self._client.stream("GET", f"{self._place}/{name}") as answer:
+        with self._client.stream("GET", f"{self.name}/{name}") as answer:
             answer.raise_for_status()
             yield from answer.iter_bytes(_PIECE)
 
@@ -49,8 +53,14 @@ class Place:
 @contextmanager
 def open_place(place: str) -> Iterator[Place]:
     """What reads files of a folder, or of an http or https address."""
-    if urlsplit(place).scheme not in ("http", "https"):
+    if not place.lower().startswith(("http://", "https://")):
         yield Place(place, None)
         return
-    with httpx.Client(timeout=_TIMEOUT_S) as client:
-        yield Place(place, client)
+    try:
+        url = httpx.URL(place)
+    except httpx.InvalidURL:
+        raise CatalogueError(f"{masked(place)} is no address: check it") from None
+    # Apart from the address, which stands in messages and logs.
+    user = (url.username, url.password) if url.userinfo else None
+    with httpx.Client(timeout=_TIMEOUT_S, auth=user) as client:
+        yield Place(str(url.copy_with(userinfo=b"")), client)
