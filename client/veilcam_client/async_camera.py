@@ -64,6 +64,9 @@ class AsyncCamera:
         options = Options(address(url), timeout, connect_timeout, read_timeout, retry, credentials)
         self._transport = AsyncTransport(options, http_client)
 
+    def __repr__(self) -> str:
+        return f"AsyncCamera({self._transport.options.url!r})"
+
     async def __aenter__(self) -> Self:
         return self
 

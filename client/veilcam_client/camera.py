@@ -9,7 +9,9 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Concatenate, Final, Generic, ParamSpec, Self, TypeAlias, TypeVar
 
+from veilcam_client.arguments import of_type
 from veilcam_client.discovery import FoundCamera, discover
+from veilcam_client.errors import ArgumentError
 from veilcam_client.http import calls
 from veilcam_client.http.answers import RawResponse, raw_response
 from veilcam_client.http.credentials import Credentials
@@ -48,6 +50,7 @@ def receiver_key(source: KeySource) -> ReceiverKey:
     # Late: whoever opens nothing need not wait for the cryptography to load.
     from veilcam_client.keys.receivers import ReceiverKey  # noqa: PLC0415
 
+    of_type("key", source, (str, os.PathLike, ReceiverKey), "a receiver's key, or its file")
     return source if isinstance(source, ReceiverKey) else ReceiverKey.read(source)
 
 
@@ -55,7 +58,7 @@ def opener_of(key: KeySource | None, device: str | None) -> Opener | None:
     """Return the reader of sealed embeddings; None: there is no key."""
     if key is None:
         if device is not None:
-            raise ValueError("device= is checked when embeddings are opened: give key= as well")
+            raise ArgumentError("device= is checked when embeddings are opened: give key= as well")
         return None
     from veilcam_client.keys.blocks import Opener  # noqa: PLC0415 - late, as above
 
@@ -97,7 +100,8 @@ class Camera:
             is then asked for between two pieces of an answer, and not on the socket.
 
     Raises:
-        ValueError: a URL, timeout, token, file or device that cannot be used.
+        ArgumentError: an argument that cannot be used; the message names it. Every method raises
+            it, too, also where the camera is closed. It is a ``ValueError``.
         KeyFileError: a key's file that cannot be used.
     """
 
@@ -120,6 +124,9 @@ class Camera:
         retry, credentials = RetryPolicy(retries=max_retries), Credentials(token, ca_file)
         options = Options(address(url), timeout, connect_timeout, read_timeout, retry, credentials)
         self._transport = Transport(options, http_client)
+
+    def __repr__(self) -> str:
+        return f"Camera({self._transport.options.url!r})"
 
     def __enter__(self) -> Self:
         return self

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, BinaryIO, Literal, Protocol
 import numpy as np
 from pydantic import ValidationError
 
+from veilcam_client.arguments import of_type, whole
 from veilcam_client.camera import KeySource, opener_of, receiver_key
-from veilcam_client.errors import RecordingError
+from veilcam_client.errors import ArgumentError, RecordingError
 from veilcam_client.wire.base import Answer
 from veilcam_client.wire.captures import Capture, SealedEmbedding
 from veilcam_client.wire.measurements import Measured, MeasurementsHeader
@@ -74,7 +75,7 @@ def held_before(camera: SceneHolder) -> Show:
     @contextmanager
     def show(shot: Shot) -> Iterator[int | None]:
         if shot.picture is None:
-            raise ValueError("a shot without a picture cannot be held up: use unaided")
+            raise ArgumentError("a shot without a picture cannot be held up: use unaided")
         held = camera.hold_scene(_content(shot.picture))
         try:
             yield held.scene
@@ -96,6 +97,9 @@ def labelled_pictures(folder: Path, *, per_class: int | None = None) -> tuple[Sh
     Raises:
         RecordingError: there are none.
     """
+    of_type("folder", folder, Path, "a pathlib.Path")
+    if per_class is not None:
+        whole("per_class", per_class, 1)
     classes = sorted(each for each in _inside(folder) if each.is_dir() and each.name[0] != ".")
     queues = deque(
         deque(
@@ -152,6 +156,7 @@ def collect(
         SealedError: an embedding cannot be opened.
         VeilcamError: as :meth:`Camera.capture`; what was written before stays.
     """
+    of_type("path", path, Path, "a pathlib.Path")
     private = None if key is None else receiver_key(key)
     taker = _Taker(camera, camera.status(), private, device)
     added = 0

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from veilcam_client.arguments import of_type
 from veilcam_client.camera import KeySource, receiver_key
 from veilcam_client.errors import VeilcamError
 from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
@@ -42,6 +43,7 @@ class SceneDecoder:
                 "decoding needs the extra 'optics': run pip install -e '.[optics]' in the checkout",
                 code="optics_missing",
             ) from None
+        of_type("frame", frame, (str, os.PathLike), "the path of a file")
         self._key, self._device = receiver_key(key), device
         try:
             self._frame = read_frame(Path(frame))

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from veilcam_client.errors import DiscoveryError
+from veilcam_client import arguments
+from veilcam_client.errors import ArgumentError, DiscoveryError
 
 if TYPE_CHECKING:
     from zeroconf import ServiceInfo, ServiceStateChange, Zeroconf
@@ -39,10 +40,10 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
 
     Raises:
         DiscoveryError: the extra ``discover`` is not installed, or there is no network.
-        ValueError: a time that is none.
+        ArgumentError: a time that is none.
     """
-    if not 0 < seconds <= 600:
-        raise ValueError(f"seconds = {seconds} is not valid: use more than 0 and up to 600")
+    if not 0 < arguments.seconds("seconds", seconds) <= 600:
+        raise ArgumentError(f"seconds = {seconds} is not valid: use more than 0 and up to 600")
     try:
         # An extra, and the SDK is imported without it.
         import zeroconf  # noqa: PLC0415

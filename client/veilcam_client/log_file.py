@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from veilcam_client.arguments import of_type
 from veilcam_client.errors import LogFileError
 from veilcam_client.wire.captures import Capture, Classification
 from veilcam_client.wire.log import RECORDS_AT_ONCE, LogHead, LogRecord, LogRecords
@@ -44,6 +45,7 @@ def fetch_log(camera: Logging, path: Path) -> tuple[int, LogHead]:
         LogFileError: the file cannot be read or written, or the log does not go on where it ends.
         VeilcamError: as :meth:`Camera.log`; what was written before is a whole file.
     """
+    of_type("path", path, Path, "a pathlib.Path")
     # Late: no other command of the SDK needs the cryptography.
     from veilcam_client.keys.capture_log import line_digest, line_of  # noqa: PLC0415
 
@@ -91,6 +93,9 @@ def verify_log(
     """
     from veilcam_client.keys.log_check import examine  # noqa: PLC0415 - late, as above
 
+    for name, file in (("path", path), ("head", head), ("answer", answer)):
+        if file is not None or name == "path":
+            of_type(name, file, Path, "a pathlib.Path")
     try:
         return examine(
             _content(path),

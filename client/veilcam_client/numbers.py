@@ -24,9 +24,12 @@ _PICTURE = 256
 
 
 def npy_bytes(picture: npt.ArrayLike) -> bytes:
-    """Return a picture as a ``.npy`` file."""
+    """A picture as a ``.npy`` file; raises ValueError for what is no array of numbers."""
     buffer = io.BytesIO()
-    np.save(buffer, np.asarray(picture), allow_pickle=False)
+    pixels = np.asarray(picture)
+    if pixels.dtype.kind not in "buif" or pixels.ndim not in (2, 3):
+        raise ValueError("a picture is an array of numbers with 2 or 3 axes")
+    np.save(buffer, pixels, allow_pickle=False)
     return buffer.getvalue()
 
 

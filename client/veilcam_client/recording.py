@@ -14,6 +14,7 @@ from typing import BinaryIO, Literal, Protocol
 
 from pydantic import ValidationError
 
+from veilcam_client.arguments import of_type, whole
 from veilcam_client.errors import RecordingError
 from veilcam_client.wire.base import Answer
 from veilcam_client.wire.captures import Capture, Classification, Prediction
@@ -87,6 +88,8 @@ def record(
         RecordingError: the file exists or cannot be written, or the camera itself is a recording.
         VeilcamError: as :meth:`Camera.capture`; what was written before is a whole recording.
     """
+    of_type("path", path, Path, "a pathlib.Path")
+    whole("count", count, 1)
     status = camera.status()
     if status.state == "replay":
         raise RecordingError("this daemon replays a recording: copy its file")
@@ -115,6 +118,7 @@ def read_recording(path: Path) -> Recording:
     Raises:
         RecordingError: it is missing, damaged, or no such file.
     """
+    of_type("path", path, Path, "a pathlib.Path")
     try:
         size = path.stat().st_size
         content = path.read_bytes() if size <= MAX_BYTES else b""

@@ -48,7 +48,7 @@ class Webhook:
         ValueError: a URL or a secret that is none; the message does not repeat the secret.
     """
 
-    url: str
+    url: str = field(repr=False)
     secret: str = field(repr=False)
 
     def __post_init__(self) -> None:

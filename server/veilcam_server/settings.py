@@ -19,7 +19,8 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
+from veilcam_client.arguments import masked
+from veilcam_client.wire.rotation import RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.watch import (
     OnRequest,
@@ -259,7 +260,9 @@ class Settings(Wiring):
     def _host_names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
         for host in hosts:
             if not re.fullmatch(_HOST, host):
-                raise ValueError(f"{host!r} is no host name: use camera.example, or with :PORT")
+                raise ValueError(
+                    f"{masked(host)!r} is no host name: use camera.example, or with :PORT"
+                )
         return tuple(host.lower() for host in hosts)
 
     @field_validator("frame_ancestors")
@@ -268,7 +271,7 @@ class Settings(Wiring):
         for origin in origins:
             if not re.fullmatch(f"https?://{_HOST}", origin):
                 raise ValueError(
-                    f"{origin!r} is no origin: use https://home.example, or with :PORT"
+                    f"{masked(origin)!r} is no origin: use https://home.example, or with :PORT"
                 )
         return origins
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from veilcam_client.http.credentials import read_secret
 
@@ -22,7 +22,7 @@ class Profile(BaseModel):
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    url: str
+    url: str = Field(repr=False)
     token_file: Path | None = None
     """File that holds the token: the token itself does not stand in a profile."""
     ca_file: Path | None = None

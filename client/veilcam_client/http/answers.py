@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from veilcam_client.errors import ProtocolError, RequestTimeoutError, VeilcamError
 from veilcam_client.http.sse import Message
-from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, Problem
+from veilcam_client.wire.base import CALL_HEADER, PROBLEM_MEDIA_TYPE, UNAUTHORIZED_HINT, Problem
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE, Capture
 from veilcam_client.wire.events import EVENT, Event
 
@@ -146,7 +146,9 @@ def error_of(received: Received) -> VeilcamError:
         except ValidationError:
             return unreadable(received, "a problem that cannot be read")
         return problem.error(_retry_after(received))
-    return unreadable(received, f"HTTP {received.status_code} without problem details")
+    # A proxy on the way wants to know who asks, too.
+    who = f" ({UNAUTHORIZED_HINT})" if received.status_code == httpx.codes.UNAUTHORIZED else ""
+    return unreadable(received, f"HTTP {received.status_code} without problem details{who}")
 
 
 def media_type(received: Received) -> str:

@@ -15,7 +15,7 @@ from veilcam_client.errors import ConnectError, VeilcamError
 from veilcam_client.http.answers import Body, check_call, error_of, event_of, new_call
 from veilcam_client.http.async_transport import AsyncTransport
 from veilcam_client.http.deadline import CAMERA_TIMEOUT
-from veilcam_client.http.resumption import Resumption
+from veilcam_client.http.resumption import Resumption, check_stream
 from veilcam_client.http.sse import Decoder
 from veilcam_client.wire.events import EVENT_KINDS, Event
 
@@ -26,6 +26,7 @@ class AsyncEventStream:
     def __init__(
         self, transport: AsyncTransport, last_event_id: str | None, reconnect: bool
     ) -> None:
+        check_stream(last_event_id, reconnect)
         self._transport = transport
         self._closed = False
         self._waiting: asyncio.Timeout | None = None

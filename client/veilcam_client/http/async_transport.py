@@ -12,6 +12,7 @@ from typing import Self, TypeVar
 import httpx
 from pydantic import BaseModel
 
+from veilcam_client.arguments import of_type
 from veilcam_client.errors import VeilcamError
 from veilcam_client.http.answers import Body, Received, check_call, new_call, read
 from veilcam_client.http.calls import Call
@@ -28,6 +29,8 @@ class AsyncTransport:
     """Sends calls with ``httpx.AsyncClient``."""
 
     def __init__(self, options: Options, client: AsyncHttpClient | None = None) -> None:
+        if client is not None:
+            of_type("http_client", client, httpx.AsyncClient, "an httpx.AsyncClient")
         self.options: Options = options
         self.last: Received | None = None
         """As of ``Transport``."""

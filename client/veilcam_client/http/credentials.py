@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from veilcam_client.arguments import masked, of_type
+from veilcam_client.errors import ArgumentError
+
 MOST_SECRET = 4096
 """Size of a file that holds a secret [bytes]."""
 
@@ -48,15 +51,20 @@ class Credentials:
             self.token = os.environ.get("VEILCAM_TOKEN") or None
         if self.ca_file is None:
             self.ca_file = os.environ.get("VEILCAM_CA_FILE") or None
-        given = self.token or "-"
-        if not (given.isascii() and given.isprintable() and " " not in given):
-            raise ValueError("the token is not valid: it starts with vc_ and has no spaces")
+        if self.ca_file is not None:
+            of_type("ca_file", self.ca_file, (str, os.PathLike), "the path of a PEM file")
+        given = "-" if self.token is None else self.token
+        of_type("token", given, str, "what 'veilcamd token create' printed")
+        if not (given and given.isascii() and given.isprintable() and " " not in given):
+            raise ArgumentError("the token is not valid: it starts with vc_ and has no spaces")
 
     def require_safe(self, url: str) -> None:
         """Raise ValueError if the token would go to another machine in the clear."""
         parts = urlsplit(url)
         if self.token and parts.scheme == "http" and not _is_this_machine(parts.hostname or ""):
-            raise ValueError(f"url = {url!r} would send the token in the clear: use https://")
+            raise ArgumentError(
+                f"url = {masked(url)!r} would send the token in the clear: use https://"
+            )
 
     def headers(self, headers: Mapping[str, str]) -> dict[str, str]:
         """``headers`` with token and lease."""
@@ -73,9 +81,9 @@ class Credentials:
             return True
         try:
             return ssl.create_default_context(cafile=self.ca_file)
-        except OSError as error:
-            reason = error.strerror or "no certificate in it"
-            raise ValueError(
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or "no certificate in it"
+            raise ArgumentError(
                 f"ca_file = {os.fspath(self.ca_file)!r} cannot be used ({reason}): give a PEM file"
             ) from None
 

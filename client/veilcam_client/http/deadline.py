@@ -18,6 +18,10 @@ CallTimeout: TypeAlias = float | Literal[_CameraTimeout.CAMERA_TIMEOUT] | None
 """Seconds that a call may take in all; None: as long as it takes."""
 
 
+LONGEST = 1e6
+"""Longest wait that every operating system takes [s]."""
+
+
 class Limit(float):
     """Longest wait for one operation of a socket [s], and the moment when all of them end.
 
@@ -30,7 +34,7 @@ class Limit(float):
     @classmethod
     def of(cls, seconds: float, until: float) -> Limit:
         """``seconds``, or less where ``until`` (monotonic clock) [s] comes before."""
-        limit = cls(min(seconds, max(0.0, until - time.monotonic())))
+        limit = cls(min(seconds, LONGEST, max(0.0, until - time.monotonic())))
         limit.until = until
         return limit
 

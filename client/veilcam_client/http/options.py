@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 import logging
 import math
 import os
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 import httpx
 
+from veilcam_client.arguments import masked, seconds, whole
 from veilcam_client.errors import (
+    ArgumentError,
     ConnectError,
     LeasedError,
     RequestTimeoutError,
@@ -62,7 +65,7 @@ class RetryPolicy:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What holds for all requests of one camera."""
+    """What holds for all requests of one camera; ``url`` is kept without its password."""
 
     url: str
     call_timeout: float | None
@@ -72,23 +75,32 @@ class Options:
     credentials: Credentials
     base: str = field(init=False)
     socket: str | None = field(init=False)
+    _basic: Mapping[str, str] = field(init=False, repr=False)
+    """Header of the user and the password of the address, for a proxy that wants them."""
 
     def __post_init__(self) -> None:
-        base, socket = _place(self.url)
+        base, socket, user = _place(self.url)
         for name in ("connect_timeout", "read_timeout"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} = {getattr(self, name)} s is not valid: use > 0")
-        _check_timeout(self.call_timeout)
+            seconds(name, getattr(self, name))
+        if self.call_timeout is not None:
+            seconds("timeout", self.call_timeout, "> 0, or None")
+        whole("max_retries", self.retry.retries, 0)
         self.credentials.require_safe(self.url)
-        object.__setattr__(self, "base", base)
-        object.__setattr__(self, "socket", socket)
+        basic = {} if user is None else {"Authorization": f"Basic {user}"}
+        # httpx would write the password of an address to its log.
+        for name, value in (("url", masked(self.url)), ("base", base), ("socket", socket)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_basic", basic)
+
+    def headers(self, headers: Mapping[str, str]) -> dict[str, str]:
+        """Return ``headers`` with what says who asks."""
+        return {**self.credentials.headers(headers), **self._basic}
 
     def until(self, timeout: CallTimeout) -> float:
         """When a call that begins now ends, on the monotonic clock [s]."""
         if timeout is CAMERA_TIMEOUT:
             return until(self.call_timeout)
-        _check_timeout(timeout)
-        return until(timeout)
+        return until(None if timeout is None else seconds("timeout", timeout, "> 0, or None"))
 
     def limits(self, deadline: float = math.inf, *, stream: bool = False) -> httpx.Timeout:
         """Limits of one request."""
@@ -123,8 +135,8 @@ class Attempts:
     """
 
     def __init__(self, options: Options, timeout: CallTimeout, wait: float | None) -> None:
-        if wait is not None and not wait >= 0:
-            raise ValueError(f"wait = {wait} s is not valid: use 0 or more")
+        if wait is not None:
+            wait = seconds("wait", wait, "0 or more, or None", zero=True)
         self._options, self._timeout, self._failed = options, timeout, 0
         self._patient_until = -math.inf if wait is None else until(wait)
         self.deadline: float = options.until(timeout)
@@ -175,19 +187,26 @@ def follow_environment() -> None:
         log.addHandler(handler)
 
 
-def _check_timeout(timeout: float | None) -> None:
-    if timeout is not None and not timeout > 0:
-        raise ValueError(f"timeout = {timeout} s is not valid: use > 0, or None")
-
-
-def _place(url: str) -> tuple[str, str | None]:
-    """Base of all paths, and the unix socket if it is one."""
-    parts = urlsplit(url)
-    if parts.scheme == "unix" and parts.path and not parts.netloc:
-        return "http://localhost", parts.path
-    plain = parts.scheme in ("http", "https") and not parts.query and not parts.fragment
-    if not plain or not parts.hostname:
-        raise ValueError(
-            f"url = {url!r} is not valid: use http://HOST:PORT or unix:///PATH/TO/SOCKET"
-        )
-    return url.rstrip("/").removesuffix("/v1").rstrip("/"), None
+def _place(url: str) -> tuple[str, str | None, str | None]:
+    """Base of all paths, the unix socket if it is one, and user and password as base64."""
+    wrong = ArgumentError(
+        f"url = {masked(str(url))!r} is not valid: use http://HOST:PORT or unix:///PATH/TO/SOCKET"
+    )
+    if not isinstance(url, str) or not url.isprintable():
+        raise wrong
+    try:
+        parts = urlsplit(url)
+        place = parts.netloc.rpartition("@")[2]
+        base = parts._replace(netloc=place).geturl().rstrip("/").removesuffix("/v1").rstrip("/")
+        if parts.scheme == "unix" and parts.path and not parts.netloc:
+            return "http://localhost", parts.path, None
+        plain = parts.scheme in ("http", "https") and not parts.query and not parts.fragment
+        # httpx knows more of hosts, and would say so at the first request.
+        if not plain or not parts.hostname or parts.port == 0 or not httpx.URL(base).host:
+            raise wrong
+    except (ValueError, httpx.InvalidURL):
+        raise wrong from None
+    if parts.username is None:
+        return base, None, None
+    user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+    return base, None, base64.b64encode(user.encode()).decode()

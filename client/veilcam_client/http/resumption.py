@@ -7,7 +7,8 @@ import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from veilcam_client.errors import RequestTimeoutError, VeilcamError
+from veilcam_client.arguments import of_type
+from veilcam_client.errors import ArgumentError, RequestTimeoutError, VeilcamError
 from veilcam_client.http.options import STREAM_SILENCE, Options, log
 from veilcam_client.wire.events import Event, Gap
 
@@ -17,6 +18,15 @@ HEALTHY = 30.0
 """A stream that was alive for so long begins with short pauses anew [s]."""
 _PASSING = frozenset((502, 503, 504))
 """Statuses of a proxy whose daemon is about to come back."""
+
+
+def check_stream(last_event_id: str | None, reconnect: bool) -> None:
+    """Raise ArgumentError for arguments of a stream that cannot be used."""
+    of_type("reconnect", reconnect, bool, "True or False")
+    if last_event_id is not None:
+        of_type("last_event_id", last_event_id, str, "the id of an event")
+        if not (last_event_id.isascii() and last_event_id.isprintable()):
+            raise ArgumentError("last_event_id is not valid: use the id of an event")
 
 
 class Resumption:
@@ -38,7 +48,7 @@ class Resumption:
         headers = {"Accept": "text/event-stream"}
         if self._last is not None:
             headers["Last-Event-ID"] = self._last
-        return self._options.credentials.headers(headers)
+        return self._options.headers(headers)
 
     def opened(self) -> Iterator[Gap]:
         """Note that the daemon streams; yield what the daemon cannot know that was missed."""

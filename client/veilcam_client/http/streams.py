@@ -16,7 +16,7 @@ import httpx
 from veilcam_client.errors import ConnectError, VeilcamError
 from veilcam_client.http.answers import Body, check_call, error_of, event_of, new_call
 from veilcam_client.http.deadline import CAMERA_TIMEOUT
-from veilcam_client.http.resumption import Resumption
+from veilcam_client.http.resumption import Resumption, check_stream
 from veilcam_client.http.sse import Decoder
 from veilcam_client.http.transport import Transport
 from veilcam_client.wire.events import EVENT_KINDS, Event
@@ -35,6 +35,7 @@ class EventStream:
     """
 
     def __init__(self, transport: Transport, last_event_id: str | None, reconnect: bool) -> None:
+        check_stream(last_event_id, reconnect)
         self._transport = transport
         self._resumption = Resumption(transport.options, last_event_id, reconnect)
         self._before_fork: list[object] = []

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import httpx
 from pydantic import BaseModel
 
+from veilcam_client.arguments import of_type
 from veilcam_client.errors import VeilcamError
 from veilcam_client.http.answers import Body, Received, check_call, new_call, read
 from veilcam_client.http.calls import Call
@@ -32,6 +33,8 @@ class Transport:
         client: HttpClient | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        if client is not None:
+            of_type("http_client", client, httpx.Client, "an httpx.Client")
         self.options: Options = options
         self.last: Received | None = None
         """Answer of the last call that went well, where this is kept for one caller alone."""
@@ -112,7 +115,7 @@ def _own_client(options: Options) -> httpx.Client:
 
 def headers_of(call: Call[AnswerT], options: Options) -> dict[str, str]:
     """Headers of a request and of all its repetitions."""
-    return options.credentials.headers(call.headers())
+    return options.headers(call.headers())
 
 
 def note(call: Call[AnswerT], received: Received, begun: float) -> None:

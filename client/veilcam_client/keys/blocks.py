@@ -23,7 +23,7 @@ import numpy.typing as npt
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 
-from veilcam_client.errors import SealedError
+from veilcam_client.errors import ArgumentError, SealedError
 from veilcam_client.keys.envelopes import canonical, open_key, receivers_digest
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import ReceiverKey
@@ -130,14 +130,14 @@ class Opener:
         epochs: number of epochs that are remembered.
 
     Raises:
-        ValueError: ``device`` is no such key.
+        ArgumentError: ``device`` is no such key.
     """
 
     def __init__(
         self, key: ReceiverKey, device: str | None = None, *, epochs: int = MOST_EPOCHS
     ) -> None:
-        if device is not None and re.fullmatch(r"[0-9a-f]{64}", device) is None:
-            raise ValueError(
+        if device is not None and re.fullmatch(r"[0-9a-f]{64}", str(device)) is None:
+            raise ArgumentError(
                 "device is not valid: use the camera's public key, 64 hexadecimal digits, as "
                 "'veilcam receiver add' prints it"
             )

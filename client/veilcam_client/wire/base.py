@@ -34,6 +34,7 @@ API_VERSION = 1
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 CALL_HEADER = "Veilcam-Call"
 """Header that names a request: 128 random bits, 32 hexadecimal digits. Its answer repeats it."""
+UNAUTHORIZED_HINT = "give a token as token= or in VEILCAM_TOKEN"
 _BY_CODE: Mapping[str, type[ApiError]] = {
     "unauthorized": UnauthorizedError,
     "forbidden": ForbiddenError,
@@ -81,7 +82,7 @@ class Problem(Answer):
         other = ServerError if self.status >= 500 else InvalidRequestError
         kind = _BY_CODE.get(self.code) or _BY_STATUS.get(self.status, other)
         return kind(
-            self.detail,
+            f"{self.detail} ({UNAUTHORIZED_HINT})" if kind is UnauthorizedError else self.detail,
             code=self.code,
             status=self.status,
             request_id=self.request_id,

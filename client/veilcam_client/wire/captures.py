@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -73,7 +73,8 @@ class Embedding(PicturedArray):
 class SealedEmbedding(ArrayAnswer):
     """An embedding that the camera's receivers alone can open; its size tells nothing.
 
-    ``Camera(key=...)`` opens it. Asked for an array, it raises :class:`SealedError`.
+    ``Camera(key=...)`` opens it. Asked for an array, its length or an index, it raises
+    :class:`SealedError`.
     """
 
     form: Literal["sealed"] = "sealed"
@@ -89,6 +90,18 @@ class SealedEmbedding(ArrayAnswer):
         raise SealedError(
             "this embedding is sealed: give the private key of a receiver, Camera(key=...) or --key"
         )
+
+    def __getitem__(self, key: Any) -> Any:
+        return self.array()[key]
+
+    def __len__(self) -> int:
+        return len(self.array())
+
+    def __iter__(self) -> Iterator[Any]:  # type: ignore[override]  # fields are no rows
+        return iter(self.array())
+
+    def __bool__(self) -> bool:
+        return True  # it is there
 
 
 AnyEmbedding = Annotated[Embedding | SealedEmbedding, Field(discriminator="form")]

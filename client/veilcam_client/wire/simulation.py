@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from veilcam_client.errors import ArgumentError
 from veilcam_client.wire.base import Answer, Examples, Question
 from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 
@@ -75,24 +76,36 @@ class Faults(Question):
 
 
 def picture_bytes(picture: npt.ArrayLike | bytes) -> bytes:
-    """Return a picture as it is sent: a file's content as it is, an array as ``.npy``."""
+    """Return a picture as it is sent: a file's content as it is, an array as ``.npy``.
+
+    Raises:
+        ArgumentError: neither bytes nor an array of numbers.
+    """
     if isinstance(picture, bytes):
         return picture
     from veilcam_client.numbers import npy_bytes  # noqa: PLC0415 - loads NumPy
 
-    return npy_bytes(picture)
+    try:
+        return npy_bytes(picture)
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            f"picture cannot be a {type(picture).__name__}: use the content of a file, or an array "
+            "of numbers, (rows, columns) or (rows, columns, 3)"
+        ) from None
 
 
 def picture_media_type(picture: bytes) -> str:
     """Return the media type of a picture's file, as its first bytes tell.
 
     Raises:
-        ValueError: neither a PNG, nor a JPEG, nor an ``.npy`` file.
+        ArgumentError: neither a PNG, nor a JPEG, nor an ``.npy`` file.
     """
     for beginning, media_type in _BEGINNINGS.items():
         if picture.startswith(beginning):
             return media_type
-    raise ValueError("this is no picture: give the content of a PNG, JPEG or .npy file")
+    raise ArgumentError(
+        "picture is none: give the content of a PNG, JPEG or .npy file, or an array"
+    )
 
 
 EXAMPLES = Examples(lambda: (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True))))
