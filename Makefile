@@ -94,6 +94,7 @@ test: lint
 # The long form of what the tests do for seconds.
 stress: $(INSTALLED)
 	$(BIN)/python -m tests.stress.bundle_fuzz
+	$(BIN)/python -m tests.stress.picture_fuzz
 	$(BIN)/python -m tests.stress.api_fuzz
 	$(BIN)/python -m tests.stress.soak
 	$(WAITING) --timeout 0 --long -m long

@@ -12,8 +12,17 @@ from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-_BEGINNINGS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\x93NUMPY": NPY_MEDIA_TYPE}
-PICTURE_MEDIA_TYPES = tuple(_BEGINNINGS.values())
+_BEGINNINGS = {
+    b"\x89PNG": "image/png",
+    b"\xff\xd8\xff": "image/jpeg",
+    b"RIFF": "image/webp",
+    b"BM": "image/bmp",
+    b"II": "image/tiff",
+    b"MM": "image/tiff",
+    b"GIF8": "image/gif",
+    b"\x93NUMPY": NPY_MEDIA_TYPE,
+}
+PICTURE_MEDIA_TYPES = tuple(dict.fromkeys(_BEGINNINGS.values()))
 
 
 class HeldScene(Answer):
@@ -21,6 +30,8 @@ class HeldScene(Answer):
 
     scene: int
     """Its number, as captures name it that see it."""
+    warning: str | None = None
+    """What makes a picture show less than it could: it uses under an eighth of its range."""
 
 
 class PanelFaults(Question):
@@ -69,12 +80,14 @@ def picture_media_type(picture: bytes) -> str:
     """Return the media type of a picture's file, as its first bytes tell.
 
     Raises:
-        ValueError: neither a PNG, nor a JPEG, nor an ``.npy`` file.
+        ValueError: neither a PNG, JPEG, WebP, BMP, TIFF or GIF file, nor an ``.npy`` file.
     """
     for beginning, media_type in _BEGINNINGS.items():
         if picture.startswith(beginning):
             return media_type
-    raise ValueError("this is no picture: give the content of a PNG, JPEG or .npy file")
+    raise ValueError(
+        "this is no picture: give the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or .npy file"
+    )
 
 
 EXAMPLES = Examples(lambda: (HeldScene(scene=1), Faults(panel=PanelFaults(dead=True))))

@@ -18,6 +18,7 @@ from veilcam_training.cli.options import (
     Folder,
     Logs,
     Seed,
+    SkipDamaged,
     Threads,
     Work,
     check_places,
@@ -29,7 +30,7 @@ from veilcam_training.cli.options import (
 )
 from veilcam_training.config.recipes import TASKS
 from veilcam_training.config.settings import load_fresh_settings
-from veilcam_training.data import open_source, recognise
+from veilcam_training.data import Source, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
@@ -55,6 +56,7 @@ def fit_fresh_command(
     work: Work = None,
     tensorboard: Logs = None,
     csv: Csv = None,
+    skip_damaged: SkipDamaged = False,
     device: Device = "auto",
     threads: Threads = 1,
 ) -> None:
@@ -63,7 +65,8 @@ def fit_fresh_command(
     check_places(out, work, tensorboard, csv)
     overrides = given(task=task, epochs=epochs, batch=batch, seed=seed)
     settings = load_fresh_settings(config, overrides, found=recognise(data))
-    source, camera = ReadOnce(open_source(settings.data, data)), Camera()
+    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
+    source, camera = ReadOnce(source), Camera()
     show_summary(console, source)
     warn_of_precision(console, place, mixed=settings.bfloat16, instead="bfloat16 = false")
     with join_ranks(place) as (ranks, place):

@@ -25,6 +25,7 @@ from veilcam_training.cli.options import (
     Folder,
     Logs,
     Seed,
+    SkipDamaged,
     Threads,
     Work,
     check_places,
@@ -37,11 +38,11 @@ from veilcam_training.cli.options import (
 from veilcam_training.cli.table import report_command, table_command
 from veilcam_training.config.recipes import RECIPES
 from veilcam_training.config.settings import Settings, load_settings
-from veilcam_training.data import SOURCES, open_source, recognise
+from veilcam_training.data import SOURCES, Source, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
-from veilcam_training.encoders import ENCODERS
+from veilcam_training.encoders import ENCODERS, read_psf
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
@@ -79,7 +80,7 @@ Psf = Annotated[
     Path | None,
     typer.Option(
         "--psf",
-        help="Measured PSF (.npz, .npy, .png, .tif) of fixed_measured, or for that of a lens, "
+        help="Measured PSF (.npz, .npy or a picture) of fixed_measured, or for that of a lens, "
         "coded_aperture or diffuser.",
     ),
 ]
@@ -144,6 +145,7 @@ def fit_command(
     work: Work = None,
     tensorboard: Logs = None,
     csv: Csv = None,
+    skip_damaged: SkipDamaged = False,
     device: Device = "auto",
     threads: Threads = None,
 ) -> None:
@@ -166,7 +168,9 @@ def fit_command(
     )
     place = prepare(device, threads)
     check_places(out, work, tensorboard, csv)
-    source, camera = ReadOnce(open_source(settings.data, data)), Camera()
+    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
+    camera = Camera()
+    source = ReadOnce(source)
     if out is not None:
         check_pairs(settings, source, camera)
     with join_ranks(place) as (ranks, place):
@@ -175,6 +179,8 @@ def fit_command(
             show_summary(console, source)
             mixed = settings.recipe.precision == "mixed"
             warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
+            if settings.psf_file and (said := read_psf(settings.psf_file, 1e-3).warning):
+                console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
         name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
         with watch(
             console, name, settings.recipe.epochs, ranks, logs=tensorboard, table=csv
@@ -212,6 +218,7 @@ def keyring_command(
     batch: Batch = None,
     seed: Seed = None,
     work: Work = None,
+    skip_damaged: SkipDamaged = False,
     device: Device = "auto",
     threads: Threads = None,
     processes: WorkerCount = None,
@@ -231,13 +238,15 @@ def keyring_command(
     place = prepare(device, threads)
     check_places(out, work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
+    source: Source = open_source(settings.data, data.resolve(), skip_damaged=skip_damaged)
+    show_summary(console, source)
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
         done = progress.add_task("pairs", total=pairs, note="")
         bundle = fit_keyring(
             settle_seed(settings, work),
             pairs,
-            open_source(settings.data, data.resolve()),
+            source,
             Camera(),
             device=place,
             work=None if work is None else work.resolve(),  # a worker may stand elsewhere

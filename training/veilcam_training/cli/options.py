@@ -43,6 +43,9 @@ Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for Ten
 Csv = Annotated[Path | None, typer.Option("--csv", help="File of accuracies and losses, *.csv.")]
 Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
+SkipDamaged = Annotated[
+    bool, typer.Option("--skip-damaged", help="Go on without own pictures that cannot be read.")
+]
 
 
 def given(**options: object) -> dict[str, object]:
