@@ -22,6 +22,7 @@ from veilcam_training.cli.options import (
     Threads,
     Work,
     check_places,
+    for_bundle,
     given,
     prepare,
     show_summary,
@@ -29,12 +30,12 @@ from veilcam_training.cli.options import (
     watch,
 )
 from veilcam_training.config.recipes import TASKS
-from veilcam_training.config.settings import load_fresh_settings
+from veilcam_training.config.settings import load_fresh_settings, names_classifier
 from veilcam_training.data import Source, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
-from veilcam_training.experiments.keyring import as_fresh_bundle
+from veilcam_training.experiments.keyring import as_fresh_bundle, check_fresh
 from veilcam_training.files import check_file
 from veilcam_training.trainer.distributed import join_ranks
 
@@ -66,7 +67,10 @@ def fit_fresh_command(
     overrides = given(task=task, epochs=epochs, batch=batch, seed=seed)
     settings = load_fresh_settings(config, overrides, found=recognise(data))
     source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
-    source, camera = ReadOnce(source), Camera()
+    named = names_classifier(config, {})
+    source = ReadOnce(for_bundle(console, source, settings.classifier, named=named))
+    camera = Camera()
+    check_fresh(settings, source, camera)
     show_summary(console, source)
     warn_of_precision(console, place, mixed=settings.bfloat16, instead="bfloat16 = false")
     with join_ranks(place) as (ranks, place):

@@ -29,6 +29,7 @@ from veilcam_training.cli.options import (
     Threads,
     Work,
     check_places,
+    for_bundle,
     given,
     prepare,
     show_summary,
@@ -37,7 +38,7 @@ from veilcam_training.cli.options import (
 )
 from veilcam_training.cli.table import report_command, table_command
 from veilcam_training.config.recipes import RECIPES
-from veilcam_training.config.settings import Settings, load_settings
+from veilcam_training.config.settings import Settings, load_settings, names_classifier
 from veilcam_training.data import SOURCES, Source, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
@@ -170,6 +171,9 @@ def fit_command(
     check_places(out, work, tensorboard, csv)
     source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
     camera = Camera()
+    if out is not None:
+        named = names_classifier(config, given(classifier=classifier))
+        source = for_bundle(console, source, settings.classifier, named=named)
     source = ReadOnce(source)
     if out is not None:
         check_pairs(settings, source, camera)
@@ -239,6 +243,8 @@ def keyring_command(
     check_places(out, work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
     source: Source = open_source(settings.data, data.resolve(), skip_damaged=skip_damaged)
+    named = names_classifier(config, given(classifier=classifier))
+    source = for_bundle(console, source, settings.classifier, named=named)
     show_summary(console, source)
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:

@@ -16,6 +16,7 @@ from veilcam_training.data.base import FileSource, Images, digest, stratified
 from veilcam_training.data.collection import Collection, find_collection
 from veilcam_training.data.folders import DESCRIPTION, shown
 from veilcam_training.errors import TrainingError, require
+from veilcam_training.labels import labels_fault
 
 NAME = "image-folder"
 LONGER_SIDE = 64
@@ -85,7 +86,7 @@ class ImageFolderSource(FileSource):
         """Name of every class, numbers by their value.
 
         Raises:
-            TrainingError: fewer than two.
+            TrainingError: fewer than two, or a name that is no label.
         """
         names = {entry.label for entry in self._collection.entries}
         require(
@@ -93,6 +94,8 @@ class ImageFolderSource(FileSource):
             f"{shown(self.folder)} has one class, {', '.join(map(shown, names))}: "
             "give pictures of two or more",
         )
+        if (fault := labels_fault(sorted(names))) is not None:
+            raise TrainingError(f"{shown(self.folder)}: {fault}")
         numbers = all(name.isdecimal() for name in names)
         return tuple(sorted(names, key=(lambda name: (int(name), name)) if numbers else None))
 

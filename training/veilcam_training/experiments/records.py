@@ -106,7 +106,8 @@ def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, Jso
         "processes": distributed.get_world_size() if distributed.is_initialized() else 1,
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": shlex.join(own_command()),
+        # A path may be of bytes that JSON cannot hold.
+        "command": shlex.join(own_command()).encode(errors="backslashreplace").decode(),
     }
 
 
