@@ -120,6 +120,18 @@ def test_colour_is_left_out_of_a_bundle_unless_a_classifier_is_named(
     assert read_bundle(out).channels == 1
 
 
+@pytest.mark.slow
+def test_fit_that_keeps_nothing_says_so_before_it_starts(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data, said = draw(tmp_path / "data", "cat", "dog"), "nothing of this fit will be kept"
+    assert call("fit", "--data", data, *QUICK) == 0
+    printed = capsys.readouterr().out
+    assert said in printed[: printed.index("image-folder")]
+    assert call("fit", "--data", data, *QUICK, "--work", tmp_path / "work") == 0
+    assert said not in capsys.readouterr().out
+
+
 def test_label_that_no_bundle_can_hold_ends_the_run_before_the_fit(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

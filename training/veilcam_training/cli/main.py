@@ -169,6 +169,8 @@ def fit_command(
     )
     place = prepare(device, threads)
     check_places(out, work, tensorboard, csv)
+    if out is None and work is None:
+        console.print("note: without --out or --work nothing of this fit will be kept")
     source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
     camera = Camera()
     if out is not None:
