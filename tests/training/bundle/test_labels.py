@@ -1,4 +1,4 @@
-"""Labels that no bundle may hold, written or read."""
+"""Labels that no bundle may hold, written or read; and masks that are all the same."""
 
 from __future__ import annotations
 
@@ -63,3 +63,12 @@ def test_labels_that_are_one_in_composed_form_are_refused(tmp_path: Path) -> Non
     twice = dataclasses.replace(make_bundle(), labels=("café", "cafe\u0301", *"23456789"))
     with pytest.raises(BundleError, match="twice: use different names"):
         write_bundle(tmp_path / "a.veilcam", twice)
+
+
+def test_masks_that_are_all_the_same_are_refused(tmp_path: Path) -> None:
+    bundle = make_bundle(3)
+    same = dataclasses.replace(bundle, pairs=(bundle.pairs[0],) * 3)
+    with pytest.raises(BundleError, match="all 3 masks are the same"):
+        write_bundle(tmp_path / "a.veilcam", same)
+    for fitting in (bundle.pairs[:1], (*bundle.pairs, bundle.pairs[0])):
+        write_bundle(tmp_path / "a.veilcam", dataclasses.replace(bundle, pairs=fitting))

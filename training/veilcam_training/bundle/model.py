@@ -154,6 +154,11 @@ def check_bundle(bundle: Bundle) -> None:
         products <= MAX_OPERATIONS,
         f"all classifiers together take {products} products: use at most {MAX_OPERATIONS}",
     )
+    shown = {pair.levels.tobytes() for pair in bundle.pairs}
+    require(
+        len(bundle.pairs) < 2 or len(shown) > 1,
+        f"all {len(bundle.pairs)} masks are the same: use pairs of different masks",
+    )
 
 
 def _check_fresh(bundle: Bundle) -> None:
