@@ -27,7 +27,7 @@ from veilcam_client.wire.status import Status
 if TYPE_CHECKING:
     from veilcam_client.keys.receivers import ReceiverKey
 
-PICTURES = (".png", ".jpg", ".jpeg")
+PICTURES = (".png", ".jpg", ".jpeg", ".mpo", ".webp", ".bmp", ".tif", ".tiff", ".gif")
 _RECEIVER = "pair a receiver with 'veilcam receiver add', and give its private key"
 
 

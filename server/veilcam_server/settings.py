@@ -157,9 +157,11 @@ class Settings(Wiring):
     device: Literal["pi", "simulated"] = "pi"
     """Use a simulated panel and sensor instead of a Raspberry Pi's."""
     scenes: Annotated[tuple[str, ...], NoDecode] = ()
-    """What the simulated camera sees: an image (.npy, PNG, JPEG), a folder of images, or a data
-    set as mnist:FOLDER or mnist:FOLDER:test. Give several, and each capture sees the next.
-    Default: what 'veilcamd show' writes."""
+    """What the simulated camera sees: a picture (.npy, PNG, JPEG, WebP, BMP, TIFF, GIF), a folder
+    of pictures, or a data set as mnist:FOLDER or mnist:FOLDER:test. Give several, and each capture
+    sees the next. Default: what 'veilcamd show' writes."""
+    skip_damaged: bool = False
+    """Leave out pictures of --scenes that cannot be read, instead of refusing to start."""
     scene_api: bool = False
     """Let callers set the scene before the simulated camera, and break it, for tests."""
     replay: Path | None = None
@@ -341,6 +343,8 @@ class Settings(Wiring):
     def _fit_together(self) -> Self:
         if self.device != "simulated" and self.scenes:
             raise ValueError("only a simulated camera has --scenes: add --simulate")
+        if self.skip_damaged and not self.scenes:
+            raise ValueError("--skip-damaged is for --scenes: add them, or leave it out")
         if self.device != "simulated" and self.scene_api:
             raise ValueError("--scene-api is for a simulated camera: add --simulate")
         if self.device != "simulated" and self.imperfections is not None:

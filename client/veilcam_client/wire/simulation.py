@@ -13,8 +13,17 @@ from veilcam_client.wire.captures import NPY_MEDIA_TYPE
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-_BEGINNINGS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"\x93NUMPY": NPY_MEDIA_TYPE}
-PICTURE_MEDIA_TYPES = tuple(_BEGINNINGS.values())
+_BEGINNINGS = {
+    b"\x89PNG": "image/png",
+    b"\xff\xd8\xff": "image/jpeg",
+    b"RIFF": "image/webp",
+    b"BM": "image/bmp",
+    b"II": "image/tiff",
+    b"MM": "image/tiff",
+    b"GIF8": "image/gif",
+    b"\x93NUMPY": NPY_MEDIA_TYPE,
+}
+PICTURE_MEDIA_TYPES = tuple(dict.fromkeys(_BEGINNINGS.values()))
 
 
 class HeldScene(Answer):
@@ -22,6 +31,8 @@ class HeldScene(Answer):
 
     scene: int
     """Its number, as captures name it that see it."""
+    warning: str | None = None
+    """What makes a picture show less than it could: it uses under an eighth of its range."""
 
 
 class PanelFaults(Question):
@@ -98,13 +109,13 @@ def picture_media_type(picture: bytes) -> str:
     """Return the media type of a picture's file, as its first bytes tell.
 
     Raises:
-        ArgumentError: neither a PNG, nor a JPEG, nor an ``.npy`` file.
+        ValueError: neither a PNG, JPEG, WebP, BMP, TIFF or GIF file, nor an ``.npy`` file.
     """
     for beginning, media_type in _BEGINNINGS.items():
         if picture.startswith(beginning):
             return media_type
-    raise ArgumentError(
-        "picture is none: give the content of a PNG, JPEG or .npy file, or an array"
+    raise ValueError(
+        "this is no picture: give the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or .npy file"
     )
 
 

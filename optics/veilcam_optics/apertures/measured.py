@@ -6,42 +6,26 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from veilcam_optics.errors import OpticsError, invalid, require
+from veilcam_optics.errors import OpticsError, require
+from veilcam_optics.pictures import PictureError, read_picture, white
 
 
 def read_image(path: Path) -> Tensor:
     """Return an image file as float64 in [0, 1]: (rows, columns) gray or (3, rows, columns).
 
-    8 and 16 bit files that Pillow reads; PNG keeps 16 bit in gray only. Values are taken as they
-    are: a raw frame is linear, a photograph for display has a curve to undo first.
+    8 and 16 bit files; 16 bit in gray only. Values are taken as they are: a raw frame is linear, a
+    photograph for display has a curve to undo first.
 
     Raises:
-        OpticsError: If the file cannot be read as an image, or has another number of channels.
+        OpticsError: If the file cannot be read as an image of 8 or 16 bit.
     """
-    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - only who reads files needs it
-
     try:
-        with Image.open(path) as opened:
-            values = np.asarray(opened)
-    except (OSError, UnidentifiedImageError) as error:
-        raise OpticsError(f"cannot read the image {path.name}: use a PNG or TIFF file") from error
-    if values.dtype == np.bool_:
-        values = values.astype(np.uint8) * np.uint8(255)
-    require(
-        np.issubdtype(values.dtype, np.integer),
-        "path",
-        str(values.dtype),
-        "",
-        "an image of 8 or 16 bit integers",
-    )
-    # Pillow hands 16 bit gray out as int32 in some versions.
-    largest = 255 if values.dtype == np.uint8 else 65535
-    scaled = torch.from_numpy(values.astype(np.float64) / largest)
-    if scaled.ndim == 2:
-        return scaled
-    if scaled.shape[2] in (3, 4):
-        return scaled[..., :3].permute(2, 0, 1).contiguous()
-    raise invalid("path", f"{scaled.shape[2]} channels", "", "a gray or an RGB image")
+        values = read_picture(path)
+    except PictureError as error:
+        raise OpticsError(f"cannot read the image {path.name}: it {error}") from None
+    require(values.dtype.kind == "u", "path", str(values.dtype), "", "an image of 8 or 16 bit")
+    scaled = torch.from_numpy(values.astype(np.float64) / white(values))
+    return scaled if scaled.ndim == 2 else scaled.permute(2, 0, 1).contiguous()
 
 
 def remove_background(image: Tensor, *, margin: float = 0.02, deviations: float = 3.0) -> Tensor:

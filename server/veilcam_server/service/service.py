@@ -36,13 +36,14 @@ from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import Faults, HeldScene
 from veilcam_client.wire.status import ProofMeans, Queue, Status
 from veilcam_client.wire.watch import Watch, WatchPolicy
+from veilcam_optics.pictures import PictureError
 from veilcam_server.bundles.loader import Identity, LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.service import CalibrationService, Served
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.engine import CameraEngine
 from veilcam_server.devices.errors import DisplayError
-from veilcam_server.devices.simulated.images import PictureError, as_scene
+from veilcam_server.devices.simulated.images import as_scene, decoded, range_warning
 from veilcam_server.devices.simulated.scenes import Scenes
 from veilcam_server.errors import (
     NoReceiverError,
@@ -378,11 +379,13 @@ class Service:
         scenes = self._scenes
         if scenes is None:
             raise SceneApiOffError
-        picture = None if content is None else await asyncio.to_thread(_picture, content, scenes)
+        picture, warning = None, None
+        if content is not None:
+            picture, warning = await asyncio.to_thread(_picture, content, scenes)
         with self._admitted():
             # In line with captures and self tests, so that none of them sees two scenes.
             number = await self._queue.run(lambda: scenes.hold(picture))
-        return HeldScene(scene=number)
+        return HeldScene(scene=number, warning=warning)
 
     def set_faults(self, faults: Faults) -> Faults:
         """Break a simulated device, or mend it, also while it takes a capture.
@@ -492,8 +495,11 @@ class Service:
             raise NoReceiverError
 
 
-def _picture(content: bytes, scenes: Scenes) -> npt.NDArray[np.float32]:
+def _picture(content: bytes, scenes: Scenes) -> tuple[npt.NDArray[np.float32], str | None]:
+    """Return a picture as a scene, and what to say of it."""
     try:
-        return as_scene(content, scenes.shape)
+        picture = decoded(content)
+        scene, warning = as_scene(picture, scenes.shape), range_warning(picture)
     except PictureError as error:
         raise SceneInvalidError(f"this {error}") from None
+    return scene, None if warning is None else f"this {warning}"

@@ -142,9 +142,9 @@ async def test_a_capture_under_way_sees_to_its_end_what_it_began_with(
 @pytest.mark.parametrize(
     ("content", "media_type", "status", "code", "detail"),
     [
-        (b"", "image/png", 422, "scene_invalid", "this is no image: use .npy, PNG or JPEG"),
+        (b"", "image/png", 422, "scene_invalid", "this is no image, or damaged"),
         (b"\x89PNG\r\n\x1a\nabc", "image/png", 422, "scene_invalid", "this is no image"),
-        (png(0), "image/gif", 415, "unsupported_media_type", "image/png or image/jpeg or applic"),
+        (png(0), "image/avif", 415, "unsupported_media_type", "image/png or image/jpeg or image/w"),
         (
             bytes(MAX_PICTURE + 1),
             *("application/x-npy", 413, "body_too_large", f"at most {MAX_PICTURE} bytes"),

@@ -38,6 +38,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "allow_older": (("--allow-older",), True),
     "device": (SIMULATED, "simulated"),
     "scenes": ((*SIMULATED, "--scenes", "a.png", "--scenes", "b.png"), ("a.png", "b.png")),
+    "skip_damaged": ((*SIMULATED, "--scenes", "a", "--skip-damaged"), True),
     "scene_api": ((*SIMULATED, "--scene-api"), True),
     "replay": (("--replay", "r.jsonl"), Path("r.jsonl")),
     "host": (("--host", "::1"), "::1"),

@@ -6,7 +6,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from veilcam_training.bundle import read_bundle
 from veilcam_training.cli import main as cli
@@ -85,3 +87,72 @@ def test_damaged_pictures_end_the_run_before_the_fit(
     assert call("fit", "--data", shapes) == 1
     said = capsys.readouterr().err
     assert "1 of 50 pictures cannot be read: train/star/star-0005.png" in said
+
+
+QUICK = ("--embedding", "6x8", "--epochs", 1, "--batch", 8, "--seed", 0, "--device", "cpu")
+
+
+def draw(folder: Path, *names: str, shape: tuple[int, ...] = (12, 16)) -> Path:
+    for name in names:
+        (folder / name).mkdir(parents=True)
+        for number in range(20):
+            pixels = np.random.default_rng(number).integers(0, 256, shape, dtype=np.uint8)
+            Image.fromarray(pixels).save(folder / name / f"{number}.png")
+    return folder
+
+
+@pytest.mark.slow
+def test_colour_is_left_out_of_a_bundle_unless_a_classifier_is_named(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data, out = draw(tmp_path / "data", "cat", "dog", shape=(12, 16, 3)), tmp_path / "a.veilcam"
+    assert call("fit", "--data", data, *QUICK, "--classifier", "LR", "--out", out) == 1
+    assert "classifier LR would be fitted in colour" in capsys.readouterr().err
+    config = tmp_path / "a.toml"
+    config.write_text('classifier = "LR"')
+    assert call("fit", "--data", data, *QUICK, "--config", config, "--out", out) == 1
+    assert "classifier LR would be fitted in colour" in capsys.readouterr().err
+    assert call("fit", "--data", data, *QUICK, "--out", out) == 0
+    assert "they are fitted in gray" in capsys.readouterr().out
+    assert read_bundle(out).channels == 1
+    assert call("keyring", "--data", data, *QUICK, "--pairs", 2, "--out", out) == 0
+    assert "they are fitted in gray" in capsys.readouterr().out
+    assert read_bundle(out).channels == 1
+
+
+@pytest.mark.slow
+def test_fit_that_keeps_nothing_says_so_before_it_starts(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data, said = draw(tmp_path / "data", "cat", "dog"), "nothing of this fit will be kept"
+    assert call("fit", "--data", data, *QUICK) == 0
+    printed = capsys.readouterr().out
+    assert said in printed[: printed.index("image-folder")]
+    assert call("fit", "--data", data, *QUICK, "--work", tmp_path / "work") == 0
+    assert said not in capsys.readouterr().out
+
+
+def test_label_that_no_bundle_can_hold_ends_the_run_before_the_fit(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data = draw(tmp_path / "data", "tea", "Unknown")
+    for command in ("fit", "fit-fresh", "keyring"):
+        assert call(command, "--data", data, "--out", tmp_path / "a.veilcam") == 1
+        assert "label 'Unknown' is the word" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_damaged_pictures_may_be_left_out(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    data, out = draw(tmp_path / "caf\udce9", "cat", "dog"), tmp_path / "a.veilcam"
+    (data / "cat" / "3.png").write_bytes(b"")
+    (data / "dog" / "notes.txt").write_text("")
+    assert call("fit", "--data", data, *QUICK, "--out", out) == 1
+    assert "1 of 40 pictures cannot be read: cat/3.png" in capsys.readouterr().err
+    assert call("fit", "--data", data, *QUICK, "--out", out, "--skip-damaged") == 0
+    printed = capsys.readouterr().out
+    assert "warning: passed over: 1 .txt" in printed
+    assert "1 damaged pictures are left out: cat/3.png" in printed
+    # Its folder's name is no UTF-8, and stands in the command.
+    assert r"caf\udce9" in str(read_bundle(out).provenance["command"])

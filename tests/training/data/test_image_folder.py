@@ -15,6 +15,7 @@ from PIL import Image
 
 from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data import Images, open_source, recognise, split
+from veilcam_training.data.summary import summarise
 from veilcam_training.errors import TrainingError
 
 Draw = npt.NDArray[np.uint8 | np.uint16]
@@ -196,12 +197,19 @@ def test_colour_turned_and_transparent_pictures(tmp_path: Path) -> None:
     assert plain.digests() != before
 
 
-def test_sixteen_bits_become_eight(tmp_path: Path) -> None:
+def test_sixteen_bits_are_kept(tmp_path: Path) -> None:
     for number in range(20):
-        pixels = np.full((4, 4), 257 * 7 * number, dtype=np.uint16)
+        pixels = np.full((4, 4), 30_000 + number, dtype=np.uint16)
         save(tmp_path / "ab"[number % 2] / f"{number}.png", pixels)
     source = open_source("image-folder", tmp_path)
-    assert numbers(source.training()) | numbers(source.test()) == {7 * n for n in range(20)}
+    read = numbers(source.training()) | numbers(source.test())
+    assert read == {30_000 + number for number in range(20)}
+    scenes = source.training().scenes()
+    assert float(scenes.min()) == pytest.approx(30_000 / 65_535, abs=2e-5)
+    # One such picture among others: white is white in both.
+    save(tmp_path / "a" / "eight.png", np.full((4, 4), 255, np.uint8))
+    mixed = open_source("image-folder", tmp_path)
+    assert 65_535 in numbers(mixed.training()) | numbers(mixed.test())
 
 
 def test_groups_are_never_split(tmp_path: Path) -> None:
@@ -238,25 +246,25 @@ def test_a_table_may_name_groups(tmp_path: Path) -> None:
     assert len({number // 4 for number in numbers(source.test())}) == 1
 
 
-def test_damaged_pictures_are_all_named(tmp_path: Path) -> None:
+def test_damaged_pictures_are_all_named_at_once(tmp_path: Path) -> None:
     by_class(tmp_path)
     whole = (tmp_path / "cat" / "001.png").read_bytes()
     (tmp_path / "cat" / "001.png").write_bytes(whole[:-30])
     (tmp_path / "dog" / "002.png").write_bytes(b"no picture")
-    with pytest.raises(TrainingError, match=r"1 of 20 pictures cannot be read: dog/002.png"):
-        open_source("image-folder", tmp_path).scene.shape  # noqa: B018 - the headers alone
-    (tmp_path / "dog" / "002.png").write_bytes(whole)
-    source = open_source("image-folder", tmp_path)
-    said = []
-    for read in (source.training, source.test):
-        try:
-            read()
-        except TrainingError as error:
-            said.append(str(error))
-    assert len(said) == 1
-    assert "cat/001.png" in said[0]
-    assert "get them again, or remove them" in said[0]
-    assert str(tmp_path / "cat") not in said[0].replace(str(tmp_path) + ":", "")
+    (tmp_path / "dog" / "004.png").write_bytes(b"")
+    with pytest.raises(TrainingError) as caught:
+        open_source("image-folder", tmp_path).scene.shape  # noqa: B018 - reads them
+    said = str(caught.value)
+    assert "3 of 20 pictures cannot be read" in said
+    assert all(name in said for name in ("cat/001.png", "dog/002.png", "dog/004.png"))
+    assert "get them again, or remove them" in said
+    assert str(tmp_path / "cat") not in said.replace(str(tmp_path) + ":", "")
+    source = open_source("image-folder", tmp_path, skip_damaged=True)
+    assert len(source.training()) + len(source.test()) == 17
+    (remark,) = summarise(source).remarks
+    assert "3 damaged pictures are left out: cat/001.png, dog/002.png, dog/004.png" in remark
+    with pytest.raises(TrainingError, match="leave out --skip-damaged"):
+        open_source("mnist", tmp_path, skip_damaged=True)
 
 
 @pytest.mark.parametrize(
@@ -300,7 +308,7 @@ def test_a_description_sets_the_scene(tmp_path: Path) -> None:
         (["file,label", "../outside.png,a"], "missing in"),
         (["file,label", "labels.csv,a"], "is no picture"),
         (["file,label", "all/0.png,a", "all/0.png,b"], "line 3 repeats"),
-        (["file,label,part", "all/0.png,a,validation"], "use train or test"),
+        (["file,label,part", "all/0.png,a,holdout"], "use train, validation or test"),
         (["file,label,part", "all/0.png,a,test", "all/1.png,b,"], "part for 1 of 2"),
         (["file,label,group", "all/0.png,a,x", "all/1.png,b,"], "group for 1 of 2"),
         (["file,label", "all/0.png,a", "all/1.png,a"], "one class"),

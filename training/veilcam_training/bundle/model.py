@@ -20,9 +20,9 @@ from veilcam_training.bundle.errors import BundleError, require
 from veilcam_training.bundle.fresh import Fresh, check_fresh
 from veilcam_training.bundle.layers import LayerRecord
 from veilcam_training.bundle.signature import OwnerKey
+from veilcam_training.labels import labels_fault
 
 MAX_PAIRS = 4096
-MAX_LABELS = 1024
 MAX_LAYERS = 2**14
 """Of all classifiers of a bundle."""
 MAX_OPERATIONS = 2**33
@@ -136,10 +136,8 @@ class Bundle:
 def check_bundle(bundle: Bundle) -> None:
     """Raise :class:`BundleError` unless every part of ``bundle`` fits every other."""
     require(1 <= len(bundle.task) <= 64, "task is not valid: use a name of 1 to 64 letters")
-    require(
-        2 <= len(bundle.labels) <= MAX_LABELS and len(set(bundle.labels)) == len(bundle.labels),
-        f"labels are not valid: use 2 to {MAX_LABELS} different names",
-    )
+    if (fault := labels_fault(bundle.labels)) is not None:
+        raise BundleError(fault)
     records = bundle.pairs if bundle.fresh is None else (bundle.fresh,)
     require(
         sum(len(record.layers) for record in records) <= MAX_LAYERS,
@@ -155,6 +153,11 @@ def check_bundle(bundle: Bundle) -> None:
     require(
         products <= MAX_OPERATIONS,
         f"all classifiers together take {products} products: use at most {MAX_OPERATIONS}",
+    )
+    shown = {pair.levels.tobytes() for pair in bundle.pairs}
+    require(
+        len(bundle.pairs) < 2 or len(shown) > 1,
+        f"all {len(bundle.pairs)} masks are the same: use pairs of different masks",
     )
 
 

@@ -18,9 +18,11 @@ from veilcam_training.cli.options import (
     Folder,
     Logs,
     Seed,
+    SkipDamaged,
     Threads,
     Work,
     check_places,
+    for_bundle,
     given,
     prepare,
     show_summary,
@@ -28,12 +30,12 @@ from veilcam_training.cli.options import (
     watch,
 )
 from veilcam_training.config.recipes import TASKS
-from veilcam_training.config.settings import load_fresh_settings
-from veilcam_training.data import open_source, recognise
+from veilcam_training.config.settings import load_fresh_settings, names_classifier
+from veilcam_training.data import Source, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.fit import run_fresh, settle_seed
-from veilcam_training.experiments.keyring import as_fresh_bundle
+from veilcam_training.experiments.keyring import as_fresh_bundle, check_fresh
 from veilcam_training.files import check_file
 
 console = Console()
@@ -54,6 +56,7 @@ def fit_fresh_command(
     work: Work = None,
     tensorboard: Logs = None,
     csv: Csv = None,
+    skip_damaged: SkipDamaged = False,
     device: Device = "auto",
     threads: Threads = 1,
 ) -> None:
@@ -62,7 +65,11 @@ def fit_fresh_command(
     check_places(out, work, tensorboard, csv)
     overrides = given(task=task, epochs=epochs, batch=batch, seed=seed)
     settings = load_fresh_settings(config, overrides, found=recognise(data))
-    source, camera = ReadOnce(open_source(settings.data, data)), Camera()
+    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
+    named = names_classifier(config, {})
+    source = ReadOnce(for_bundle(console, source, settings.classifier, named=named))
+    camera = Camera()
+    check_fresh(settings, source, camera)
     show_summary(console, source)
     warn_of_precision(console, place, mixed=settings.bfloat16, instead="bfloat16 = false")
     settings = settle_seed(settings, work)

@@ -25,9 +25,11 @@ from veilcam_training.cli.options import (
     Folder,
     Logs,
     Seed,
+    SkipDamaged,
     Threads,
     Work,
     check_places,
+    for_bundle,
     given,
     prepare,
     show_summary,
@@ -35,12 +37,12 @@ from veilcam_training.cli.options import (
     watch,
 )
 from veilcam_training.config.recipes import RECIPES
-from veilcam_training.config.settings import Settings, load_settings
-from veilcam_training.data import SOURCES, open_source, recognise
+from veilcam_training.config.settings import Settings, load_settings, names_classifier
+from veilcam_training.data import SOURCES, Source, open_source, recognise
 from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
-from veilcam_training.encoders import ENCODERS
+from veilcam_training.encoders import ENCODERS, read_psf
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
@@ -77,7 +79,7 @@ Psf = Annotated[
     Path | None,
     typer.Option(
         "--psf",
-        help="Measured PSF (.npz, .npy, .png, .tif) of fixed_measured, or for that of a lens, "
+        help="Measured PSF (.npz, .npy or a picture) of fixed_measured, or for that of a lens, "
         "coded_aperture or diffuser.",
     ),
 ]
@@ -133,6 +135,7 @@ def fit_command(
     work: Work = None,
     tensorboard: Logs = None,
     csv: Csv = None,
+    skip_damaged: SkipDamaged = False,
     device: Device = "auto",
     threads: Threads = None,
 ) -> None:
@@ -154,28 +157,43 @@ def fit_command(
     )
     place = prepare(device, threads)
     check_places(out, work, tensorboard, csv)
-    source, camera = ReadOnce(open_source(settings.data, data)), Camera()
+    if out is None and work is None:
+        console.print("note: without --out or --work nothing of this fit will be kept")
+    source: Source = open_source(settings.data, data, skip_damaged=skip_damaged)
+    camera = Camera()
+    if out is not None:
+        named = names_classifier(config, given(classifier=classifier))
+        source = for_bundle(console, source, settings.classifier, named=named)
+    source = ReadOnce(source)
     if out is not None:
         check_pairs(settings, source, camera)
-    settings = settle_seed(settings, work)
-    show_summary(console, source)
-    mixed = settings.recipe.precision == "mixed"
-    warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
-    name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-    epochs_wanted = settings.recipe.epochs
-    with watch(console, name, epochs_wanted, logs=tensorboard, table=csv) as callbacks:
-        result = run_fit(
-            settings,
-            source,
-            camera,
-            device=place,
-            checkpoint=None if work is None else work / "fit.checkpoint",
-            callbacks=callbacks,
-        )
-    _show(result)
-    if out is not None:
-        write_bundle(out, as_bundle([result], source, camera))
-        console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+    with join_ranks(place) as (ranks, place):
+        settings = settle_seed(settings, work, ranks)
+        if ranks.is_first:
+            show_summary(console, source)
+            mixed = settings.recipe.precision == "mixed"
+            warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
+            if settings.psf_file and (said := read_psf(settings.psf_file, 1e-3).warning):
+                console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
+        name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
+        with watch(
+            console, name, settings.recipe.epochs, ranks, logs=tensorboard, table=csv
+        ) as callbacks:
+            result = run_fit(
+                settings,
+                source,
+                camera,
+                device=place,
+                checkpoint=None if work is None else work / "fit.checkpoint",
+                callbacks=callbacks,
+                ranks=ranks,
+            )
+        if not ranks.is_first:
+            return
+        _show(result)
+        if out is not None:
+            write_bundle(out, as_bundle([result], source, camera))
+            console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
 @app.command("keyring")
@@ -194,6 +212,7 @@ def keyring_command(
     batch: Batch = None,
     seed: Seed = None,
     work: Work = None,
+    skip_damaged: SkipDamaged = False,
     device: Device = "auto",
     threads: Threads = None,
     processes: WorkerCount = None,
@@ -213,13 +232,17 @@ def keyring_command(
     place = prepare(device, threads)
     check_places(out, work)
     workers = make_executor(processes, address, threads=threads, gpus=int(place.type == "cuda"))
+    source: Source = open_source(settings.data, data.resolve(), skip_damaged=skip_damaged)
+    named = names_classifier(config, given(classifier=classifier))
+    source = for_bundle(console, source, settings.classifier, named=named)
+    show_summary(console, source)
     here = address is None and processes in (None, 1)  # no bar moves from another process
     with make_progress(console) as progress:
         done = progress.add_task("pairs", total=pairs, note="")
         bundle = fit_keyring(
             settle_seed(settings, work),
             pairs,
-            open_source(settings.data, data.resolve()),
+            source,
             Camera(),
             device=place,
             work=None if work is None else work.resolve(),  # a worker may stand elsewhere

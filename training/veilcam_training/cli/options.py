@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from veilcam_training.data import Source
+from veilcam_training.data.base import InGray
 from veilcam_training.data.summary import summarise
 from veilcam_training.errors import require
 from veilcam_training.files import check_file, check_folder
@@ -43,6 +44,9 @@ Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for Ten
 Csv = Annotated[Path | None, typer.Option("--csv", help="File of accuracies and losses, *.csv.")]
 Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
+SkipDamaged = Annotated[
+    bool, typer.Option("--skip-damaged", help="Go on without own pictures that cannot be read.")
+]
 
 
 def given(**options: object) -> dict[str, object]:
@@ -71,31 +75,30 @@ def prepare(device: str, threads: int | None) -> torch.device:
     return choose_device(device)
 
 
-def choose_device(name: str) -> torch.device:
-    """Return the device called ``name``: cpu, cuda, or auto for cuda if there is one.
+def for_bundle(console: Console, source: Source, classifier: str, *, named: bool) -> Source:
+    """Return a data set as a daemon takes it: in gray.
+
+    Args:
+        console: to print on that colour is left out.
+        source: the data set.
+        classifier: that is to be fitted.
+        named: whether somebody chose it; it would be another one in gray.
 
     Raises:
-        TrainingError: an unknown name, or CUDA where there is none.
+        TrainingError: a classifier was chosen for pictures in colour.
     """
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    require(name in ("cpu", "cuda"), f"--device {name} is not valid: use cpu, cuda or auto")
+    if not source.colour:
+        return source
     require(
-        name != "cuda" or torch.cuda.is_available(),
-        "--device cuda is not valid: torch sees no CUDA device; use cpu",
+        not named,
+        f"classifier {classifier} would be fitted in colour, which no daemon takes: write "
+        "'colour = false' into dataset.toml, or name no classifier to fit the default one in gray",
     )
-    return torch.device(name)
-
-
-def has_bfloat16(device: torch.device) -> bool:
-    """Return True if ``device`` has instructions for bfloat16; torch emulates them elsewhere.
-
-    Every CUDA device is taken to have them: those before compute capability 8.0 do not.
-    """
-    capabilities = torch.cpu.get_capabilities()
-    return device.type != "cpu" or any(
-        present for name, present in capabilities.items() if "bf16" in name
+    console.print(
+        "note: these pictures have colour, which no daemon takes: they are fitted in gray",
+        soft_wrap=True,
     )
+    return InGray(source)
 
 
 def show_summary(console: Console, source: Source) -> None:

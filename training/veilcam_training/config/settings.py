@@ -235,6 +235,11 @@ def load_settings(
         return settings.model_copy(update={"recipe": Recipe.model_validate(merged)})
 
 
+def names_classifier(path: Path | None, overrides: Mapping[str, Any]) -> bool:
+    """Return whether a classifier is named, by a file or by an option, and not the default."""
+    return "classifier" in overrides or "classifier" in _read(path)
+
+
 def load_fresh_settings(
     path: Path | None, overrides: Mapping[str, Any], *, found: str | None = None
 ) -> FreshSettings:

@@ -40,14 +40,16 @@ UNREADABLE = (
 class Images:
     """Images and what they show.
 
-    ``pixels`` is uint8, (count, rows, columns) gray or (count, 3, rows, columns) colour, 255 being
-    white; ``labels`` is int64 (count,), indices into the source's label names. Images of one
-    person, say, have the same number in ``groups``, int64 (count,): they are never split apart.
+    ``pixels`` is (count, rows, columns) gray or (count, 3, rows, columns) colour: uint8, 255 being
+    white, or int32, 65535 being white. ``labels`` is int64 (count,), indices into the source's
+    label names. Images of one person, say, have the same number in ``groups``, int64 (count,): they
+    are never split apart. ``validation``, bool (count,), is of images that are named to validate.
     """
 
     pixels: Tensor
     labels: Tensor
     groups: Tensor | None = None
+    validation: Tensor | None = None
 
     def __post_init__(self) -> None:
         require(
@@ -62,7 +64,11 @@ class Images:
         """Return the images at ``indices``, int64 (count,)."""
         groups = None if self.groups is None else self.groups[indices]
         return replace(
-            self, pixels=self.pixels[indices], labels=self.labels[indices], groups=groups
+            self,
+            pixels=self.pixels[indices],
+            labels=self.labels[indices],
+            groups=groups,
+            validation=None if self.validation is None else self.validation[indices],
         )
 
     def to(self, device: torch.device | str) -> Self:
@@ -71,7 +77,7 @@ class Images:
 
     def scenes(self, indices: Tensor | slice = slice(None)) -> Tensor:
         """Images as scenes: float32 in [0, 1], the shape of ``pixels``."""
-        return self.pixels[indices].float() / 255
+        return self.pixels[indices].float() / (255 if self.pixels.dtype == torch.uint8 else 65535)
 
 
 class Source(Protocol):
@@ -101,6 +107,12 @@ class Source(Protocol):
 
     def digests(self) -> Mapping[str, str]:
         """SHA-256 of every file, by its name."""
+
+
+def remarks_of(source: Source) -> tuple[str, ...]:
+    """Return what a person should know of a data set before a fit; most have no remarks."""
+    remarks: tuple[str, ...] = getattr(source, "remarks", ())
+    return remarks
 
 
 class FileSource(ABC):
@@ -136,11 +148,18 @@ class Split:
 
 
 def split(images: Images, share: float = 0.1) -> Split:
-    """Set the last ``share`` of a fixed permutation, of images or of groups, apart to validate.
+    """Set images apart to validate: those that are named for it, if any are.
+
+    Else it is the last ``share`` of a fixed permutation, of images or of groups.
 
     Raises:
         TrainingError: a part would be empty.
     """
+    if images.validation is not None:
+        order = torch.randperm(len(images), generator=torch.Generator().manual_seed(SPLIT_SEED))
+        held_out = images.validation[order]
+        whole = replace(images, validation=None)
+        return Split(whole.take(order[~held_out]), whole.take(order[held_out]))
     groups = torch.arange(len(images)) if images.groups is None else images.groups
     known = torch.unique(groups)
     held = round(share * len(known))
@@ -199,12 +218,51 @@ def _drawn(members: Tensor, share: float, what: str, generator: torch.Generator)
     return members[torch.randperm(len(members), generator=generator)[:count]]
 
 
+@dataclass(frozen=True)
+class InGray(FileSource):
+    """Data set in colour, taken as gray (Rec. 601 luma)."""
+
+    source: Source
+    colour: bool = False
+
+    @property
+    def name(self) -> str:
+        """What it is called on the command line."""
+        return self.source.name
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Name of every class."""
+        return self.source.labels
+
+    @property
+    def scene(self) -> Scene:
+        """How large and how far away its images are shown."""
+        return self.source.scene
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Those of the data set in colour."""
+        return remarks_of(self.source)
+
+    def digests(self) -> Mapping[str, str]:
+        """SHA-256 of every file, and that they are taken as gray."""
+        return {**self.source.digests(), "colour": "taken as gray"}
+
+    def _read(self, *, test: bool) -> Images:
+        images = self.source.test() if test else self.source.training()
+        red, green, blue = images.pixels.int().unbind(1)
+        luma = (299 * red + 587 * green + 114 * blue + 500) // 1000
+        return replace(images, pixels=luma.to(images.pixels.dtype))
+
+
 class ReadOnce:
     """``source``, read from disk once for the many cells that use it."""
 
     def __init__(self, source: Source) -> None:
         self.name, self.labels = source.name, source.labels
         self.colour, self.scene = source.colour, source.scene
+        self.remarks = remarks_of(source)
         self.training, self.test = cache(source.training), cache(source.test)
         self.digests = cache(source.digests)
 

@@ -14,6 +14,7 @@ import torch
 from PIL import Image
 
 from veilcam_optics.camera.geometry import Scene
+from veilcam_optics.pictures import PictureError, read_picture
 from veilcam_training.data.base import FileSource, Images, digest, find, stratified
 from veilcam_training.errors import TrainingError, require
 
@@ -102,14 +103,14 @@ class CelebaSource(FileSource):
 
     def _pixels(self, path: Path) -> npt.NDArray[np.uint8]:
         try:
-            with Image.open(path) as photograph:
-                require(
-                    photograph.size == SHAPE[::-1],
-                    f"{path} has {photograph.height} x {photograph.width} pixels: "
-                    f"use the aligned photographs of {SHAPE[0]} x {SHAPE[1]}",
-                )
-                rows, columns = self.scene.shape
-                gray = photograph.convert("L").resize((columns, rows), Image.Resampling.BOX)
-                return np.asarray(gray)
-        except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-            raise TrainingError(f"{path} is damaged ({error}): fetch it again") from None
+            photograph = read_picture(path)
+        except PictureError as error:
+            raise TrainingError(f"{path} is damaged (it {error}): fetch it again") from None
+        require(
+            photograph.shape[:2] == SHAPE and photograph.dtype == np.uint8,
+            f"{path} has {photograph.shape[0]} x {photograph.shape[1]} pixels: "
+            f"use the aligned photographs of {SHAPE[0]} x {SHAPE[1]}",
+        )
+        rows, columns = self.scene.shape
+        gray = Image.fromarray(photograph).convert("L")
+        return np.asarray(gray.resize((columns, rows), Image.Resampling.BOX))

@@ -3,32 +3,38 @@
 import csv
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageOps
 
+from veilcam_optics.pictures import (
+    KINDS,
+    SUFFIXES,
+    PictureError,
+    Values,
+    read_picture,
+    used_range,
+    white,
+)
 from veilcam_training.data.base import UNREADABLE, digest
+from veilcam_training.data.folders import PART_NAMES, Part, composed, find_layout, shown
 from veilcam_training.errors import TrainingError, require
 
-Part = Literal["train", "test"]
-Pixels = npt.NDArray[np.uint8]
+Pixels = npt.NDArray[np.uint8 | np.int32]
 
-SUFFIXES = (".png", ".jpg", ".jpeg")
 TABLE = "labels.csv"
 ARRAYS = "images.npz"
-PARTS: tuple[Part, Part] = ("train", "test")
-ORIENTATION = 0x0112
-"""EXIF's number of it; from 5 on, rows and columns change places."""
-NAMED = 10
-"""Damaged files that a refusal names; of more it says how many there are."""
-GRAY_MODES = ("1", "L", "LA", "I", "I;16", "I;16B", "F")
-"""Pillow's modes of pictures without colour."""
+HALVES: tuple[Part, Part] = ("train", "test")
+"""Parts that arrays have files of."""
+SMALL_NAMED = 3
+"""Pictures of a small range that a remark names."""
+LUMA = (0.299, 0.587, 0.114)
+"""Shares of red, green and blue in gray (Rec. 601)."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +42,34 @@ class Entry:
     """Facts about one picture."""
 
     label: str
+    """In composed form."""
     group: str | None = None
     """Pictures of one group, of one person, say, are never in two parts."""
     part: Part | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", composed(self.label))
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a data set has to know of one picture before it is reduced."""
+
+    rows: int
+    columns: int
+    colour: bool
+    deep: bool
+    """Of more than 8 bits."""
+    used: str | None
+    """Part of its range that it uses, in words; None for an eighth or more."""
 
 
 class Collection(ABC):
     """Pictures in a fixed order, and what is said of them."""
 
     entries: Sequence[Entry]
+    deep: bool
+    """Whether a picture has more than 8 bits."""
 
     @property
     @abstractmethod
@@ -65,12 +90,17 @@ class Collection(ABC):
     def digest(self) -> str:
         """SHA-256 of everything that the images depend on."""
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know of the pictures before a fit."""
+        return ()
+
     @abstractmethod
-    def pictures(self, indices: Sequence[int]) -> Iterator[Image.Image]:
-        """Read the pictures at ``indices``, upright, each in mode L or RGB.
+    def pictures(self, indices: Sequence[int]) -> Iterator[Values]:
+        """The pictures at ``indices``, upright: (rows, columns) or (rows, columns, 3).
 
         Raises:
-            TrainingError: damaged pictures; the first are named.
+            TrainingError: damaged pictures; all are named.
         """
 
     def pixels(self, indices: Sequence[int], shape: tuple[int, int], *, colour: bool) -> Pixels:
@@ -82,33 +112,46 @@ class Collection(ABC):
             colour: three channels, or gray (Rec. 601 luma, as Pillow has it).
 
         Returns:
-            (count, rows, columns), or (count, 3, rows, columns) in colour.
+            (count, rows, columns), or (count, 3, rows, columns) in colour: int32 up to 65535 if a
+            picture has more than 8 bits, else uint8 up to 255.
 
         Raises:
-            TrainingError: damaged pictures; the first are named.
+            TrainingError: damaged pictures; all are named.
         """
-        rows, columns = shape
-        planes = [
-            np.asarray(
-                ImageOps.fit(
-                    picture.convert("RGB" if colour else "L"),
-                    (columns, rows),
-                    Image.Resampling.BOX,
-                )
-            )
-            for picture in self.pictures(indices)
-        ]
-        stacked = np.stack(planes) if planes else np.zeros((0, *shape, *(3,) * colour), np.uint8)
+        reduced = _reduced_deep if self.deep else _reduced
+        planes = [reduced(picture, shape, colour=colour) for picture in self.pictures(indices)]
+        kind = np.int32 if self.deep else np.uint8
+        stacked = np.stack(planes) if planes else np.zeros((0, *shape, *(3,) * colour), kind)
         return np.ascontiguousarray(stacked.transpose(0, 3, 1, 2)) if colour else stacked
+
+
+def _reduced(picture: Values, shape: tuple[int, int], *, colour: bool) -> Pixels:
+    image = Image.fromarray(picture).convert("RGB" if colour else "L")
+    return np.asarray(ImageOps.fit(image, shape[::-1], Image.Resampling.BOX))
+
+
+def _reduced_deep(picture: Values, shape: tuple[int, int], *, colour: bool) -> Pixels:
+    values = picture.astype(np.float32) * np.float32(65535 / white(picture))
+    if values.ndim == 3 and not colour:
+        values = values @ np.array(LUMA, np.float32)
+    planes = [values] if values.ndim == 2 else list(np.moveaxis(values, 2, 0))
+    fitted = [
+        np.asarray(ImageOps.fit(Image.fromarray(plane), shape[::-1], Image.Resampling.BOX))
+        for plane in planes
+    ]
+    whole = fitted[0] if not colour else np.stack(fitted * (3 // len(fitted)), axis=-1)
+    return np.asarray(np.rint(whole.clip(0, 65535)), dtype=np.int32)
 
 
 @dataclass(frozen=True)
 class Files(Collection):
-    """PNG and JPEG files."""
+    """Picture files."""
 
     folder: Path
     paths: tuple[Path, ...]
     entries: tuple[Entry, ...]
+    found: tuple[str, ...] = ()
+    """Remarks of who found them."""
 
     @cached_property
     def names(self) -> Sequence[str]:
@@ -116,32 +159,65 @@ class Files(Collection):
         return [path.relative_to(self.folder).as_posix() for path in self.paths]
 
     @cached_property
-    def _headers(self) -> tuple[tuple[int, int, bool], ...]:
-        """Rows, columns, and whether there is colour, of each; nothing is decoded."""
-        found, damaged = [], []
-        for path in self.paths:
-            try:
-                with Image.open(path) as picture:
-                    # Of a PNG, its orientation is behind the pixels: it would be decoded for it.
-                    jpeg = picture.format == "JPEG"
-                    turned = jpeg and picture.getexif().get(ORIENTATION, 1) >= 5
-                    columns, rows = picture.size[::-1] if turned else picture.size
-                    found.append((rows, columns, picture.mode not in GRAY_MODES))
-            except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-                damaged.append((path, error))
-        self._refuse(damaged)
-        return tuple(found)
+    def _examined(self) -> tuple[Header | str, ...]:
+        """Of each picture, decoded whole: its header, or why it cannot be used."""
+        return tuple(map(_examine, self.paths))
+
+    @property
+    def _headers(self) -> tuple[Header, ...]:
+        self._refuse({i: each for i, each in enumerate(self._examined) if isinstance(each, str)})
+        return tuple(each for each in self._examined if isinstance(each, Header))
+
+    def without_damaged(self) -> "Files":
+        """Return those that can be used, and remark how many cannot."""
+        sound = [i for i, each in enumerate(self._examined) if isinstance(each, Header)]
+        damaged = len(self.paths) - len(sound)
+        if not damaged:
+            return self
+        names = [shown(name) for i, name in enumerate(self.names) if i not in set(sound)]
+        remark = f"{damaged} damaged pictures are left out: {', '.join(names)}"
+        left = replace(
+            self,
+            paths=tuple(self.paths[i] for i in sound),
+            entries=tuple(self.entries[i] for i in sound),
+            found=(*self.found, remark),
+        )
+        vars(left)["_examined"] = tuple(self._examined[i] for i in sound)
+        return left
 
     @property
     def size(self) -> tuple[int, int]:
         """Medians of rows and of columns."""
-        rows, columns, _ = zip(*self._headers, strict=True)
-        return round(float(np.median(rows))), round(float(np.median(columns)))
+        rows = float(np.median([each.rows for each in self._headers]))
+        columns = float(np.median([each.columns for each in self._headers]))
+        return round(rows), round(columns)
 
     @property
     def colour(self) -> bool:
         """True if one is stored in colour, be it used or not."""
-        return any(colour for _, _, colour in self._headers)
+        return any(each.colour for each in self._headers)
+
+    @property
+    def deep(self) -> bool:  # type: ignore[override]
+        """Whether a picture has more than 8 bits."""
+        return any(each.deep for each in self._headers)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was passed over, and how many pictures use little of their range."""
+        small = [
+            f"{shown(name)} ({each.used})"
+            for name, each in zip(self.names, self._headers, strict=True)
+            if each.used is not None
+        ]
+        if not small:
+            return self.found
+        more = " and others" if len(small) > SMALL_NAMED else ""
+        return (
+            *self.found,
+            f"{len(small)} of {len(self.paths)} pictures use less than an eighth of their range: "
+            f"{', '.join(small[:SMALL_NAMED])}{more}: spread their values over it",
+        )
 
     def digest(self) -> str:
         """SHA-256 of names, of what is said of the pictures, and of their files."""
@@ -151,32 +227,40 @@ class Files(Collection):
             whole.update(f"{line} {digest(path)}\n".encode())
         return whole.hexdigest()
 
-    def pictures(self, indices: Sequence[int]) -> Iterator[Image.Image]:
+    def pictures(self, indices: Sequence[int]) -> Iterator[Values]:
         """Decode one at a time; damaged ones are told of together, after all were tried."""
-        damaged: list[tuple[Path, Exception]] = []
+        damaged: dict[int, str] = {}
         for index in indices:
-            path = self.paths[index]
             try:
-                with Image.open(path) as picture:
-                    upright = _flat(ImageOps.exif_transpose(picture))
-            except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-                damaged.append((path, error))
-            else:
-                yield upright
+                yield _read(self.paths[index])
+            except PictureError as error:
+                damaged[index] = str(error)
         self._refuse(damaged)
 
-    def _refuse(self, damaged: Sequence[tuple[Path, Exception]]) -> None:
-        if not damaged:
-            return
-        named = [
-            f"{path.relative_to(self.folder)} ({str(error).replace(str(path), 'file')})"
-            for path, error in damaged[:NAMED]
-        ]
-        more = f" and {len(damaged) - NAMED} more" if len(damaged) > NAMED else ""
-        raise TrainingError(
-            f"{self.folder}: {len(damaged)} of {len(self.paths)} pictures cannot be read: "
-            f"{', '.join(named)}{more}: get them again, or remove them"
-        )
+    def _refuse(self, damaged: dict[int, str]) -> None:
+        if damaged:
+            named = [f"{shown(self.names[i])} ({reason})" for i, reason in damaged.items()]
+            raise TrainingError(
+                f"{shown(self.folder)}: {len(damaged)} of {len(self.paths)} pictures cannot be "
+                f"read: {', '.join(named)}: get them again, or remove them, or go on without them "
+                "(--skip-damaged)"
+            )
+
+
+def _examine(path: Path) -> Header | str:
+    try:
+        values = _read(path)
+    except PictureError as error:
+        return str(error)
+    rows, columns = values.shape[:2]
+    return Header(rows, columns, values.ndim == 3, values.dtype != np.uint8, used_range(values))
+
+
+def _read(path: Path) -> Values:
+    values = read_picture(path)
+    if values.dtype.kind == "f" and (values.min() < 0 or values.max() > 1):
+        raise PictureError("holds numbers outside 0 to 1: scale it so that white is 1")
+    return values
 
 
 @dataclass(frozen=True)
@@ -184,10 +268,11 @@ class Arrays(Collection):
     """One or two ``.npz`` files."""
 
     paths: tuple[Path, ...]
-    images: Pixels
+    images: npt.NDArray[np.uint8]
     """(count, rows, columns), or (count, rows, columns, 3) in colour."""
     entries: tuple[Entry, ...]
     names: None = None
+    deep: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -203,93 +288,54 @@ class Arrays(Collection):
         """SHA-256 of the files."""
         return digest(*self.paths)
 
-    def pictures(self, indices: Sequence[int]) -> Iterator[Image.Image]:
+    def pictures(self, indices: Sequence[int]) -> Iterator[Values]:
         """One at a time."""
-        for index in indices:
-            yield Image.fromarray(self.images[index])
-
-
-def _flat(picture: Image.Image) -> Image.Image:
-    """``picture`` in mode L or RGB: what is transparent is black, 16 bits become 8."""
-    if picture.mode.startswith("I"):
-        values = np.asarray(picture).astype(np.int64)
-        return Image.fromarray((np.clip(values, 0, 65535) // 257).astype(np.uint8))
-    if picture.mode in GRAY_MODES and "transparency" not in picture.info:
-        if picture.mode == "LA":
-            picture = picture.convert("RGBA")
-        else:
-            return picture.convert("L")
-    if picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info:
-        whole = picture.convert("RGBA")
-        ground = Image.new("RGBA", whole.size, (0, 0, 0, 255))
-        return Image.alpha_composite(ground, whole).convert("RGB")
-    return picture.convert("RGB")
+        yield from self.images[list(indices)]
 
 
 def is_collection(folder: Path) -> bool:
-    """Return True if ``folder`` holds labelled pictures as :func:`find_collection` reads."""
+    """True if ``folder`` holds labelled pictures, or what :func:`find_collection` refuses."""
     if not folder.is_dir():
         return False
-    named = any((folder / name).is_file() for name in (TABLE, ARRAYS))
-    halves = all((folder / f"{part}.npz").is_file() for part in PARTS)
-    return named or halves or len(_classes(folder)) >= 2 or _is_split(folder)
+    if (folder / ARRAYS).is_file() or (folder / TABLE).is_file():
+        return True
+    if all((folder / f"{part}.npz").is_file() for part in HALVES):
+        return True
+    try:
+        return find_layout(folder) is not None
+    except TrainingError:
+        return True
 
 
-def find_collection(folder: Path) -> Collection:
-    """Find the pictures in ``folder``: arrays, those of a table, or those of folders.
+def find_collection(folder: Path, *, skip_damaged: bool = False) -> Collection:
+    """The pictures in ``folder``: arrays, those of a table, or those of folders.
+
+    Args:
+        folder: of the data set.
+        skip_damaged: pictures that cannot be read are left out.
 
     Raises:
         TrainingError: there are none, or what is said of them cannot be used.
     """
     if (folder / ARRAYS).is_file():
         return _arrays({None: folder / ARRAYS})
-    if all((folder / f"{part}.npz").is_file() for part in PARTS):
-        return _arrays({part: folder / f"{part}.npz" for part in PARTS})
-    if (folder / TABLE).is_file():
-        return _table(folder, folder / TABLE)
-    if _is_split(folder):
-        return _folders(folder, {part: folder / part for part in PARTS})
-    if _classes(folder):
-        return _folders(folder, {None: folder})
-    raise TrainingError(
-        f"{folder}: labelled pictures are missing: put PNG or JPEG files into CLASS/, or into "
-        f"train/CLASS/ and test/CLASS/, or name them in {TABLE}, or give arrays in {ARRAYS}"
-    )
+    if all((folder / f"{part}.npz").is_file() for part in HALVES):
+        return _arrays({part: folder / f"{part}.npz" for part in HALVES})
+    files = _table(folder, folder / TABLE) if (folder / TABLE).is_file() else _folders(folder)
+    return files.without_damaged() if skip_damaged else files
 
 
-def _is_split(folder: Path) -> bool:
-    return all(_classes(folder / part) for part in PARTS)
-
-
-def _classes(folder: Path) -> list[Path]:
-    """Folders in ``folder`` with a picture at any depth, in natural order."""
-    if not folder.is_dir():
-        return []
-    inside = (path for path in folder.iterdir() if path.is_dir() and not _hidden(path))
-    return sorted((path for path in inside if next(_below(path), None)), key=lambda path: path.name)
-
-
-def _below(folder: Path) -> Iterator[Path]:
-    """Pictures in ``folder`` and below."""
-    for path in folder.rglob("*"):
-        visible = not any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if visible and path.suffix.lower() in SUFFIXES and path.is_file():
-            yield path
-
-
-def _hidden(path: Path) -> bool:
-    return path.name.startswith((".", "__"))
-
-
-def _folders(folder: Path, roots: dict[Part | None, Path]) -> Files:
-    found = [
-        (path, Entry(label.name, part=part))
-        for part, root in roots.items()
-        for label in _classes(root)
-        for path in sorted(_below(label))
-    ]
-    paths, entries = zip(*found, strict=True)
-    return Files(folder, paths, entries)
+def _folders(folder: Path) -> Files:
+    layout = find_layout(folder)
+    if layout is None:
+        raise TrainingError(
+            f"{shown(folder)}: labelled pictures are missing: put files ({KINDS}) into CLASS/, or "
+            f"into train/CLASS/ and test/CLASS/, or name them in {TABLE}, or give arrays in "
+            f"{ARRAYS}"
+        )
+    paths = tuple(path for path, _, _ in layout.pictures)
+    entries = tuple(Entry(label, part=part) for _, label, part in layout.pictures)
+    return Files(folder, paths, entries, layout.remarks)
 
 
 def _table(folder: Path, table: Path) -> Files:
@@ -307,13 +353,15 @@ def _table(folder: Path, table: Path) -> Files:
     )
     paths, entries, seen = [], [], set()
     for number, row in enumerate(rows, start=2):
-        name, label, part = row["file"], row["label"], row.get("part") or None
+        name, label, said = row["file"], row["label"], row.get("part") or None
+        part = PART_NAMES.get(said.casefold()) if said else None
         require(
             bool(name and label) and None not in row and None not in row.values(),
             f"{table} line {number} has too few or too many values: give one for each column",
         )
         require(
-            part in (None, *PARTS), f"{table} line {number}: part is {part!r}: use train or test"
+            said is None or part is not None,
+            f"{table} line {number}: part is {said!r}: use train, validation or test",
         )
         path = folder / name
         require(
@@ -327,9 +375,16 @@ def _table(folder: Path, table: Path) -> Files:
         require(path not in seen, f"{table} line {number} repeats {name}: name it once")
         seen.add(path)
         paths.append(path)
-        entries.append(Entry(label, row.get("group") or None, part))  # type: ignore[arg-type]
+        entries.append(Entry(label, row.get("group") or None, part))
     _check_all_or_none(table, "part", [entry.part for entry in entries])
     _check_all_or_none(table, "group", [entry.group for entry in entries])
+    parts = {entry.part for entry in entries}
+    if "validation" in parts and "test" not in parts:
+        tests = [
+            replace(each, part="test") if each.part == "validation" else each for each in entries
+        ]
+        said = ("there is no test part: validation tests",)
+        return Files(folder, tuple(paths), tuple(tests), said)
     return Files(folder, tuple(paths), tuple(entries))
 
 
@@ -341,7 +396,7 @@ def _check_all_or_none(table: Path, column: str, values: Sequence[str | None]) -
     )
 
 
-def _arrays(paths: dict[Part | None, Path]) -> Arrays:
+def _arrays(paths: Mapping[Part | None, Path]) -> Arrays:
     images, entries = [], []
     for part, path in paths.items():
         try:

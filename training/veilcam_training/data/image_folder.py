@@ -14,10 +14,11 @@ from pydantic import BaseModel, Field, ValidationError
 from veilcam_optics.camera.geometry import Scene
 from veilcam_training.data.base import FileSource, Images, digest, stratified
 from veilcam_training.data.collection import Collection, find_collection
+from veilcam_training.data.folders import DESCRIPTION, shown
 from veilcam_training.errors import TrainingError, require
+from veilcam_training.labels import labels_fault
 
 NAME = "image-folder"
-DESCRIPTION = "dataset.toml"
 LONGER_SIDE = 64
 """Of a scene [pixels] whose pictures are larger: two to one of the 32 columns of an embedding."""
 
@@ -50,6 +51,8 @@ class ImageFolderSource(FileSource):
 
     folder: Path
     name: str = NAME
+    skip_damaged: bool = False
+    """Whether pictures that cannot be read are left out."""
 
     @cached_property
     def _said(self) -> Description:
@@ -76,18 +79,30 @@ class ImageFolderSource(FileSource):
 
     @cached_property
     def _collection(self) -> Collection:
-        return find_collection(self.folder)
+        return find_collection(self.folder, skip_damaged=self.skip_damaged)
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Name of every class, numbers by their value."""
+        """Name of every class, numbers by their value.
+
+        Raises:
+            TrainingError: fewer than two, or a name that is no label.
+        """
         names = {entry.label for entry in self._collection.entries}
         require(
             len(names) >= 2,
-            f"{self.folder} has one class, {', '.join(names)}: give pictures of two or more",
+            f"{shown(self.folder)} has one class, {', '.join(map(shown, names))}: "
+            "give pictures of two or more",
         )
+        if (fault := labels_fault(sorted(names))) is not None:
+            raise TrainingError(f"{shown(self.folder)}: {fault}")
         numbers = all(name.isdecimal() for name in names)
         return tuple(sorted(names, key=(lambda name: (int(name), name)) if numbers else None))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was passed over, and pictures that use little of their range."""
+        return self._collection.remarks
 
     @property
     def colour(self) -> bool:
@@ -181,4 +196,11 @@ class ImageFolderSource(FileSource):
         chosen = (held == test).nonzero().flatten()
         pixels = collection.pixels(chosen.tolist(), self.scene.shape, colour=self.colour)
         labels = self._numbers()[chosen]
-        return Images(torch.from_numpy(pixels), labels, None if groups is None else groups[chosen])
+        parts = [self._collection.entries[index].part for index in chosen.tolist()]
+        validation = torch.tensor([part == "validation" for part in parts])
+        return Images(
+            torch.from_numpy(pixels),
+            labels,
+            None if groups is None else groups[chosen],
+            validation if "validation" in parts else None,
+        )

@@ -22,14 +22,23 @@ SOURCES: Mapping[str, Callable[[Path], Source]] = {
 }
 
 
-def open_source(name: str, folder: Path) -> Source:
-    """Open data set ``name``, with its files in ``folder``; nothing is read yet.
+def open_source(name: str, folder: Path, *, skip_damaged: bool = False) -> Source:
+    """Data set ``name``, with its files in ``folder``; nothing is read yet.
+
+    Args:
+        name: of the data set.
+        folder: of its files.
+        skip_damaged: own pictures that cannot be read are left out.
 
     Raises:
-        TrainingError: an unknown name, or a folder that is not there.
+        TrainingError: an unknown name, a folder that is not there, or damaged files to leave out of
+            a data set that is known as a whole.
     """
     require(name in SOURCES, f"data set {name!r} is unknown: use one of {', '.join(SOURCES)}")
     require(folder.is_dir(), f"{folder} is not a folder: give the one that holds {name} as --data")
+    if skip_damaged:
+        require(name == NAME, f"{name} is used whole: leave out --skip-damaged")
+        return ImageFolderSource(folder, skip_damaged=True)
     return SOURCES[name](folder)
 
 

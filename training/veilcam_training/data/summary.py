@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
-from veilcam_training.data.base import Images, Source
+from veilcam_training.data.base import Images, Source, remarks_of
 
 UNEVEN = 3
 """Times as many pictures in one class as in another: accuracy then hides the small one's."""
@@ -22,11 +22,13 @@ class Summary:
     test: tuple[int, ...]
     repeated: int
     """Test pictures of which the training set has the same, pixel by pixel."""
+    remarks: tuple[str, ...] = ()
+    """Those of the data set."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """List the reasons why an accuracy means less than it says."""
-        found = []
+        """What a person should know, and what makes an accuracy mean less than it says."""
+        found = list(self.remarks)
         if self.repeated:
             found.append(
                 f"{self.repeated} of {sum(self.test)} test pictures are in the training set too: "
@@ -58,6 +60,7 @@ def summarise(source: Source) -> Summary:
         _counts(training, len(source.labels)),
         _counts(test, len(source.labels)),
         sum(picture in known for picture in _digests(test)),
+        remarks_of(source),
     )
 
 

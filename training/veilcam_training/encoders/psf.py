@@ -3,17 +3,17 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from PIL import Image
 from torch import Tensor
 
 from veilcam_optics.camera.geometry import Embedding, Scene, Sensor
+from veilcam_optics.pictures import KINDS, SUFFIXES, PictureError, read_picture, used_range
 from veilcam_optics.propagation.sampling import axis, coverage
 from veilcam_optics.transfer.reference import TransferBinning
+from veilcam_training.data.base import UNREADABLE
 from veilcam_training.encoders.base import FixedEncoder, Setup
 from veilcam_training.errors import TrainingError, require
 
@@ -23,12 +23,14 @@ class Psf:
     """A PSF on square cells centred on the axis; what falls outside counts as dark.
 
     ``irradiance`` is (3, rows, columns) for R, G, B; ``pitch`` the side of a cell [m];
-    ``distance`` from the coding element to the sensor [m], which sets the scene's scale there.
+    ``distance`` from the coding element to the sensor [m], which sets the scene's scale there;
+    ``warning`` is what to say of its file.
     """
 
     irradiance: Tensor
     pitch: float
     distance: float
+    warning: str | None = None
 
 
 class PsfEncoder(FixedEncoder):
@@ -102,17 +104,14 @@ class PsfFile:
     distance: float | None = None
 
 
-PICTURES = (".png", ".tif", ".tiff", ".bmp")
-"""Pictures that keep what was measured; JPEG does not."""
-
-
 def read_psf(file: PsfFile, distance: float) -> Psf:
     """Read a measured PSF.
 
     An ``.npz`` file holds ``psf``, (rows, columns) or (3, rows, columns), not negative; ``pitch``,
     the side of its cells [m]; and may hold ``distance`` [m]. An ``.npy`` file is the array alone,
     or (rows, columns, 3), as pictures are. A picture is proportional to the irradiance, without
-    gamma and with the dark level taken off, as developed from raw; of 8 or 16 bits a channel.
+    gamma and with the dark level taken off, as developed from raw; of 8 bits a channel, or of 16
+    bits or floats in gray.
 
     Args:
         file: and what it leaves open.
@@ -123,14 +122,15 @@ def read_psf(file: PsfFile, distance: float) -> Psf:
             or not at all.
     """
     path = file.path
+    require(path.is_file(), f"{path} is missing: give the file of a PSF as --psf")
     try:
         content = _content(path)
-    except FileNotFoundError:
-        raise TrainingError(f"{path} is missing: give the file of a PSF as --psf") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+    except PictureError as error:
+        raise TrainingError(f"{path} {error}") from None
+    except UNREADABLE as error:
         raise TrainingError(
             f"{path} is not the file of a PSF ({error}): save psf and pitch with numpy.savez, or "
-            f"give an array (.npy) or a picture ({', '.join(PICTURES)})"
+            f"give an array (.npy) or a picture ({KINDS})"
         ) from None
     require(
         content.pitch is None or file.pitch is None,
@@ -161,22 +161,25 @@ def read_psf(file: PsfFile, distance: float) -> Psf:
         0 < pitch < 1 and 0 < distance < 1,
         f"{path} has pitch {pitch} m and distance {distance} m: use metres, > 0",
     )
-    return Psf(torch.from_numpy(np.ascontiguousarray(psf, np.float32)), pitch, distance)
+    values = torch.from_numpy(np.ascontiguousarray(psf, np.float32))
+    warning = None if content.used is None else f"{path} uses only {content.used}"
+    return Psf(values, pitch, distance, warning)
 
 
 class _Content(NamedTuple):
     psf: npt.NDArray[np.float32]
     pitch: float | None = None
     distance: float | None = None
+    used: str | None = None
 
 
 def _content(path: Path) -> _Content:
-    kind = path.suffix.lower()
-    if kind in PICTURES:
-        with Image.open(path) as picture:
-            grey = picture.mode in ("1", "L", "I", "F", "I;16", "I;16B")
-            shown = np.asarray(picture if grey else picture.convert("RGB"), dtype=np.float32)
-        return _Content(shown if grey else np.moveaxis(shown, 2, 0))
+    if path.suffix.lower() in SUFFIXES:
+        shown = read_picture(path)
+        return _Content(
+            np.asarray(shown if shown.ndim == 2 else np.moveaxis(shown, 2, 0), dtype=np.float32),
+            used=None if shown.dtype.kind == "f" else used_range(shown),
+        )
     with path.open("rb") as file:
         loaded = np.load(file, allow_pickle=False)
         if isinstance(loaded, np.ndarray):

@@ -5,23 +5,38 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from statistics import mean
+from tempfile import TemporaryDirectory
 
 import torch
+from pydantic import JsonValue
 
 from veilcam_optics.camera.geometry import Camera
-from veilcam_training.bundle import Bundle, Fresh, Pair, TransferError
-from veilcam_training.config.settings import Settings
+from veilcam_training.bundle import (
+    Accuracy,
+    Bundle,
+    BundleError,
+    Fresh,
+    Pair,
+    TransferError,
+    read_bundle,
+    write_bundle,
+)
+from veilcam_training.config.settings import FreshSettings, Settings
 from veilcam_training.data import Images, Source
 from veilcam_training.encoders import Mask
+from veilcam_training.encoders.fresh import FreshCamera
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import HERE, Executor
 from veilcam_training.experiments.fit import FitResult, FreshResult, run_fit
-from veilcam_training.experiments.model import make_model
+from veilcam_training.experiments.model import make_fresh_model, make_model, no_statistics
 from veilcam_training.experiments.records import provenance
 from veilcam_training.models.lensless import LenslessClassifier
 from veilcam_training.models.network import weights_of
 from veilcam_training.seeding import derive
 from veilcam_training.trainer.callbacks import Callback
+
+_NO_ACCURACY = Accuracy(0.0, "no test", 1)
+"""Of a bundle that is written before a fit."""
 
 
 def fit_keyring(
@@ -72,13 +87,42 @@ def fit_keyring(
 
 
 def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
-    """Refuse before the fit, rather than after hours, what no bundle can hold.
+    """Refuse before the fit what no bundle can hold: one is written without a fit, and read.
 
     Raises:
         TrainingError: settings that cannot be used, or that no device can.
     """
     _check_binning(settings)
-    as_pair(make_model(settings, source, camera))
+    model = make_model(settings, source, camera)
+    record = provenance(settings.model_dump(mode="json", exclude={"seed"}), {})
+    _write_and_read(
+        _of_pairs(model, [as_pair(model)], source, camera, record=record, accuracy=_NO_ACCURACY)
+    )
+
+
+def check_fresh(settings: FreshSettings, source: Source, camera: Camera) -> None:
+    """The same of a fit for fresh masks."""
+    statistics = no_statistics(settings, camera, source.scene)
+    model = make_fresh_model(settings, source, camera, statistics)
+    record = provenance(settings.model_dump(mode="json"), {})
+    _write_and_read(
+        _of_fresh(model, model.encoder, source, camera, record=record, accuracy=_NO_ACCURACY)
+    )
+
+
+def _write_and_read(bundle: Bundle) -> None:
+    require(
+        bundle.channels == 1,
+        "no daemon takes a bundle in colour: use pictures in gray, or leave out --out",
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "empty.veilcam"
+        try:
+            write_bundle(path, bundle)
+            read_bundle(path)
+        except (BundleError, OSError) as error:
+            reason = str(error).removeprefix(f"{path}: ")
+            raise TrainingError(f"no bundle can hold what would be fitted: {reason}") from None
 
 
 def _check_binning(settings: Settings) -> None:
@@ -151,7 +195,6 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
     """
     settings, first = results[0].settings, results[0].accuracy
     _check_binning(settings)
-    setup = results[0].fit.model.encoder.setup
     record = provenance(settings.model_dump(mode="json", exclude={"seed"}), source.digests())
     record["pairs"] = [
         {
@@ -162,6 +205,21 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
         }
         for result in results
     ]
+    pairs = [as_pair(result.fit.model, result.transfer_error) for result in results]
+    accuracy = replace(first, value=mean(result.accuracy.value for result in results))
+    return _of_pairs(results[0].fit.model, pairs, source, camera, record=record, accuracy=accuracy)
+
+
+def _of_pairs(
+    model: LenslessClassifier,
+    pairs: Sequence[Pair],
+    source: Source,
+    camera: Camera,
+    *,
+    record: dict[str, JsonValue],
+    accuracy: Accuracy,
+) -> Bundle:
+    setup = model.encoder.setup
     return Bundle(
         task=source.name,
         labels=source.labels,
@@ -170,9 +228,9 @@ def as_bundle(results: Sequence[FitResult], source: Source, camera: Camera) -> B
         embedding=setup.embedding,
         channels=3 if setup.colour else 1,
         mode="pairs",
-        pairs=tuple(as_pair(result.fit.model, result.transfer_error) for result in results),
+        pairs=tuple(pairs),
         provenance=record,
-        accuracy=replace(first, value=mean(result.accuracy.value for result in results)),
+        accuracy=accuracy,
     )
 
 
@@ -184,7 +242,7 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
         source: data set of the fit.
         camera: camera of the fit.
     """
-    best, frame, model = result.fit.best, result.camera.frame, result.fit.model
+    best = result.fit.best
     record = provenance(result.settings.model_dump(mode="json"), source.digests())
     record["fit"] = {
         "validation_accuracy": best.validation_accuracy,
@@ -192,6 +250,21 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
         "test_masks": result.masks,
         "wrong_key_accuracy": result.wrong_key_accuracy,
     }
+    return _of_fresh(
+        result.fit.model, result.camera, source, camera, record=record, accuracy=result.accuracy
+    )
+
+
+def _of_fresh(
+    model: LenslessClassifier,
+    encoder: FreshCamera,
+    source: Source,
+    camera: Camera,
+    *,
+    record: dict[str, JsonValue],
+    accuracy: Accuracy,
+) -> Bundle:
+    frame = encoder.frame
     return Bundle(
         task=source.name,
         labels=source.labels,
@@ -200,12 +273,12 @@ def as_fresh_bundle(result: FreshResult, source: Source, camera: Camera) -> Bund
         embedding=frame.embedding,
         mode="fresh",
         fresh=Fresh(
-            distribution=result.camera.distribution,
+            distribution=encoder.distribution,
             statistics=frame.statistics.in_numpy(),
             noise=frame.noise,
             layers=model.layers,
             weights=weights_of(model.reader()),
         ),
         provenance=record,
-        accuracy=result.accuracy,
+        accuracy=accuracy,
     )

@@ -182,6 +182,13 @@ def fresh_statistics(
     )
 
 
+def no_statistics(settings: FreshSettings, camera: Camera, image: Scene) -> SceneStatistics:
+    """Statistics of the same shape of black scenes, for a model that is not fitted."""
+    scene = pooled(_fresh_change(settings, camera, image).scene, settings.pooling)
+    black = torch.zeros(scene.rows * scene.columns)
+    return SceneStatistics(black, black[:, None], black + 1)
+
+
 def _fresh_change(settings: FreshSettings, camera: Camera, image: Scene) -> Transform:
     if settings.placement == "centred":
         return Identity(image)

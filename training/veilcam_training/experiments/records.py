@@ -25,7 +25,8 @@ def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, Jso
         },
         "commit": commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": shlex.join(own_command()),
+        # A path may be of bytes that JSON cannot hold.
+        "command": shlex.join(own_command()).encode(errors="backslashreplace").decode(),
     }
 
 

@@ -89,7 +89,7 @@ function sceneCard() {
     for (const element of buttons.values()) element.setAttribute("aria-pressed", "false");
     say(told, "It looks at what it was started with.");
   }, { plain: true });
-  const file = h("input", { type: "file", accept: "image/png,image/jpeg" });
+  const file = h("input", { type: "file", accept: "image/png,image/jpeg,image/webp,image/bmp,image/tiff,image/gif" });
   file.addEventListener("change", () => {
     const [chosen] = file.files;
     if (chosen) busy(file, () => hold("a picture of yours", chosen, chosen.type));

@@ -43,9 +43,10 @@ router = APIRouter(
     responses=problems("scene_invalid", "too_many_uploads", *_REFUSALS),
 )
 async def hold_scene(service: ServiceDep, request: Request) -> HeldScene:
-    """Hold a picture up, the content of a PNG, JPEG or `.npy` file, until another one is.
+    """Hold a picture up, until another one is.
 
-    Every capture that is asked for after the answer sees it; one under way does not.
+    It is the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or `.npy` file. Every capture that is
+    asked for after the answer sees it; one under way does not.
     """
     return await service.hold_scene(await request.body())
 

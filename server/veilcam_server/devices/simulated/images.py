@@ -6,13 +6,11 @@ Values are taken as reflectances, as training takes them: no gamma is undone.
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from PIL import Image
+from veilcam_optics.pictures import PictureError, read_picture, used_range
 
 Picture = npt.NDArray[np.generic]
 Reflectance = npt.NDArray[np.float32]
@@ -24,50 +22,48 @@ LUMA = (0.299, 0.587, 0.114)
 _NPY = b"\x93NUMPY"
 
 
-class PictureError(ValueError):
-    """This is no picture; the message goes on after its name."""
-
-
 def as_scene(picture: bytes | Picture, shape: tuple[int, int]) -> Reflectance:
     """Return a picture as a scene: as large as fits, its sides' ratio kept, black around it.
 
     Args:
-        picture: content of a ``.npy``, PNG or JPEG file, which its first bytes tell; or an array,
-            (rows, columns) or (rows, columns, 3), of uint8 or uint16, the largest number being
-            white, or floats in [0, 1]. A file is turned upright as it says, and black is behind
-            what is transparent.
+        picture: content of a file as :func:`decoded` takes it; or an array, (rows, columns) or
+            (rows, columns, 3), of uint8 or uint16, the largest number being white, or floats in
+            [0, 1].
         shape: rows and columns of the scene, whose pixels are square.
 
     Raises:
-        PictureError: it is none of those, or damaged, or too large.
+        PictureError: it is none of those, or too large.
     """
-    return _fitted(_decoded(picture) if isinstance(picture, bytes) else picture, shape)
+    values = decoded(picture) if isinstance(picture, bytes) else picture
+    return _fitted(_grey(_reflectance(values)), shape)
 
 
-def _decoded(content: bytes) -> Picture:
-    # With the extra `simulate` alone, as torch: who has no simulated camera holds nothing up to it.
-    from PIL import Image, ImageOps, UnidentifiedImageError  # noqa: PLC0415
+def decoded(content: bytes) -> Picture:
+    """Return the picture in a ``.npy`` file, or in one that ``read_picture`` takes.
 
+    Raises:
+        PictureError: it is neither, or damaged, or too large.
+    """
+    if not content.startswith(_NPY):
+        return read_picture(content, most=MAX_PIXELS)
     try:
-        if content.startswith(_NPY):
-            array: Picture = np.load(io.BytesIO(content), allow_pickle=False)
-            return array
-        with Image.open(io.BytesIO(content), formats=("PNG", "JPEG")) as image:
-            _require_size(image.width * image.height)
-            return _pixels(ImageOps.exif_transpose(image))
-    except PictureError:
-        raise
-    # A damaged file makes Pillow raise whatever its decoders come across, SyntaxError included.
-    except (UnidentifiedImageError, OSError, ValueError, EOFError, SyntaxError, MemoryError):
-        raise PictureError("is no image: use .npy, PNG or JPEG") from None
+        array: Picture = np.load(io.BytesIO(content), allow_pickle=False)
+    except Exception:  # its header may hold anything
+        raise PictureError("is no image: its .npy file is damaged, or holds no numbers") from None
+    return array
 
 
-def _fitted(picture: Picture, shape: tuple[int, int]) -> Reflectance:
-    grey = _grey(_reflectance(picture))
+def range_warning(picture: Picture) -> str | None:
+    """Return what to say of a picture of :func:`as_scene` that uses little of its range."""
+    used = used_range(picture)
+    return None if used is None else f"uses only {used}: spread its values over the range"
+
+
+def _fitted(grey: Reflectance, shape: tuple[int, int]) -> Reflectance:
     scale = min(wanted / given for wanted, given in zip(shape, grey.shape, strict=True))
     inner = tuple(max(1, round(scale * given)) for given in grey.shape)
     if inner != grey.shape:
-        import torch  # noqa: PLC0415 - as Pillow
+        import torch  # noqa: PLC0415 - with the extra `simulate` alone
 
         from veilcam_optics.propagation.sampling import area_average  # noqa: PLC0415
 
@@ -81,16 +77,6 @@ def _fitted(picture: Picture, shape: tuple[int, int]) -> Reflectance:
     return scene
 
 
-def _pixels(image: Image.Image) -> Picture:
-    if image.mode.startswith("I"):
-        return np.asarray(image).astype(np.uint16)  # PNG has no more than 16 bits
-    if image.has_transparency_data:
-        # Not Image.alpha_composite, which would need a black image of the same size.
-        values = np.asarray(image.convert("RGBA")).astype(np.float32) / 255
-        return np.asarray(values[..., :3] * values[..., 3:])
-    return np.asarray(image.convert("L" if image.mode in ("1", "L") else "RGB"))
-
-
 def _reflectance(picture: Picture) -> Reflectance:
     if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or picture.size == 0:
         raise PictureError(
@@ -98,7 +84,7 @@ def _reflectance(picture: Picture) -> Reflectance:
         )
     _require_size(picture.shape[0] * picture.shape[1])
     for kind in (np.uint8, np.uint16):
-        if picture.dtype == kind:
+        if picture.dtype.newbyteorder("=") == kind:
             return np.asarray(picture.astype(np.float32) / np.float32(np.iinfo(kind).max))
     if picture.dtype.kind != "f":
         raise PictureError("holds no reflectances: use uint8, uint16, or floats in [0, 1]")

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_optics.files import replacing
+from veilcam_optics.pictures import PictureError
 from veilcam_server.devices.errors import LightError
-from veilcam_server.devices.simulated.images import Picture, PictureError, as_scene
+from veilcam_server.devices.simulated.images import Picture, as_scene, decoded, range_warning
 
 if TYPE_CHECKING:
     import torch
@@ -39,29 +40,34 @@ class SceneSource(Protocol):
 
 
 class FileScene:
-    """A picture in a file, ``.npy``, PNG or JPEG, fitted to the shape of the scene."""
+    """A picture in a file, fitted to the shape of the scene."""
 
     def __init__(self, path: Path, shape: tuple[int, int]) -> None:
-        self._path, self._shape = path, shape
+        self.path, self._shape = path, shape
 
     def read(self) -> npt.NDArray[np.float32]:
         """Read the file as it is at this moment."""
+        return self.look()[0]
+
+    def look(self) -> tuple[npt.NDArray[np.float32], str | None]:
+        """Read the file, and return what to say of a picture that uses little of its range."""
         try:
-            with self._path.open("rb") as stream:
+            with self.path.open("rb") as stream:
                 content = stream.read(MAX_BYTES + 1)
             if len(content) > MAX_BYTES:
                 raise LightError(
-                    f"scene file {self._path} is too large: use at most {MAX_BYTES >> 20} MiB"
+                    f"scene file {self.path} is too large: use at most {MAX_BYTES >> 20} MiB"
                 )
-            return as_scene(content, self._shape)
+            picture = decoded(content)
+            return as_scene(picture, self._shape), range_warning(picture)
         except FileNotFoundError:
             raise LightError(
-                f"there is no scene file {self._path}: check --scenes, or 'veilcamd show' a digit"
+                f"there is no scene file {self.path}: check --scenes, or 'veilcamd show' a digit"
             ) from None
         except OSError as error:
-            raise LightError(f"scene file {self._path} cannot be read ({error.strerror})") from None
+            raise LightError(f"scene file {self.path} cannot be read ({error.strerror})") from None
         except PictureError as error:
-            raise LightError(f"scene file {self._path} {error}") from None
+            raise LightError(f"scene file {self.path} {error}") from None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from veilcam_server.devices.simulated.images import MAX_PIXELS, PictureError, as_scene
+from veilcam_optics.pictures import PictureError
+from veilcam_server.devices.simulated.images import MAX_PIXELS, as_scene
 from veilcam_server.devices.simulated.scenes import FileScene
 
 WHITE = np.full((4, 4), 255, np.uint8)
@@ -87,10 +88,10 @@ def test_light_is_averaged_where_pixels_come_together() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "is no image: use .npy, PNG or JPEG"),
+        (b"", "is no image, or damaged"),
         (b"GIF89a", "is no image"),
-        (encoded(Image.new("L", (9, 9)), "GIF"), "is no image"),
-        (encoded(Image.new("L", (64, 64)))[:60], "is no image"),
+        (encoded(Image.new("L", (9, 9)), "PPM"), "another format: use PNG, JPEG"),
+        (encoded(Image.new("L", (64, 64)))[:60], "is damaged"),
         (saved(WHITE)[:-3], "is no image"),
         (saved(np.full((2, 3), None)), "is no image"),
         (saved(WHITE[0]), r"has the shape \(4,\)"),

@@ -98,7 +98,7 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path, folder: Path, mnist: Pat
     (tmp_path / "empty").mkdir()
     (folder / "bad.png").write_text("no image")
     for name, reason in (
-        (tmp_path / "empty", r"empty: no image in this folder: use \.npy, PNG or JPEG"),
+        (tmp_path / "empty", r"empty: no image in this folder \(it is empty\): use \.npy, PNG"),
         (f"mnist:{mnist}:training", "no part 'training': use validation or test"),
         ("digits:/somewhere", "data set 'digits' is unknown: use one of mnist"),
         ("mnist:/not/there", "/not/there is not a folder"),

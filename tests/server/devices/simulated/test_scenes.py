@@ -7,7 +7,7 @@ import pytest
 import torch
 from tests.server.devices.clock import Clock
 
-from veilcam_server.devices.simulated.images import PictureError
+from veilcam_optics.pictures import PictureError
 from veilcam_server.devices.simulated.scenes import Scenes, StillScene
 
 
