@@ -97,6 +97,9 @@ class Wiring(BaseSettings):
     asked."""
     camera_number: int = Field(default=0, ge=0, le=15)
     """Of the cameras that are connected."""
+    trust_clock: bool = False
+    """Let quiet hours go by this machine's clock although the kernel does not call it synchronised:
+    it has a battery, or the daemon is in a container."""
 
 
 class DoctorSettings(Wiring):

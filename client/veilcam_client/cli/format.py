@@ -32,7 +32,7 @@ from veilcam_client.wire.rotation import (
     RotationPolicy,
 )
 from veilcam_client.wire.sealing import PairedReceiver
-from veilcam_client.wire.status import Diagnostics, Remedy, Status
+from veilcam_client.wire.status import Diagnostics, Remedy, Status, WallClock
 from veilcam_client.wire.watch import Activity, Watching, WatchOff, WatchPolicy
 
 _ROWS = (
@@ -155,6 +155,7 @@ def status_in_words(status: Status) -> str:
     lines += [
         f"device    {status.device.display}, {status.device.sensor}",
         f"key       {status.device.key}",
+        *([] if status.clock is None else [_clock_in_words(status.clock)]),
         f"task      {status.bundle.task}, {rows} x {columns}, {masks}",
         rotation_in_words(status.rotation),
         f"next      {next_in_words(status.rotation.preparation)}",
@@ -256,6 +257,10 @@ def event_in_words(event: Event) -> str:
 def _sight_in_words(event: Seen | Gone) -> str:
     lasted = f"{event.label}{sure_in_words(event.confidence)}  {event.duration_s:.1f} s"
     return lasted if isinstance(event, Seen) or event.reason == "left" else f"{lasted}  not looking"
+
+
+def _clock_in_words(clock: WallClock) -> str:
+    return f"clock     {clock.zone}, {'' if clock.synchronised else 'not '}synchronised"
 
 
 def activity_in_words(policy: WatchPolicy, activity: Activity, detail: str | None) -> str:

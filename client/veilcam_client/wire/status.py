@@ -58,6 +58,15 @@ class Queue(Answer):
     limit: int
 
 
+class WallClock(Answer):
+    """The clock of the daemon's machine, by which quiet hours go."""
+
+    zone: str
+    """Time zone, such as ``Europe/Berlin``."""
+    synchronised: bool
+    """Whether the kernel calls it synchronised."""
+
+
 class Status(Answer):
     """The daemon at a glance."""
 
@@ -82,6 +91,8 @@ class Status(Answer):
     bundle: BundleInfo
     rotation: Rotation
     queue: Queue
+    clock: WallClock | None = None
+    """None: an older daemon's."""
 
 
 class PastState(Answer):
@@ -158,6 +169,9 @@ class DoctorFindings(Answer):
     findings: tuple[DoctorFinding, ...]
 
 
+EXAMPLE_CLOCK = WallClock(zone="Europe/Berlin", synchronised=True)
+
+
 def example_status() -> Status:
     """For documents."""
     return Status(
@@ -173,6 +187,7 @@ def example_status() -> Status:
         bundle=example_bundle(),
         rotation=example_rotation(),
         queue=Queue(waiting=0, limit=8),
+        clock=EXAMPLE_CLOCK,
     )
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
 from veilcam_client.wire.base import EXAMPLE_TIME, Answer, Examples, Question
+from veilcam_client.wire.status import EXAMPLE_CLOCK, WallClock
 
 SLOWEST, FASTEST = 1 / 3600, 10.0
 """Looks in a second, at least and at most."""
@@ -149,6 +150,8 @@ class Watch(Answer):
     """None while it does not look, and without the scope ``classify``."""
     history: tuple[Sighting, ...] = ()
     """The last ones, newest first; empty without the scope ``classify``."""
+    clock: WallClock | None = None
+    """By which quiet hours go; None: an older daemon's."""
 
 
 def _watching() -> Watching:
@@ -176,6 +179,7 @@ EXAMPLES = Examples(
                     duration_s=12.5,
                 ),
             ),
+            clock=EXAMPLE_CLOCK,
         ),
     )
 )

@@ -67,7 +67,7 @@ def examine(machine: Machine, settings: DoctorSettings) -> Iterator[Finding]:
         ("state directory", lambda: [_state_dir(machine, settings.state_dir)]),
         ("disk", lambda: [_room(machine, settings.state_dir)]),
         ("bundle", lambda: _bundle(settings)),
-        ("wall clock", lambda: [_wall_clock(machine)]),
+        ("wall clock", lambda: [_wall_clock(machine, settings)]),
         ("systemd", lambda: [_systemd(machine)]),
     )
     for name, probe in probes:
@@ -89,7 +89,7 @@ def examine_beside(machine: Machine, settings: Settings) -> Iterator[Finding]:
         ("board", lambda: [_model(machine)]),
         ("release", lambda: _release(machine)),
         ("frame memory", lambda: [_frame_memory(machine)]),
-        ("wall clock", lambda: [_wall_clock(machine)]),
+        ("wall clock", lambda: [_wall_clock(machine, told)]),
         ("systemd", lambda: [_systemd(machine)]),
     )
     recorded = settings.replay is not None
@@ -388,15 +388,17 @@ def _owner(settings: DoctorSettings, bundle: Bundle) -> Finding:
     return Finding("owner", "ok", f"version {bundle.version}, signed by {bundle.owner.short}")
 
 
-def _wall_clock(machine: Machine) -> Finding:
-    told = machine.run("timedatectl", "show", "--property=NTPSynchronized", "--value")
-    if told == "yes":
-        return Finding("wall clock", "ok", "synchronised")
+def _wall_clock(machine: Machine, wiring: Wiring) -> Finding:
+    clock = machine.clock()
+    found = f"{clock.zone}, {'' if clock.synchronised else 'not '}synchronised"
+    if clock.synchronised or wiring.trust_clock:
+        return Finding("wall clock", "ok", found)
     return Finding(
         "wall clock",
         "bad",
-        "not synchronised" if told == "no" else "timedatectl does not say",
-        "sudo timedatectl set-ntp true; captures are dated by it, and tokens end by it",
+        found,
+        "sudo timedatectl set-ntp true, or --trust-clock where it is right without; captures are "
+        "dated by it, tokens end by it, and quiet hours go by it",
     )
 
 

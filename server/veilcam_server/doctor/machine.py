@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from veilcam_client.wire.status import WallClock
 from veilcam_server.devices.extras import import_extra
 from veilcam_server.devices.picamera import open_picamera2
 from veilcam_server.devices.spi import gpio_chips, line_user
+from veilcam_server.system.clock import MachineClock
 
 
 def _run(*command: str) -> str | None:
@@ -39,6 +41,8 @@ class Machine:
     """Whether this user may read and write a file."""
     run: Callable[..., str | None] = _run
     """What a program prints; None if it is not there or fails."""
+    clock: Callable[[], WallClock] = lambda: MachineClock().told()
+    """What is told of the clock."""
     free: Callable[[Path], int] = lambda path: shutil.disk_usage(path).free
     """Room on the disk of a directory [bytes]."""
     chips: Callable[[], Mapping[str, Path]] = gpio_chips

@@ -68,6 +68,7 @@ from veilcam_server.service.responses import (
 )
 from veilcam_server.service.rotation_policy import PolicyStore
 from veilcam_server.service.scheduler import Scheduler
+from veilcam_server.system.clock import MachineClock
 from veilcam_server.system.logs import log_unhandled
 from veilcam_server.system.state_file import HeldDirectory
 from veilcam_server.watch.watcher import Watched, Watcher, WatchSetup
@@ -132,6 +133,7 @@ class Service:
         self._queue = DeviceQueue(queue_limit, publish)
         self._scheduler = Scheduler(camera, self._queue, self._alarms)
         self._watcher: Watcher | None = None
+        self._clock = MachineClock() if watch is None else watch.clock
         if watch is not None:
             self._watcher = Watcher(
                 watch,
@@ -290,6 +292,7 @@ class Service:
             bundle=self._identity.bundle,
             rotation=self.rotation(),
             queue=Queue(waiting=self._queue.waiting, limit=self._queue.limit),
+            clock=self._clock.told(),
         )
 
     def rotation(self) -> Rotation:

@@ -65,15 +65,27 @@ class WatchStore:
             ) from None
 
 
-def resting(policy: WatchPolicy, now: datetime) -> str | None:
-    """Return the reason why the panel is opaque at a time of the wall clock; None: it need not be.
+def resting(policy: WatchPolicy, now: datetime, *, sure: bool = True) -> str | None:
+    """Return why the panel is opaque at a time by the clock on the wall; None: it need not be.
 
     Each moment is judged by what that clock shows: an hour that comes twice in a night of autumn is
     quiet both times if it is, and one that spring leaves out is none.
+
+    Args:
+        policy: when the camera looks.
+        now: time of day.
+        sure: whether quiet hours may go by it.
     """
     if isinstance(policy, WatchOff):
         return "the camera is switched off"
     quiet = policy.quiet
-    if quiet is None or not quiet.include(now.time()):
+    if quiet is None:
+        return None
+    if not sure:
+        return (
+            "the clock is not synchronised yet, and quiet hours go by it: switch on network time "
+            "(sudo timedatectl set-ntp true), or give --trust-clock where the clock is right"
+        )
+    if not quiet.include(now.time()):
         return None
     return f"the camera does not look between {quiet.begin} and {quiet.end}"

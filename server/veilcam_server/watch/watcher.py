@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any, Literal, Protocol, TypeVar
@@ -28,6 +28,7 @@ from veilcam_server.camera.engine import CameraEngine, Publish
 from veilcam_server.errors import ProblemError, WatchStoreError
 from veilcam_server.masks.source import Evidence
 from veilcam_server.settings import Settings
+from veilcam_server.system.clock import MachineClock
 from veilcam_server.system.state_file import Report
 from veilcam_server.watch.admission import Admission
 from veilcam_server.watch.belief import Dynamics
@@ -35,7 +36,7 @@ from veilcam_server.watch.fusion import Fusion
 from veilcam_server.watch.policy import WatchStore, resting
 from veilcam_server.watch.sightings import Change, Sight
 
-TICK = 1.0
+TICK = 0.5
 """Between two looks at the clock on the wall, where there are quiet hours [s]."""
 _SOON = 0.05
 """After which a look that gave way to a caller is tried again [s]."""
@@ -43,11 +44,6 @@ _PATIENCE = 3
 """Periods, and seconds at least, that looks may be missing before nothing is believed any more."""
 
 ResultT = TypeVar("ResultT")
-
-
-def wall_clock() -> datetime:
-    """Time where this machine is, with its zone."""
-    return datetime.now().astimezone()
 
 
 class OnDevice(Protocol):
@@ -83,8 +79,9 @@ class WatchSetup:
     """Settings that a watch starts with.
 
     Attributes:
-        policy: times at which it looks.
-        store: store of the policy.
+        policy: when it looks.
+        store: where that is kept.
+        clock: by which hours are quiet.
         rests: why the panel is opaque already; None: it is not.
         admission: test of a capture: does it look like one of a thing.
         dynamics: rates at which things come and go.
@@ -92,6 +89,7 @@ class WatchSetup:
 
     policy: WatchPolicy
     store: WatchStore
+    clock: MachineClock = field(default_factory=lambda: MachineClock(trusted=True))
     rests: str | None = None
     admission: Admission = Admission()  # noqa: RUF009 - immutable
     dynamics: Dynamics = Dynamics()  # noqa: RUF009 - immutable
@@ -109,10 +107,13 @@ def open_watch(
     """
     store = WatchStore(settings.state_dir, settings.watch_policy, report)
     policy, admission = store.at_start(), Admission()
+    # A simulated camera has nothing to hide.
+    clock = MachineClock(trusted=settings.trust_clock or settings.device == "simulated")
     return WatchSetup(
         policy,
         store,
-        rests=resting(policy, wall_clock()),
+        clock,
+        rests=resting(policy, clock.now(), sure=clock.sure()),
         admission=admission if calibration is None else admission.calibrated(calibration.record),
     )
 
@@ -124,7 +125,7 @@ class Watcher:
         setup: settings to start with.
         watched: parts of the daemon to use.
         clock: monotonic time [s].
-        now: time by the clock on the wall, with its zone.
+        now: time of day, with its zone; by default that of the setup's clock.
     """
 
     def __init__(
@@ -133,9 +134,10 @@ class Watcher:
         watched: Watched,
         *,
         clock: Callable[[], float] = time.monotonic,
-        now: Callable[[], datetime] = wall_clock,
+        now: Callable[[], datetime] | None = None,
     ) -> None:
-        self._setup, self._watched, self._clock, self._now = setup, watched, clock, now
+        self._setup, self._watched, self._clock = setup, watched, clock
+        self._now = now or setup.clock.now
         self.policy, self._rests = setup.policy, setup.rests
         self.leased: Callable[[], bool] = lambda: False
         """Whether somebody holds the camera for himself."""
@@ -177,6 +179,7 @@ class Watcher:
                 looks=leader.looks,
             ),
             history=tuple(map(sighting, self._fusion.history)),
+            clock=self._setup.clock.told(),
         )
 
     async def set_policy(self, policy: WatchPolicy) -> Watch:
@@ -283,7 +286,7 @@ class Watcher:
             self._due = self._last = self._clock()
 
     def _reason(self) -> str | None:
-        return resting(self.policy, self._now())
+        return resting(self.policy, self._now(), sure=self._setup.clock.sure())
 
     def _planned(self) -> tuple[Activity, str | None]:
         """Return the activity where nothing is in the way, and why."""

@@ -31,6 +31,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "data_line": (("--data-line", "5"), 5),
     "reset_line": (("--reset-line", "6"), 6),
     "panel_read_back": (("--panel-read-back", "miso"), "miso"),
+    "trust_clock": (("--trust-clock",), True),
     "camera_number": (("--camera-number", "1"), 1),
     "exposure_factor": (("--exposure-factor", "3"), 3.0),
     "bundle": (("--bundle", "other.veilcam"), Path("other.veilcam")),

@@ -14,6 +14,7 @@ from typing import Any, Literal, Never
 import pytest
 from typer.testing import CliRunner
 
+from veilcam_client.wire.status import WallClock
 from veilcam_server.cli.main import app
 from veilcam_server.devices import DeviceMissingError, DisplayError
 from veilcam_server.devices.driver import DisplayDriver
@@ -26,8 +27,7 @@ from veilcam_server.settings import DoctorSettings, Settings, Wiring
 from veilcam_training.bundle import read_key, sign_bundle, write_key
 
 runner = CliRunner()
-PROGRAMS = {
-    ("timedatectl", "show", "--property=NTPSynchronized", "--value"): "yes",
+PROGRAMS: dict[tuple[str, ...], str] = {
     ("systemctl", "--version"): "systemd 257 (257.7-1)\n+PAM +AUDIT",
 }
 
@@ -41,6 +41,7 @@ class Bed:
     missing: list[str] = field(default_factory=list)
     programs: dict[tuple[str, ...], str] = field(default_factory=PROGRAMS.copy)
     room: int = 10 * 2**30
+    synchronised: bool = True
     chips: Mapping[str, Path] = field(
         default_factory=lambda: {"pinctrl-rp1": Path("/dev/gpiochip0")}
     )
@@ -85,6 +86,7 @@ class Bed:
             load=self.load,
             may_write=lambda path: "/" + str(path.relative_to(self.root)) not in self.locked,
             run=lambda *command: self.programs.get(command),
+            clock=lambda: WallClock(zone="Asia/Tokyo", synchronised=self.synchronised),
             free=lambda _: self.room,
             chips=lambda: self.chips,
             line_user=lambda _, line: self.users.get(line),
@@ -117,6 +119,7 @@ def test_a_machine_that_has_everything(bed: Bed, plan: DoctorSettings) -> None:
     assert {finding.outcome for finding in found.values()} == {"ok"}
     assert len(found) == 20
     assert found["board"].found == "Raspberry Pi 5 Model B Rev 1.0"
+    assert found["wall clock"].found == "Asia/Tokyo, synchronised"
     assert bed.opened == [0]
     assert bed.closed == [True]
 
@@ -183,7 +186,12 @@ ILLNESSES: list[tuple[Illness, str, str, str]] = [
         "move it away",
     ),
     (lambda bed: setattr(bed, "room", 2**20), "disk", "1 MiB free", "make room"),
-    (lambda bed: bed.programs.update({next(iter(PROGRAMS)): "no"}), "wall clock", "not syn", "ntp"),
+    (
+        lambda bed: setattr(bed, "synchronised", False),
+        "wall clock",
+        "Asia/Tokyo, not synchronised",
+        "set-ntp true, or --trust-clock",
+    ),
     (lambda bed: bed.programs.clear(), "systemd", "not there", "systemd"),
     (
         lambda bed: bed.programs.update({("systemctl", "--version"): "systemd 247 (247.3)"}),

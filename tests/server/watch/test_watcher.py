@@ -26,8 +26,11 @@ from veilcam_server.camera.engine import Condition
 from veilcam_server.devices.errors import DisplayError, SensorError
 from veilcam_server.errors import ProblemError, UndecidedError, WatchStoreError
 from veilcam_server.masks.source import Evidence
+from veilcam_server.settings import Settings
+from veilcam_server.system import clock as clock_of_machine
+from veilcam_server.system.clock import MachineClock
 from veilcam_server.watch.policy import WatchStore, resting
-from veilcam_server.watch.watcher import TICK, Watched, Watcher, WatchSetup
+from veilcam_server.watch.watcher import TICK, Watched, Watcher, WatchSetup, open_watch
 
 pytestmark = pytest.mark.anyio
 ResultT = TypeVar("ResultT")
@@ -71,6 +74,7 @@ class Bench:
     wall: datetime = EVENING
     busy: bool = False
     leased: bool = False
+    synchronised: bool = True
     fault: Exception | None = None
     during: Callable[[], None] = lambda: None
     free: asyncio.Event = field(default_factory=asyncio.Event)
@@ -93,11 +97,13 @@ class Bench:
 
         self.free.set()
         self.folder.mkdir(exist_ok=True)
+        clock = MachineClock(kernel=lambda: self.synchronised)
         self.watcher = Watcher(
             WatchSetup(
                 self.policy,
                 WatchStore(self.folder, OnRequest()),
-                rests=resting(self.policy, self.wall),
+                clock,
+                rests=resting(self.policy, self.wall, sure=clock.sure()),
             ),
             Watched(
                 self.camera,  # type: ignore[arg-type]
@@ -289,6 +295,53 @@ async def test_quiet_hours_make_the_panel_opaque(make: Callable[..., Bench]) -> 
     assert bench.camera.told == [reason, "wake"]
     assert bench.activities == ["quiet", "looking"]
     assert [event.label for event in bench.told(Seen)] == ["a", "a"]
+
+
+async def test_quiet_hours_wait_for_a_clock_that_is_synchronised(
+    make: Callable[..., Bench],
+) -> None:
+    bench = make(policy=Watching(rate_hz=2.0, quiet=NIGHT), synchronised=False)
+    bench.wall -= timedelta(hours=6)
+    await bench.pass_time(5.0)
+    state = bench.watcher.state()
+    assert (state.activity, state.looks) == ("quiet", 0)
+    assert state.detail is not None
+    assert state.detail.startswith("the clock is not synchronised yet")
+    assert "set-ntp true" in state.detail
+    assert "--trust-clock" in state.detail
+    assert state.clock is not None
+    assert not state.clock.synchronised
+    # Without quiet hours there is no clock to wait for.
+    await bench.watcher.set_policy(TWICE)
+    assert bench.watcher.state().activity == "looking"
+    await bench.watcher.set_policy(OnRequest(quiet=NIGHT))
+    assert bench.watcher.state().activity == "quiet"
+    bench.synchronised = True
+    await bench.pass_time(TICK)
+    assert bench.watcher.state().activity == "on_request"
+    # Once it was right, a network that is gone for a day makes nobody blind.
+    bench.synchronised = False
+    await bench.pass_time(60.0)
+    assert bench.watcher.state().activity == "on_request"
+
+
+@pytest.mark.parametrize(
+    ("given", "rests"),
+    [
+        ({"quiet_hours": "3-3:01"}, True),
+        ({"quiet_hours": "3-3:01", "trust_clock": True}, False),
+        ({"quiet_hours": "3-3:01", "device": "simulated"}, False),
+        ({}, False),
+    ],
+)
+async def test_start_with_quiet_hours_is_opaque_until_the_clock_is_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], *, rests: bool
+) -> None:
+    monkeypatch.setattr(clock_of_machine, "kernel_synchronised", lambda: False)
+    monkeypatch.setattr(MachineClock, "now", lambda _: EVENING)
+    settings = Settings(**{"bundle": Path("a.veilcam"), "state_dir": tmp_path, **given})
+    setup = open_watch(settings, None, lambda _: None)
+    assert (setup.rests is not None) == rests
 
 
 async def test_without_quiet_hours_nothing_wakes_the_daemon(make: Callable[..., Bench]) -> None:
