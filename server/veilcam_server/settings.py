@@ -138,7 +138,7 @@ _REPLAYED = frozenset(
     (
         *("replay", "host", "port", "socket", "state_dir", "auth", "tls_certificate", "tls_key"),
         *("rate_limit", "rate_burst", "concurrency_limit", "stream_limit", "queue_limit"),
-        *("heartbeat", "log_level", "hosts", "frame_ancestors"),
+        *("heartbeat", "log_level", "hosts", "frame_ancestors", "root_path"),
         *("caller_stream_limit", "connection_limit", "header_timeout", "body_timeout"),
     )
 )
@@ -181,6 +181,9 @@ class Settings(Wiring):
     frame_ancestors: Annotated[tuple[str, ...], NoDecode] = ()
     """Origin whose pages may show this daemon's in a frame, as https://home.example. Give several,
     if need be. Default: none may."""
+    root_path: str = Field(default="", pattern=r"^(/[A-Za-z0-9._~-]+)*$", max_length=200)
+    """Path under which a reverse proxy shows this daemon, as /camera, whether the proxy cuts it off
+    or not."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """Where the device's key, its receivers, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None

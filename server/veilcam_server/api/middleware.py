@@ -15,6 +15,7 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -97,6 +98,10 @@ class RequestContext:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        path = self._admission.site.below_root(scope["path"])
+        # Its links are relative: the page is at a path with a slash at its end.
+        moved = path is None
+        scope["path"] = path or "/"
         headers = Headers(scope=scope)
         asked = headers.get("x-request-id", "")
         request_id = asked if _REQUEST_ID.fullmatch(asked) else secrets.token_hex(8)
@@ -114,6 +119,10 @@ class RequestContext:
             with ExitStack() as stack:
                 try:
                     self._admission.site.require(scope["method"], scope["path"], headers)
+                    if moved:
+                        to = {"Location": f"{self._admission.site.root_path}/"}
+                        await Response(status_code=308, headers=to)(scope, receive, send_with_id)
+                        return
                     # No limit: an answer that everybody gets costs no more than a refusal.
                     if not self._is_open(scope):
                         admitted = self._admission.admitted(headers, peer)
@@ -249,7 +258,7 @@ def content_security_policy(frame_ancestors: tuple[str, ...], *sources: str) -> 
 
 
 def _limited(receive: Receive, limit: int) -> Receive:
-    """Stop measurement a body that is too large, whatever length it claims to have."""
+    """Stop reading a body that is too large, whatever length it claims to have."""
     received = 0
 
     async def receive_some() -> Message:

@@ -70,15 +70,20 @@ _EXAMPLES: Mapping[str, BaseModel] = {
 """By the name of the model."""
 
 
-def document(app: FastAPI) -> dict[str, Any]:
-    """Return the document of ``app``, made once."""
+def document(app: FastAPI, root_path: str = "") -> dict[str, Any]:
+    """Return the document of ``app``, made once.
+
+    Args:
+        app: with all routes.
+        root_path: path under which a proxy shows the daemon.
+    """
     made = app.openapi_schema is None
     found = app.openapi()
     if made:
         _add_problem(found)
         found["tags"] = [{"name": name, "description": about} for name, about in TAGS.items()]
         # Where the document comes from is where the API is.
-        found["servers"] = [{"url": "/", "description": "This daemon."}]
+        found["servers"] = [{"url": root_path or "/", "description": "This daemon."}]
         for path, operations in found["paths"].items():
             for method, operation in operations.items():
                 _add_examples(operation)

@@ -11,6 +11,7 @@ from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 from starlette.types import Scope
 
 from veilcam_client.errors import FieldError
@@ -163,9 +164,22 @@ async def _on_http(request: Request, error: HTTPException) -> Response:
     if detail == HTTPStatus(error.status_code).phrase:
         detail = f"{request.method} {request.url.path}: {kind.title.lower()}"
     headers = dict(error.headers or {})
-    if "GET" in headers.get("Allow", ""):
-        headers["Allow"] += ", HEAD"
+    if kind is MethodNotAllowedError:
+        headers["Allow"] = ", ".join(_methods(request))
     return problem_response(request.scope, kind, detail, headers=headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """Methods that the path of a request takes, of all routes together."""
+    asked = {"type": "http", "path": request.scope["path"], "headers": []}
+    taken = {
+        method
+        for method in ("DELETE", "GET", "PATCH", "POST", "PUT")
+        for route in request.app.router.routes
+        if route.matches({**asked, "method": method})[0] is Match.FULL
+    }
+    # HEAD is answered wherever GET is.
+    return sorted(taken | {"HEAD"} if "GET" in taken else taken)
 
 
 async def _on_invalid(request: Request, error: RequestValidationError) -> Response:

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import h11
 import uvicorn
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
@@ -215,26 +216,66 @@ class GateProtocol(H11Protocol):
         return self.loop.call_later(seconds, self._connection.drop, reason)
 
     async def _hand_on(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let the application have the request once the first portion of its body is there."""
-        body, more = bytearray(), True
-        while more and len(body) < PORTION:
-            message = await receive()
-            if message["type"] == "http.disconnect":
-                return
-            body += message["body"]
-            more = message["more_body"]
-        begun: Message | None = {"type": "http.request", "body": bytes(body), "more_body": more}
-        self._handed_on = True
-        self._settle()
+        """Let the application have the request once the first portion of its body is there.
+
+        An upload is handed on after its headers, so that it can be refused by them.
+        """
+        headers = Headers(scope=scope)
+        if "content-length" in headers and "transfer-encoding" in headers:
+            # A proxy in front may see another end of this body (RFC 9112, 6.3).
+            await self._refuse(send)
+            return
+        expecting = "expect" in headers
+        upload = expecting or "transfer-encoding" in headers
+        upload = upload or int(headers.get("content-length", 0)) > PORTION
+        begun = None if upload else await self._beginning(receive)
+        if begun is not None and begun["type"] == "http.disconnect":
+            return
+        fresh = upload
 
         async def receive_all() -> Message:
-            nonlocal begun
+            nonlocal begun, expecting, fresh
+            if fresh:
+                expecting = fresh = False
+                return await self._beginning(receive)
             if begun is None:
                 return await receive()
             message, begun = begun, None
             return message
 
-        await self._application(scope, receive_all, send)
+        async def send_all(message: Message) -> None:
+            if message["type"] == "http.response.start" and expecting:
+                # Nobody can tell whether the body comes all the same.
+                message = {**message, "headers": [*message["headers"], (b"connection", b"close")]}
+            await send(message)
+
+        await self._application(scope, receive_all, send_all)
+
+    async def _beginning(self, receive: Receive) -> Message:
+        """Return the first portion of a body, or all of it; or that the other side has gone."""
+        body, more = bytearray(), True
+        while more and len(body) < PORTION:
+            message = await receive()
+            if message["type"] == "http.disconnect":
+                return message
+            body += message["body"]
+            more = message["more_body"]
+        self._handed_on = True
+        self._settle()
+        return {"type": "http.request", "body": bytes(body), "more_body": more}
+
+    async def _refuse(self, send: Send) -> None:
+        """Refuse a request that has two lengths, and close."""
+        told = b"Content-Length and Transfer-Encoding: send one of them."
+        fields = {
+            "Content-Type": "text/plain",
+            "Content-Length": str(len(told)),
+            "Connection": "close",
+            **FOR_BROWSERS,
+        }
+        headers = [(name.lower().encode(), value.encode()) for name, value in fields.items()]
+        await send({"type": "http.response.start", "status": 400, "headers": headers})
+        await send({"type": "http.response.body", "body": told})
 
 
 def echoed(given: Sequence[str]) -> Mapping[str, str]:

@@ -183,7 +183,9 @@ def open_admission(settings: Settings, report: Report = log_fault) -> Iterator[A
     try:
         yield Admission(
             tokens,
-            Site(settings.hosts, settings.serves_others, settings.frame_ancestors),
+            Site(
+                settings.hosts, settings.serves_others, settings.frame_ancestors, settings.root_path
+            ),
             audit,
             refused,
             RateLimit(settings.rate_limit, settings.rate_burst),

@@ -26,11 +26,19 @@ class Site:
         hosts: names besides localhost, each with its port where that is no default.
         addresses: True where every IP address names this daemon; else loopback's alone do.
         frame_ancestors: origins of the pages that may show a page of this daemon in a frame.
+        root_path: path under which a proxy shows this daemon; empty: at its root.
     """
 
     hosts: tuple[str, ...] = ()
     addresses: bool = False
     frame_ancestors: tuple[str, ...] = ()
+    root_path: str = ""
+
+    def below_root(self, path: str) -> str | None:
+        """Return a path without the root path, if it has it; None for the root path itself."""
+        if not self.root_path or not f"{path}/".startswith(f"{self.root_path}/"):
+            return path
+        return path.removeprefix(self.root_path) or None
 
     def require(self, method: str, path: str, headers: Headers) -> None:
         """Refuse what a page of another site makes a browser ask.

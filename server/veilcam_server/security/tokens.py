@@ -30,7 +30,7 @@ KEPT = 90 * 86_400.0
 """How long a token that was revoked, or has expired, stays on the list [s]."""
 _PAUSE = 60.0
 """Before the day of a use is written again, where that failed [s]."""
-_TOKEN = re.compile(r"Bearer vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
+_TOKEN = re.compile(r"(?i:bearer) vc_([0-9a-f]{12})_([0-9a-f]{64})", re.ASCII)
 
 
 class _Row(BaseModel):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -47,6 +48,20 @@ async def test_every_get_has_its_head(running: Running, tmp_path: Path) -> None:
                 for name in set(head.headers) - set(OWN):
                     assert head.headers[name] == body.headers[name], (path, name)
     refused.close()
+
+
+async def test_a_method_that_a_path_does_not_take_is_told_those_it_takes(running: Running) -> None:
+    async with running() as client:
+        paths = (await client.get("/v1/openapi.json")).json()["paths"]
+        assert len(paths) > 20
+        for path, operations in paths.items():
+            taken = {method.upper() for method in operations}
+            if "GET" in taken:
+                taken.add("HEAD")
+            for method in {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"} - taken:
+                answer = await client.request(method, re.sub(r"\{\w+\}", "x", path))
+                assert answer.status_code == 405, (method, path)
+                assert answer.headers["allow"] == ", ".join(sorted(taken)), (method, path)
 
 
 async def test_a_stream_that_is_not_read_holds_no_place(running: Running) -> None:

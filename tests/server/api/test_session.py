@@ -77,11 +77,11 @@ async def test_the_cookie_is_for_no_script_and_for_no_other_site(
             name, *attributes = cookie.split("; ")
             assert name.startswith("veilcam-session=")
             kept = {each.lower().partition("=")[0]: each.partition("=")[2] for each in attributes}
-            assert set(kept) == {"httponly", "max-age", "path", "samesite"} | (
+            # Without a path it is for the folder of the request, whatever a proxy cuts off.
+            assert set(kept) == {"httponly", "max-age", "samesite"} | (
                 {"secure"} if secure else set()
             )
             assert kept["samesite"].lower() == "strict"
-            assert kept["path"] == "/v1"
             assert 90 <= int(kept["max-age"]) <= 100 < LIFETIME
             assert answer.json()["half"] not in cookie
 

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from veilcam_client.async_camera import AsyncCamera
-from veilcam_client.wire.tokens import MOST_TOKENS, TOKENS_AT_ONCE
+from veilcam_client.wire.bundles import BUNDLE_MEDIA_TYPE
+from veilcam_client.wire.tokens import MOST_TOKENS, TOKENS_AT_ONCE, Scope
+from veilcam_server.api.routes import simulation
 from veilcam_server.security.admission import Admission
 from veilcam_server.security.tokens import TokenStore
 
 if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
     from pathlib import Path
 
     import httpx
@@ -66,3 +69,24 @@ async def test_no_answer_has_more_than_it_should(
         first = await camera.tokens()
         assert (len(first.tokens), first.next) == (TOKENS_AT_ONCE, one.id)
         assert len((await camera.tokens(limit=MOST_TOKENS)).tokens) == TOKENS_AT_ONCE + 1
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "media_type"),
+    [("POST", "/v1/bundles", BUNDLE_MEDIA_TYPE), ("PUT", simulation.PATH, "image/png")],
+)
+async def test_an_upload_without_the_right_to_it_is_not_read(
+    running: Running, store: TokenStore, method: str, path: str, media_type: str
+) -> None:
+    async def body() -> AsyncIterator[bytes]:
+        raise AssertionError("it is read")
+        yield b""
+
+    allowed: tuple[tuple[Scope, int], ...] = (("read:status", 403), ("classify", 403))
+    async with running(admission=Admission(store)) as client:
+        client.headers["Content-Type"] = media_type
+        assert (await client.request(method, path, content=body())).status_code == 401
+        for scope, status in allowed:
+            token = {"Authorization": f"Bearer {store.create('x', (scope,), None).secret}"}
+            answer = await client.request(method, path, headers=token, content=body())
+            assert answer.status_code == status

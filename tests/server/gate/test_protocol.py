@@ -159,6 +159,61 @@ async def test_what_is_no_http_is_answered_and_not_logged(
     assert not [each for each in caplog.records if "uvicorn" in each.name]
 
 
+FRAMED_TWICE = (
+    b"POST / HTTP/1.1\r\nHost: a\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n",
+    b"POST / HTTP/1.1\r\nHost: a\r\ntransfer-encoding: Chunked\r\ncontent-length: 0\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\nContent-Length: 5\r\n"
+    b"Expect: 100-continue\r\n\r\n",
+)
+
+
+@pytest.mark.parametrize("body", [b"", b"0\r\n\r\n", b"0\r\n\r\n" + REQUEST])
+@pytest.mark.parametrize("head", FRAMED_TWICE)
+async def test_a_body_with_two_lengths_is_refused_and_its_connection_closed(
+    serving: Serving, knock: Knock, head: bytes, body: bytes
+) -> None:
+    async with serving() as behind:
+        answer = await heard(knock(behind, head + body))
+        assert answer.startswith(b"HTTP/1.1 400 Bad Request\r\n")
+        assert answer.count(b"HTTP/1.1") == 1
+        for name, value in security_headers(()).items():
+            assert f"\r\n{name}: {value}\r\n".lower().encode() in answer.lower()
+        assert not behind.asked
+        await behind.until(lambda: not len(behind.connections))
+
+
+UPLOADS = (
+    b"Content-Length: %d" % (PORTION + 1),
+    b"Content-Length: 9\r\nExpect: 100-continue",
+    b"Transfer-Encoding: chunked",
+)
+
+
+@pytest.mark.parametrize("header", UPLOADS)
+async def test_an_upload_can_be_refused_after_its_headers(
+    serving: Serving, knock: Knock, header: bytes
+) -> None:
+    async with serving() as behind:
+        one = knock(behind, b"POST /deaf HTTP/1.1\r\nHost: a\r\n" + header + b"\r\n\r\n")
+        answer = await asyncio.get_running_loop().sock_recv(one, 2**16)
+        assert answer.startswith(b"HTTP/1.1 200 OK\r\n")
+        assert not behind.bodies
+        # What was announced may come or not: nobody can tell it from a request.
+        assert (b"connection: close" in answer.lower()) is (b"Expect" in header)
+
+
+async def test_a_body_that_is_waited_for_is_asked_for(serving: Serving, knock: Knock) -> None:
+    async with serving() as behind:
+        loop = asyncio.get_running_loop()
+        one = knock(behind, (POST % 5).replace(b"Host: a", b"Host: a\r\nExpect: 100-continue"))
+        assert (await loop.sock_recv(one, 2**16)).startswith(b"HTTP/1.1 100 ")
+        await loop.sock_sendall(one, b"hello")
+        answer = await loop.sock_recv(one, 2**16)
+        assert answer.startswith(b"HTTP/1.1 200 OK\r\n")
+        assert b"connection: close" not in answer.lower()
+        assert behind.bodies == [5]
+
+
 async def test_a_body_that_breaks_off_leaves_no_trace(
     serving: Serving, knock: Knock, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -293,6 +293,15 @@ def test_where_the_tokens_are_lost_nobody_is_let_in(
     assert len(faults) == 1
 
 
+@pytest.mark.parametrize("scheme", ["Bearer", "bearer", "BEARER", "bEaReR"])
+def test_the_scheme_of_a_token_is_taken_in_any_case(store: TokenStore, scheme: str) -> None:
+    made = make(store)
+    assert store.caller(f"{scheme} {made.secret}").id == made.id
+    for wrong in (f"{scheme}{made.secret}", f"{scheme}s {made.secret}"):
+        with pytest.raises(UnauthorizedError):
+            store.caller(wrong)
+
+
 def test_tokens_that_cannot_be_read_let_nobody_in_until_they_can(
     store: TokenStore, tmp_path: Path
 ) -> None:

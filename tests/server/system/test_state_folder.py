@@ -145,8 +145,8 @@ def test_a_file_of_another_owner_is_refused_with_owner_and_command(
     open_tmp_path: Path, name: str
 ) -> None:
     directory = open_tmp_path / "state"
-    for each in (directory, directory / "bundles", directory / "capture-log"):
-        make_directory(each)
+    for folder in (directory, directory / "bundles", directory / "capture-log"):
+        make_directory(folder)
     for each in FILES:
         (directory / each).write_text("kept")
     for path in (directory, *directory.rglob("*")):

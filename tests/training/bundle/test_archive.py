@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
 import math
 import os
+import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -483,6 +485,49 @@ def test_an_encrypted_part_is_refused(path: Path) -> None:
     data[data.index(b"PK\x01\x02") + 8] |= 1
     path.write_bytes(bytes(data))
     refuse(path, "bundle.json is encrypted")
+
+
+def end_of(count: int, size: int, offset: int = 0) -> bytes:
+    """An end of central directory record."""
+    return struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, count, count, size, offset, 0)
+
+
+def crowd(count: int) -> bytes:
+    """An archive of so many empty parts."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as made:
+        for number in range(count):
+            made.writestr(zipfile.ZipInfo(f"{number}"), b"")
+    return buffer.getvalue()
+
+
+def lying(count: int, told: int) -> bytes:
+    """One that tells of fewer than it has."""
+    whole = crowd(count)
+    size, offset = struct.unpack("<2L", whole[-10:-2])
+    return whole[:-22] + end_of(told, size, offset)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(crowd(7), crowd(1000), lying(7, 3), lying(1000, 6), lying(30, 0), end_of(7, 0)),
+        *(crowd(66_000), end_of(3, 2**32 - 1), end_of(65_535, 0)),
+        pytest.param(crowd(3)[:-2] + b"\x04\x00more", id="comment"),
+    ],
+    ids=lambda content: f"{len(content)} bytes" if isinstance(content, bytes) else None,
+)
+def test_entries_are_counted_before_any_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
+) -> None:
+    def read(*_: object) -> None:
+        raise AssertionError("the archive is read")
+
+    path = tmp_path / "crowd.veilcam"
+    path.write_bytes(content)
+    monkeypatch.setattr(zipfile, "ZipFile", read)
+    with pytest.raises(BundleError, match=r"more entries than the 6|not a whole bundle"):
+        read_bundle(path)
 
 
 def test_parts_are_deflated(path: Path) -> None:

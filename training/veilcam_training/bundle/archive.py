@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -50,6 +51,12 @@ FREE, RATIO = 16 * MEBIBYTE, 4
 """All parts together may unpack to so many bytes, and to so many times the size of the file: more
 than weights and masks ever do, and a small file cannot fill the memory."""
 
+_END = struct.Struct("<4s4H2LH")
+"""End of central directory record of a zip archive (APPNOTE.TXT, 4.3.16)."""
+_ENTRY = 46
+"""Size of an entry of the central directory, without its name, extra field and comment [bytes]."""
+LARGEST_DIRECTORY = 2**16
+"""Size of the central directory of a bundle, at most [bytes]."""
 LONGEST_REASON = 300
 """Of a refusal [letters]."""
 
@@ -199,6 +206,7 @@ def _content(path: Path) -> bytes:
 
 
 def _unpack(data: bytes) -> dict[str, bytes]:
+    _require_few_entries(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return _parts(archive, FREE + RATIO * len(data))
@@ -206,6 +214,28 @@ def _unpack(data: bytes) -> dict[str, bytes]:
         if isinstance(error, BundleError):
             raise
         raise BundleError("is not a whole bundle (truncated or damaged): copy it again") from None
+
+
+def _require_few_entries(data: bytes) -> None:
+    """Refuse an archive of many entries before any of them is read, whatever count it gives."""
+    end = len(data) - _END.size
+    if end < 0 or data[end : end + 4] != b"PK\x05\x06":
+        raise BundleError("is not a whole bundle (truncated or damaged): copy it again")
+    *_, count, size, _, comment = _END.unpack(data[end:])
+    # A ZIP64 archive has its counts elsewhere; no bundle needs one.
+    extended = data[max(0, end - 20) : end].startswith(b"PK\x06\x07")
+    directory = data[max(0, end - size) : end]
+    found = place = 0
+    while size <= LARGEST_DIRECTORY and place + _ENTRY <= len(directory):
+        place += _ENTRY + sum(struct.unpack_from("<3H", directory, place + 28))
+        found += 1
+    require(
+        not extended
+        and comment == 0
+        and size <= LARGEST_DIRECTORY
+        and max(count, found) <= len(MAX_PART),
+        f"has more entries than the {len(MAX_PART)} that a bundle may have: export it again",
+    )
 
 
 def _read(path: Path) -> Bundle:

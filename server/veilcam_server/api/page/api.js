@@ -1,6 +1,8 @@
 // Requests to the daemon of this page: the routes that programs use, and no others.
 
-const HALF = "veilcam-session";
+// The page may lie under a path of a proxy, beside other cameras: all is asked from there on.
+const BASE = new URL("..", import.meta.url);
+const HALF = `veilcam-session${BASE.pathname.slice(0, -1)}`;
 // A stream is silent for no longer than this [ms]; heartbeats come every 30 s at the latest.
 const SILENCE = 45000;
 
@@ -26,7 +28,7 @@ async function send(method, path, { body, type, headers = {}, signal } = {}) {
   const media = body === undefined ? {} : { "Content-Type": type ?? "application/json" };
   let answer;
   try {
-    answer = await fetch(path, {
+    answer = await fetch(new URL(path.slice(1), BASE), {
       method,
       body: body === undefined || type ? body : JSON.stringify(body),
       headers: { ...session, ...media, ...headers },

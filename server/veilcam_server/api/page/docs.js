@@ -92,7 +92,7 @@ async function open() {
     main.replaceChildren(h("h1", {}, "The API"));
     notice.hidden = false;
     if (error instanceof Problem && error.status === 401) {
-      notice.replaceChildren("Log in to read it: ", h("a", { href: "/" }, "the camera"));
+      notice.replaceChildren("Log in to read it: ", h("a", { href: "./" }, "the camera"));
     } else say(notice, error.message);
   }
 }

@@ -33,7 +33,7 @@ async function digits() {
     const image = new Image();
     image.addEventListener("load", () => resolve(image));
     image.addEventListener("error", () => reject(new Error("The digits could not be loaded.")));
-    image.src = "/page/digits.png";
+    image.src = new URL("digits.png", import.meta.url).href;
   });
   return sheet;
 }

@@ -128,7 +128,7 @@ async def doctor(request: Request) -> DoctorFindings:
 
 
 @router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())
-async def openapi(request: Request) -> dict[str, Any]:
+async def openapi(request: Request, admission: AdmissionDep) -> dict[str, Any]:
     """This document."""
     app: FastAPI = request.app
-    return document(app)
+    return document(app, admission.site.root_path)

@@ -51,7 +51,7 @@ async def begin_session(
     if "authorization" not in request.headers:
         raise UnauthorizedError
     begun = await run_in_threadpool(store.begin, caller)
-    _set_cookie(request, response, begun.cookie, int(begun.lifetime))
+    _set_cookie(admission, request, response, begun.cookie, int(begun.lifetime))
     return NewSession(**_told(admission, caller, begun.expires), half=begun.half)
 
 
@@ -59,7 +59,7 @@ async def begin_session(
 async def end_session(request: Request, response: Response, admission: AdmissionDep) -> None:
     """End the session of this request."""
     await run_in_threadpool(_sessions(admission).end, request.headers)
-    _set_cookie(request, response, "", 0)
+    _set_cookie(admission, request, response, "", 0)
 
 
 def _told(admission: Admission, caller: Caller, ends: float | None) -> dict[str, Any]:
@@ -71,12 +71,16 @@ def _told(admission: Admission, caller: Caller, ends: float | None) -> dict[str,
     }
 
 
-def _set_cookie(request: Request, response: Response, value: str, seconds: int) -> None:
+def _set_cookie(
+    admission: Admission, request: Request, response: Response, value: str, seconds: int
+) -> None:
+    root = admission.site.root_path
     response.set_cookie(
         cookie_name(request.headers["host"].lower()),
         value,
         max_age=seconds,
-        path="/v1",
+        # Without one it is the folder of the request as the browser sees it: below a proxy's path.
+        path=f"{root}/v1" if root else None,
         # The browser says how it came here, also through a proxy that speaks TLS for us.
         secure=request.headers.get("origin", request.url.scheme).startswith("https"),
         httponly=True,
