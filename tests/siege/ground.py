@@ -63,8 +63,6 @@ class Extent:
     """Mutated bundles that are sent to a daemon, too."""
     captures: int = 20_000
     """Captures on hardware that fails."""
-    engine_kills: int = 20
-    """Kills of an engine on such hardware."""
 
 
 QUICK = Extent(
@@ -75,7 +73,6 @@ QUICK = Extent(
     files=150,
     live=15,
     captures=60,
-    engine_kills=3,
 )
 """Shows that an attack is met; the bars are those of the long form."""
 

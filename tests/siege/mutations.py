@@ -21,13 +21,13 @@ Mutation = Callable[[random.Random, Sequence[bytes]], bytes]
 
 
 def unpack(data: bytes) -> Parts:
-    """The parts of an archive."""
+    """Return the parts of an archive."""
     with zipfile.ZipFile(BytesIO(data)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
 def pack(parts: Parts, compression: int = zipfile.ZIP_DEFLATED) -> bytes:
-    """An archive with these parts, and their right digests where there is a place for them."""
+    """Return an archive with these parts, and their digests where the manifest has a place."""
     try:
         manifest = json.loads(parts["bundle.json"])
         for name in manifest["parts"]:
@@ -41,6 +41,17 @@ def pack(parts: Parts, compression: int = zipfile.ZIP_DEFLATED) -> bytes:
         for name, data in parts.items():
             archive.writestr(zipfile.ZipInfo(name), data, compression)
     return buffer.getvalue()
+
+
+def tensors_of(chance: random.Random, data: Sequence[bytes]) -> tuple[Parts, str]:
+    """Return the parts of a bundle, and the name of one with tensors."""
+    parts = unpack(chance.choice(data))
+    return parts, chance.choice([part for part in sorted(parts) if part.endswith(".safetensors")])
+
+
+def with_manifest(parts: Parts, content: object) -> bytes:
+    """Return an archive with another manifest."""
+    return pack({**parts, "bundle.json": json.dumps(content).encode()})
 
 
 def flip(chance: random.Random, data: Sequence[bytes]) -> bytes:
@@ -106,7 +117,7 @@ NASTY: tuple[Any, ...] = (
 
 
 def places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Every place in a JSON document."""
+    """Yield every place in a JSON document."""
     yield path
     if isinstance(content, dict):
         for key, value in content.items():
@@ -128,7 +139,7 @@ def edit(chance: random.Random, content: Any, value: Any) -> None:
     if action == 0:
         del parent[path[-1]]
     elif action == 1 and isinstance(parent, dict):
-        parent[chance.choice(("surprise", "__proto__", path[-1] + " "))] = value
+        parent[chance.choice(("surprise", "__proto__", f"{path[-1]} "))] = value
     elif action == 1:
         parent.insert(path[-1], value)
     else:
@@ -143,7 +154,7 @@ def manifest(chance: random.Random, data: Sequence[bytes]) -> bytes:
         edit(chance, content, chance.choice(NASTY))
         if not content:
             break
-    return pack({**parts, "bundle.json": json.dumps(content).encode()})
+    return with_manifest(parts, content)
 
 
 def manifest_text(chance: random.Random, data: Sequence[bytes]) -> bytes:
@@ -174,18 +185,17 @@ def layers(chance: random.Random, data: Sequence[bytes]) -> bytes:
     holder = chance.choice(content["pairs"]) if content.get("pairs") else content["fresh"]
     size = chance.choice((1, 2, 20, 64, 1024, 4096, 65_536, 2**20))
     small = chance.choice((1, 2, 64))
+    side = min(size, 4096)
+    flat, gelu = {"kind": "flatten"}, {"kind": "gelu"}
+    shaped: dict[str, Any] = {"kind": "reshape", "shape": [1, 4, 5]}
+    resize: dict[str, Any] = {"kind": "resize", "rows": side, "columns": 4096}
     made: list[dict[str, Any]] = [
+        *(flat, gelu, shaped, resize, {"kind": "max_pool", "kernel": small}),
         {"kind": "linear", "inputs": size, "outputs": chance.choice((1, 10, 65_536))},
-        {"kind": "reshape", "shape": [1, 4, 5]},
         {"kind": "reshape", "shape": [chance.choice((1, 4096)), 4096, size]},
-        {"kind": "resize", "rows": min(size, 4096), "columns": 4096},
-        {"kind": "conv2d", "inputs": 1, "outputs": min(size, 4096), "kernel": small, "padding": 64},
-        {"kind": "average_pool", "rows": min(size, 4096), "columns": min(size, 4096)},
-        {"kind": "max_pool", "kernel": small},
-        {"kind": "layer_norm", "shape": [min(size, 4096)]},
-        {"kind": "batch_norm", "features": size},
-        {"kind": "gelu"},
-        {"kind": "flatten"},
+        {"kind": "conv2d", "inputs": 1, "outputs": side, "kernel": small, "padding": 64},
+        {"kind": "average_pool", "rows": side, "columns": side},
+        *({"kind": "layer_norm", "shape": [side]}, {"kind": "batch_norm", "features": size}),
         {"kind": "affine", "scale": chance.choice((1e300, 0.0, 3e38))},
     ]
     chosen = [chance.choice(made) for _ in range(chance.choice((1, 3, 10, 200)))]
@@ -193,47 +203,37 @@ def layers(chance: random.Random, data: Sequence[bytes]) -> bytes:
     if how == 0:
         holder["layers"] = chosen
     elif how == 1:
-        holder["layers"] = [{"kind": "gelu"}] * chance.choice((127, 128, 5000)) + holder["layers"]
+        holder["layers"] = [gelu] * chance.choice((127, 128, 5000)) + holder["layers"]
     elif how == 2:
         holder["layers"] = [{"kind": "residual", "layers": chosen}, *holder["layers"]]
     elif how == 3:
         # Resized to something large and back: it fits, and only the work is absurd.
-        wide = [{"kind": "resize", "rows": min(size, 4096), "columns": 4096}, {"kind": "gelu"}]
-        holder["layers"] = [
-            {"kind": "reshape", "shape": [1, 4, 5]},
-            *(wide * chance.choice((1, 20))),
-            {"kind": "resize", "rows": 4, "columns": 5},
-            {"kind": "flatten"},
-            *holder["layers"],
-        ]
+        wide, back = [resize, gelu] * chance.choice((1, 20)), {**resize, "rows": 4, "columns": 5}
+        holder["layers"] = [shaped, *wide, back, flat, *holder["layers"]]
     else:
         at = chance.randrange(len(holder["layers"]) + 1)
         holder["layers"][at:at] = chosen[:1]
-    return pack({**parts, "bundle.json": json.dumps(content).encode()})
+    return with_manifest(parts, content)
 
 
 def header(chance: random.Random, data: Sequence[bytes]) -> bytes:
     """Another header of a safetensors part: shapes, offsets, types, its own length."""
-    parts = unpack(chance.choice(data))
-    name = chance.choice([part for part in sorted(parts) if part.endswith(".safetensors")])
+    parts, name = tensors_of(chance, data)
     part = parts[name]
     (length,) = struct.unpack("<Q", part[:8])
     content, rest = json.loads(part[8 : 8 + length]), part[8 + length :]
     if chance.random() < 0.2:
         lie = chance.choice((0, 1, length - 1, length + 1, len(part), 2**32, 2**63, 2**64 - 1))
         return pack({**parts, name: struct.pack("<Q", lie) + part[8:]})
-    value = chance.choice(
-        (*NASTY, [2**31, 2**31], [2**62, 4], [0], [0, 2**62], "F64", "BF16", "I4")
-    )
-    edit(chance, content, value)
+    odd = ([2**31, 2**31], [2**62, 4], [0], [0, 2**62], "F64", "BF16", "I4")
+    edit(chance, content, chance.choice((*NASTY, *odd)))
     text = json.dumps(content).encode()
     return pack({**parts, name: struct.pack("<Q", len(text)) + text + rest})
 
 
 def numbers(chance: random.Random, data: Sequence[bytes]) -> bytes:
     """Other numbers in arrays: NaN, infinity, huge and tiny ones, another shape or type."""
-    parts = unpack(chance.choice(data))
-    name = chance.choice([part for part in sorted(parts) if part.endswith(".safetensors")])
+    parts, name = tensors_of(chance, data)
     tensors = safetensors.torch.load(parts[name])
     key = chance.choice(sorted(tensors))
     tensor = tensors[key].clone()
@@ -246,9 +246,8 @@ def numbers(chance: random.Random, data: Sequence[bytes]) -> bytes:
     elif how == 2 and tensor.dtype == torch.uint8:
         tensor = torch.full_like(tensor, chance.choice((0, 63, 64, 255)))
     elif how == 3:
-        tensor = chance.choice(
-            (tensor[None], tensor.flatten(), tensor.double(), tensor.flatten()[:0])
-        )
+        flat = tensor.flatten()
+        tensor = chance.choice((tensor[None], flat, tensor.double(), flat[:0]))
     else:
         tensor = torch.zeros(chance.choice(((0,), (1,), (9, 5), (2**20,), (784, 0), (784, 800))))
     changed = {**tensors, key: tensor.contiguous()}
@@ -270,27 +269,16 @@ def mixed(chance: random.Random, data: Sequence[bytes]) -> bytes:
 
 
 MUTATIONS: tuple[Mutation, ...] = (
-    *(
-        flip,
-        cut,
-        splice,
-        archive_parts,
-        archive_fields,
-        manifest,
-        manifest_text,
-        layers,
-        header,
-        numbers,
-        mixed,
-    ),
+    *(flip, cut, splice, archive_parts, archive_fields, manifest, manifest_text),
+    *(layers, header, numbers, mixed),
 )
 
 
 def kind(seed: int) -> Mutation:
-    """How the file of this seed comes about."""
+    """Return the mutation of a seed."""
     return MUTATIONS[seed % len(MUTATIONS)]
 
 
 def mutated(seed: int, data: Sequence[bytes]) -> bytes:
-    """The file of this seed."""
+    """Return the file of a seed."""
     return kind(seed)(random.Random(seed), data)

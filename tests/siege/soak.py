@@ -4,8 +4,8 @@ Every capture has a mask of its own, drawn from a key. The light carries 64 of t
 the 64 values of a measurement, so each measurement tells its mask, or its mixture of masks. Every
 embedding leaves: sealed, and opened again by a receiver, or white. Meanwhile somebody changes masks
 by hand. The panel's bus breaks off in the middle of masks; the camera hangs, gives old frames and
-gives frames twice. Engines are stopped and started, and killed (SIGKILL) at random moments on one
-state directory. A panel that takes bytes and does not show them is left to the self test's tests.
+gives frames twice. Engines are stopped and started; the row ``kill`` kills whole daemons. A panel
+that takes bytes and does not show them is left to the self test's tests.
 """
 
 from __future__ import annotations
@@ -13,14 +13,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-import os
 import random
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +26,6 @@ import numpy.typing as npt
 import torch
 from benchmarks.rig import resident
 from tests.server.conftest import FakeMaskTests
-from tests.siege.daemon import child
 from tests.siege.ground import Ground, Judgement
 from tests.siege.samples import fresh_bundle
 
@@ -368,53 +364,17 @@ def soak(
     return outcome
 
 
-def kill(directory: Path, lives: int) -> list[str]:
-    """Kill the engine at random moments; return a digest of every mask that it ever showed."""
-    log = directory / "shown"
-    log.touch(mode=0o600)
-    for life in range(lives):
-        with child(_live, directory, log) as (process, told):
-            told.recv()
-            before = log.stat().st_size
-            # Every fourth dies while it starts; the others once they have shown something.
-            while life % 4 and process.is_alive() and log.stat().st_size == before:
-                time.sleep(0.005)
-            time.sleep(random.uniform(0.0, 0.2))
-            if not process.is_alive():
-                raise RuntimeError(f"the engine ended by itself with {process.exitcode}")
-    return log.read_text().splitlines()
-
-
-def _live(tell: Connection, directory: Path, log: Path) -> None:
-    """Capture until killed. What the panel shows is in the log before it is shown."""
-    torch.set_num_threads(1)
-    supply, descriptor = Supply(), os.open(log, os.O_WRONLY | os.O_APPEND)
-    tell.send("loaded")
-
-    def note(levels: Levels) -> None:
-        os.write(descriptor, hashlib.sha256(levels.tobytes()).hexdigest().encode() + b"\n")
-
-    rig = Rig(supply, directory, tell=note)
-    rig.camera.rotate()
-    while True:
-        rig.camera.capture(release=True).done()
-
-
 async def soaked(ground: Ground, judgement: Judgement) -> None:
     """Look for measurements mixed, lost, or under a used epoch, and for memory that grows."""
     torch.set_num_threads(1)
-    killed, soaked, extent = ground.folder / "engine", ground.folder / "soaked", ground.extent
-    killed.mkdir()
-    shown = kill(killed, extent.engine_kills)
-    outcome = soak(Supply(), soaked, extent.captures, every=max(20, extent.captures // 10))
-    again = len(shown) - len(set(shown))
-    judgement.at_least(f"masks of {extent.engine_kills} killed engines", len(shown), 1)
+    captures = ground.extent.captures
+    outcome = soak(Supply(), ground.folder / "soak", captures, every=max(20, captures // 10))
     for what, count, figure in (
         ("mixed", outcome.mixed, "soak_mixed"),
-        ("used again", outcome.reused + again, "soak_reused"),
+        ("used again", outcome.reused, "soak_reused"),
         ("lost", outcome.lost, "soak_lost"),
     ):
         judgement.at_most(f"{what} of {outcome.captures} captures", count, 0, figure=figure)
     judgement.at_least(f"captures beside {outcome.errors} errors", outcome.captures, 1)
     judgement.at_most("memory [MB]", outcome.growth, GROWTH, figure="soak_growth_mb")
-    judgement.figures["soak_captures"] = extent.captures
+    judgement.figures["soak_captures"] = captures

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from tests.siege import attacker
-from tests.siege.attacker import Attack
+from tests.siege.attacker import Attack, Kind
 from tests.siege.client import PATIENCE, Address, Reply, listening
 from tests.siege.daemon import SPAWN, Circumstances, NoDiskError, fill, started
 from tests.siege.damage import all_trials, flipped, sample
@@ -193,7 +193,7 @@ async def test_attacker_never_ends_and_knows_what_was_dropped(
             pass
         writer.close()
 
-    kinds = ("headers", "body", "half handshake", "silent")
+    kinds: tuple[Kind, ...] = ("headers", "body", "half handshake", "silent")
     async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
         address = Address(f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}")
         plan = Attack(address=address, sockets=8, seconds=0.3, lingering=0.5, kinds=kinds)

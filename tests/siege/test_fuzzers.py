@@ -40,7 +40,8 @@ from veilcam_training.bundle import read_bundle, write_bundle
 
 def serve_leaky(settings: Settings, on_listening: Callable[[str], None]) -> None:
     """Serve, but answer some routes with a defect, or with a mask in another shape."""
-    create, levels = veilcam_server.daemon.create_app, read_bundle(settings.bundle).pairs[0].levels
+    daemon: Any = veilcam_server.daemon
+    create, levels = daemon.create_app, read_bundle(settings.bundle).pairs[0].levels
     answers = {"/v1/lease": (500, b"Internal"), "/v1/rotation": (200, levels.tobytes().hex())}
 
     def created(*given: Any) -> Any:
@@ -57,7 +58,7 @@ def serve_leaky(settings: Settings, on_listening: Callable[[str], None]) -> None
 
         return leaky
 
-    veilcam_server.daemon.create_app = created
+    daemon.create_app = created
     api_fuzz.serve(settings, on_listening)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import typer
 from tests.siege import __main__ as siege
 from tests.siege import careless
 from tests.siege.__main__ import ATTACKS, ROWS, Verdict, besiege, figures_of
@@ -90,7 +91,7 @@ def test_row_that_misses_a_bar_or_breaks_is_the_status(monkeypatch: pytest.Monke
     assert len(judged[2].found) == 4
     assert figures_of(verdicts) == {"kills_lost": 0, "fuzz_leaks": 3}
     for asked, status in (("holds", 0), ("lacks", 0), ("misses", 1), ("breaks", 1), ("moon", 2)):
-        app = siege.typer.Typer()
+        app = typer.Typer()
         app.command()(siege.main)
         assert CliRunner().invoke(app, [asked, "--quick"]).exit_code == status
 
