@@ -360,7 +360,7 @@ class Camera:
         Args:
             picture: the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or ``.npy`` file, or an array
                 (rows, columns) or (rows, columns, 3), uint8, or floats in [0, 1].
-            timeout: of the call in all [s].
+            timeout: time-out of the call in all [s].
         """
         if picture is None:
             return self._transport.send(calls.TAKE_SCENE_AWAY, timeout)

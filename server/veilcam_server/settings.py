@@ -20,7 +20,7 @@ from pydantic_settings import (
 )
 
 from veilcam_client.arguments import masked
-from veilcam_client.wire.rotation import RotationPolicy
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.watch import (
     OnRequest,

@@ -1,6 +1,6 @@
 """Mutated pictures: each is refused by name or read, by every door, and never does harm.
 
-    python -m tests.stress.picture_fuzz --figures benchmarks/results/first-aid.json
+    python -m tests.siege.picture_fuzz --figures benchmarks/results/first-aid.json
 
 The pictures of the table that can be read are mutated: bits, bytes, pieces, and numbers in
 headers. The table itself is tried first.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.pictures.doors import open_doors
 from tests.pictures.samples import make_samples
-from tests.stress.picture_fuzz import fault_of, mutated, try_all
+from tests.siege.picture_fuzz import fault_of, mutated, try_all
 
 READABLE = tuple(sample for sample in make_samples() if not sample.refusal)
 

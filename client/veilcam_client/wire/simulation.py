@@ -109,13 +109,14 @@ def picture_media_type(picture: bytes) -> str:
     """Return the media type of a picture's file, as its first bytes tell.
 
     Raises:
-        ValueError: neither a PNG, JPEG, WebP, BMP, TIFF or GIF file, nor an ``.npy`` file.
+        ArgumentError: neither a PNG, JPEG, WebP, BMP, TIFF or GIF file, nor an ``.npy`` file.
     """
     for beginning, media_type in _BEGINNINGS.items():
         if picture.startswith(beginning):
             return media_type
-    raise ValueError(
-        "this is no picture: give the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or .npy file"
+    raise ArgumentError(
+        "picture is none: give the content of a PNG, JPEG, WebP, BMP, TIFF, GIF or .npy file, or "
+        "an array"
     )
 
 

@@ -75,6 +75,33 @@ def prepare(device: str, threads: int | None) -> torch.device:
     return choose_device(device)
 
 
+def choose_device(name: str) -> torch.device:
+    """Return the device called ``name``: cpu, cuda, or auto for cuda if there is one.
+
+    Raises:
+        TrainingError: an unknown name, or CUDA where there is none.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    require(name in ("cpu", "cuda"), f"--device {name} is not valid: use cpu, cuda or auto")
+    require(
+        name != "cuda" or torch.cuda.is_available(),
+        "--device cuda is not valid: torch sees no CUDA device; use cpu",
+    )
+    return torch.device(name)
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Return True if ``device`` has instructions for bfloat16; torch emulates them elsewhere.
+
+    Every CUDA device is taken to have them: those before compute capability 8.0 do not.
+    """
+    capabilities = torch.cpu.get_capabilities()
+    return device.type != "cpu" or any(
+        present for name, present in capabilities.items() if "bf16" in name
+    )
+
+
 def for_bundle(console: Console, source: Source, classifier: str, *, named: bool) -> Source:
     """Return a data set as a daemon takes it: in gray.
 
