@@ -1,0 +1,42 @@
+"""Guard of the unit tests: they start no process and no daemon, and fit nothing."""
+
+from __future__ import annotations
+
+import multiprocessing.process
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import NoReturn
+
+import pytest
+
+REFUSED = (
+    (subprocess.Popen, "__init__"),
+    (multiprocessing.process.BaseProcess, "start"),
+    (os, "fork"),
+)
+"""Calls that start a process."""
+LOADED = (
+    ("veilcam_server.daemon", "build_service"),
+    ("veilcam_training.experiments.fit", "fit"),
+)
+"""Functions that start a daemon or a fit, where their module is loaded at all."""
+
+
+def refuse(name: str) -> Callable[..., NoReturn]:
+    """Return a function that refuses to be called."""
+
+    def refused(*_: object, **__: object) -> NoReturn:
+        pytest.fail(f"a unit test called {name}: put it under tests/app or tests/fits")
+
+    return refused
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+    for owner, name in REFUSED:
+        monkeypatch.setattr(owner, name, refuse(name))
+    for module, name in LOADED:
+        if module in sys.modules:
+            monkeypatch.setattr(sys.modules[module], name, refuse(f"{module}.{name}"))
