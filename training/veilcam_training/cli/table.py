@@ -32,7 +32,9 @@ Out = Annotated[
 Figures = Annotated[
     Path | None, typer.Option("--figures", help="Record to write test accuracies into.")
 ]
-Names = Annotated[str | None, typer.Option(help="Of them only these, e.g. lens,learned.")]
+Names = Annotated[
+    str | None, typer.Option(help="Only these of the table's, with commas between them.")
+]
 
 
 def table_command(
