@@ -49,7 +49,8 @@ def discover(seconds: float, interfaces: Sequence[str] | None = None) -> tuple[F
         import zeroconf  # noqa: PLC0415
     except ModuleNotFoundError:
         raise DiscoveryError(
-            "finding cameras needs the extra 'discover': pip install 'veilcam[discover]'"
+            "finding cameras needs the extra 'discover': run pip install -e '.[discover]' in the "
+            "checkout"
         ) from None
     listening = list(interfaces or ()) or zeroconf.InterfaceChoice.All
     announced: dict[str, ServiceInfo] = {}

@@ -1,5 +1,6 @@
-"""Entry points of the commands that need an extra, and say which where it is not installed."""
+"""Entry points of the commands; those that need an extra say which where it is not installed."""
 
+import os
 import sys
 from importlib import import_module
 
@@ -10,6 +11,12 @@ _PACKAGES = (
     "veilcam_training",
     "veilcam_server",
 )
+
+
+def veilcam() -> None:
+    """Run ``veilcam``, which needs no extra."""
+    _compute_on_one_thread()
+    import_module("veilcam_client.cli.main").main()
 
 
 def veilcam_optics() -> None:
@@ -38,6 +45,7 @@ def _run(command: str, module: str, extra: str) -> None:
     What a command imports late is looked for as well. A module that is missing of ours or of
     Python's own is a defect, which no extra puts right.
     """
+    _compute_on_one_thread()
     try:
         import_module(module).main()
     except ModuleNotFoundError as error:
@@ -48,3 +56,11 @@ def _run(command: str, module: str, extra: str) -> None:
             f"{command} needs the extra '{extra}' ({missing} is not installed): "
             f"run pip install -e '.[{extra}]' in the checkout"
         )
+
+
+def _compute_on_one_thread() -> None:
+    """Let libraries compute on one thread, unless the user chose; before any of them is loaded.
+
+    Pools of several libraries that fight over the cores make a simulated camera many times slower.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -1,6 +1,6 @@
 """``python -m veilcam_mqtt`` is ``veilcam-mqtt``."""
 
-from veilcam_mqtt.cli import main
+from veilcam_client.entry_points import veilcam_mqtt
 
 if __name__ == "__main__":
-    main()
+    veilcam_mqtt()

@@ -5,6 +5,7 @@
 before the system's; NumPy, spidev and picamera2 are the system's.
 """
 
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -17,4 +18,6 @@ COMMANDS = {
 
 release = Path("/var/lib/veilcam-release/current").resolve()
 sys.path[:0] = [str(release / "lib"), str(release / "py{}{}".format(*sys.version_info))]
+# Before NumPy is loaded, as `veilcam_client.entry_points` does.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 import_module(COMMANDS[Path(sys.argv[0]).name]).main()

@@ -183,7 +183,7 @@ class Settings(Wiring):
     if need be. Default: none may."""
     root_path: str = Field(default="", pattern=r"^(/[A-Za-z0-9._~-]+)*$", max_length=200)
     """Path under which a reverse proxy shows this daemon, as /camera, whether the proxy cuts it off
-    or not."""
+    or not. Default: none."""
     state_dir: Path = Field(default_factory=default_state_dir)
     """Where the device's key, its receivers, tokens and bundles are recorded."""
     rotation: RotationPolicy | None = None

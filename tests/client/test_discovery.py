@@ -85,7 +85,7 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch)
         Camera.discover()
     result = runner.invoke(app, ["discover"])
     assert result.exit_code == 18
-    assert "pip install 'veilcam[discover]'" in result.stderr
+    assert "pip install -e '.[discover]'" in result.stderr
 
 
 @pytest.mark.parametrize(

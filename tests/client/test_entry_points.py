@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -80,3 +81,44 @@ def test_what_no_extra_brings_is_a_defect_that_is_not_hidden(missing: str) -> No
     assert "Traceback" in done.stderr
     assert missing in done.stderr.splitlines()[-1]
     assert "needs the extra" not in done.stderr
+
+
+MODULES = ("veilcam_server", "veilcam_mqtt")
+"""Packages that ``python -m`` runs."""
+TELL = """
+import os, runpy, sys
+
+class Tell:
+    def find_spec(self, name, *_):
+        if name in ("numpy", "torch", "typer"):
+            print("threads", os.environ.get("OMP_NUM_THREADS"), flush=True)
+            os._exit(0)
+
+sys.meta_path.insert(0, Tell())
+sys.argv = ["command", "--help"]
+"""
+"""Tells how many threads are set when the first library is loaded, and ends."""
+
+
+@pytest.mark.parametrize("chosen", [None, "3"])
+@pytest.mark.parametrize("started", [*SCRIPTS, *(f"-m {module}" for module in MODULES)])
+def test_a_command_computes_on_one_thread_unless_the_user_chose(
+    started: str, chosen: str | None
+) -> None:
+    module, _, function = SCRIPTS.get(started, "").partition(":")
+    run_it = (
+        f"runpy.run_module({started.removeprefix('-m ')!r}, run_name='__main__')"
+        if started.startswith("-m ")
+        else f"from {module} import {function}; {function}()"
+    )
+    environment = {name: text for name, text in os.environ.items() if name != "OMP_NUM_THREADS"}
+    if chosen is not None:
+        environment["OMP_NUM_THREADS"] = chosen
+    done = subprocess.run(
+        [sys.executable, "-c", TELL + run_it],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == f"threads {chosen or 1}\n"

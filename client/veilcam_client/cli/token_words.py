@@ -1,8 +1,21 @@
 """A token in words, without what other answers are put into words with: ``veilcamd`` has it too."""
 
+from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from veilcam_client.wire.tokens import Token
+from veilcam_client.wire.tokens import SCOPES, Token
+
+SCOPE_HELP = f"What it allows; give it several times. One of {', '.join(SCOPES)}."
+"""Help of the option ``--scope``."""
+
+
+def unknown_scopes(scopes: Iterable[str]) -> str | None:
+    """Say which scopes there are not, as they were typed; None where all are known."""
+    unknown = [scope for scope in dict.fromkeys(scopes) if scope not in SCOPES]
+    if not unknown:
+        return None
+    typed = " ".join(f"--scope {scope!r}" for scope in unknown)
+    return f"{typed}: there is no such scope: use {', '.join(SCOPES)}"
 
 
 def token_in_words(token: Token) -> str:

@@ -16,9 +16,9 @@ from veilcam_client.cli.terminal import (
     fail,
     show,
 )
-from veilcam_client.cli.token_words import token_in_words
+from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
 from veilcam_client.http.options import DEFAULT_URL
-from veilcam_client.wire.tokens import SCOPES, TOKENS_AT_ONCE, TokenRequest
+from veilcam_client.wire.tokens import TOKENS_AT_ONCE, TokenRequest
 
 app: typer.Typer = typer.Typer(
     no_args_is_help=True,
@@ -34,7 +34,7 @@ def create(
     label: Annotated[str, typer.Option(help="For whom or what it is.")],
     scope: Annotated[
         list[str],
-        typer.Option(help=f"What it allows; give it several times. One of {', '.join(SCOPES)}."),
+        typer.Option(help=SCOPE_HELP),
     ],
     days: Annotated[
         float | None,
@@ -45,6 +45,9 @@ def create(
     json: JsonOption = False,
 ) -> None:
     """Make a token and print it. It is shown this once."""
+    unknown = unknown_scopes(scope)
+    if unknown is not None:
+        fail(unknown, USAGE)
     seconds = None if days is None else round(86_400 * days)
     try:
         asked = TokenRequest.model_validate(

@@ -182,7 +182,7 @@ class Conditions:
             counted; infinite for none.
         electrons: photo-electrons in an embedding value of 1 (all-white scene, no mask); then shot
             noise follows from the count. 0: not counted.
-        read_noise: standard deviation of the noise of measurement one embedding value [electrons].
+        read_noise: standard deviation of the noise of reading one embedding value [electrons].
         full_well: electrons at which an embedding value saturates.
         adc_bits: bits of the converter.
         adc_range: embedding value at which the converter ends; 0: the full well, or 1 without one.

@@ -89,7 +89,7 @@ def _drawing(*, wanted: bool) -> Callable[[Path, Calibrated], None] | None:
         if not wanted:
             return None
         raise StartError(
-            f"--picture needs {missing.name}: run pip install 'veilcam[simulate]'"
+            f"--picture needs {missing.name}: run pip install -e '.[simulate]' in the checkout"
         ) from None
     return write_picture
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from pydantic import ValidationError
 
+from veilcam_client.cli.token_words import SCOPE_HELP, token_in_words, unknown_scopes
 from veilcam_client.wire.tokens import Token, TokenRequest, Tokens
 from veilcam_server.cli.terminal import JsonOption, StateDirOption, enter_state, fail, one_line
 from veilcam_server.errors import AuditError, StartError, TokenStoreError, UnknownTokenError
@@ -36,10 +37,7 @@ def create(
     label: Annotated[str, typer.Option(help="For whom or what it is.")],
     scope: Annotated[
         list[str],
-        typer.Option(
-            help="What it allows; give it several times. read:status, classify, read:embedding, "
-            "read:embedding:raw, mask:rotate, calibrate, admin:bundles, admin:tokens, metrics."
-        ),
+        typer.Option(help=SCOPE_HELP),
     ],
     days: Annotated[
         float | None,
@@ -52,6 +50,9 @@ def create(
     seconds = None if days is None else round(86_400 * days)
     if seconds == 0:
         fail("--days: a token is valid for a second at least")
+    unknown = unknown_scopes(scope)
+    if unknown is not None:
+        fail(unknown)
     try:
         asked = TokenRequest.model_validate(
             {"label": label, "scopes": tuple(scope), "seconds": seconds}
@@ -79,8 +80,6 @@ def list_tokens(
     if not tokens:
         typer.echo("no tokens: make one with 'veilcamd token create'")
         return
-    from veilcam_client.cli.token_words import token_in_words  # noqa: PLC0415 - late, as below
-
     for token in tokens:
         typer.echo(token_in_words(token))
 

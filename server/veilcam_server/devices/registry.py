@@ -113,7 +113,8 @@ def _simulated(
         from veilcam_server.devices.simulated.scene_files import open_scenes  # noqa: PLC0415
     except ModuleNotFoundError as missing:
         raise DeviceMissingError(
-            f"simulated light needs {missing.name}: run pip install 'veilcam[simulate]'"
+            f"simulated light needs {missing.name}: "
+            "run pip install -e '.[simulate]' in the checkout"
         ) from None
     use_torch_sparingly()
     given = settings.imperfections

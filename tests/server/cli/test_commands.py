@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
+import stat
 from pathlib import Path
 
+import pytest
+import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from veilcam_client import __version__
+from veilcam_client.cli.main import app as client_app
+from veilcam_client.wire.tokens import SCOPES
 from veilcam_server.cli.main import app
+from veilcam_server.cli.serve import set_scene
+from veilcam_server.demo_data import load_digits
 
 runner = CliRunner()
 PERSONS = {"serve", "demo"}
@@ -50,3 +58,21 @@ def test_tokens_and_digits_are_told_as_json(tmp_path: Path) -> None:
     shown = runner.invoke(app, ["show", "--scene", str(scene), "--index", "3", "--json"])
     held = json.loads(shown.stdout)
     assert (held["index"], held["file"]) == (3, str(scene))
+
+
+@pytest.mark.parametrize("command", [app, client_app], ids=["veilcamd", "veilcam"])
+def test_scopes_are_all_told_and_an_unknown_one_is_named_once(command: typer.Typer) -> None:
+    told = runner.invoke(command, ["token", "create", "--help"]).stdout
+    # A terminal breaks lines, and may draw a box around them.
+    assert f"Oneof{','.join(SCOPES)}." in re.sub(r"[\s│]", "", told)
+    wrong = ["--scope", "classify", "--scope", "read:everything", "--scope", "see"]
+    refused = runner.invoke(command, ["token", "create", "--label", "x", *wrong])
+    assert refused.exit_code != 0
+    (line,) = refused.stderr.splitlines()
+    assert "--scope 'read:everything' --scope 'see': there is no such scope: use read:st" in line
+    assert "--scope 'classify'" not in line
+
+
+def test_a_state_folder_that_begins_with_a_scene_is_its_owner_s_alone(tmp_path: Path) -> None:
+    set_scene(tmp_path / "state" / "scene.npy", load_digits(), 0)
+    assert stat.S_IMODE((tmp_path / "state").stat().st_mode) == 0o700

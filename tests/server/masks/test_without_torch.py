@@ -57,4 +57,6 @@ except DeviceMissingError as error:
     print(error)
 """,
     )
-    assert said == "simulated light needs torch: run pip install 'veilcam[simulate]'\n"
+    assert said == (
+        "simulated light needs torch: run pip install -e '.[simulate]' in the checkout\n"
+    )

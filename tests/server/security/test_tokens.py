@@ -563,7 +563,10 @@ def test_tokens_from_a_terminal(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["create", "--label", "x", "--scope", "everything"], "--scopes: Input should be"),
+        (
+            ["create", "--label", "x", "--scope", "everything"],
+            "--scope 'everything': there is no such scope: use read:status, ",
+        ),
         (["create", "--label", "", "--scope", "classify"], "--label: "),
         (["create", "--label", "x", "--scope", "classify", "--days", "0"], "--days: "),
         (["revoke", "nothing"], "there is no token of this id"),

@@ -43,9 +43,9 @@ Work = Annotated[
 Logs = Annotated[Path | None, typer.Option("--tensorboard", help="Folder for TensorBoard's logs.")]
 Csv = Annotated[Path | None, typer.Option("--csv", help="File of accuracies and losses, *.csv.")]
 Device = Annotated[str, typer.Option("--device", help="cpu, cuda, or auto: cuda if there is one.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Instead of one per core.")]
-SkipDamaged = Annotated[
-    bool, typer.Option("--skip-damaged", help="Go on without own pictures that cannot be read.")
+Threads = Annotated[
+    int | None,
+    typer.Option("--threads", min=1, help="Instead of OMP_NUM_THREADS, which is 1 unless set."),
 ]
 
 
