@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -99,16 +100,11 @@ class MarkedSource(FreshSource):
 
 
 class Supply:
-    """Source of masks, and a receiver, of all engines."""
+    """Source of masks, and a receiver, of all engines: to build them takes seconds."""
 
     def __init__(self) -> None:
-        # Built once: it is what takes time when an engine starts.
         self.source = MarkedSource(replace(fresh_bundle(CAMERA, EMBEDDING, 32), digest=DIGEST))
         self.receiver = ReceiverKey.generate()
-
-    def terms(self, form: Release) -> Terms:
-        """Return what holds for every epoch of one engine."""
-        return Terms(form, (self.receiver.public,) if form == "sealed" else ())
 
 
 class CornerLight:
@@ -146,10 +142,6 @@ class Bus(PanelEmulator):
             raise OSError(5, "Input/output error")
 
 
-def _at_once(_: float) -> None:
-    """Wait for nothing."""
-
-
 class Rig:
     """Engine on hardware that fails when told; ``tell`` gets every mask before it is shown."""
 
@@ -159,13 +151,15 @@ class Rig:
         directory: Path,
         *,
         tell: Callable[[Levels], None],
-        form: Release = "sealed",
-        granted: float = SETTLE,
+        form: Release,
+        granted: float,
     ) -> None:
         self.bus, self.frames = Bus(TABS["green"], crystal=CRYSTAL, reset_time=0.0), CameraFaults()
         # Random faults come in a row, too, and nobody waits here for another attempt.
         unhurried = itertools.count(0.0, 100.0).__next__
-        display = ReopeningDisplay("ST7735R", self._panel, clock=unhurried)
+        bus = (self.bus, self.bus)
+        panel = partial(ST7735R, *bus, camera=CAMERA, tab=TABS["green"], sleep=lambda _: None)
+        display = ReopeningDisplay("ST7735R", panel, clock=unhurried)
         show, standing = display.show, b""
 
         def told(levels: Levels) -> Shown:
@@ -179,7 +173,7 @@ class Rig:
 
         display.show = told  # type: ignore[method-assign]
         light = CornerLight()
-        self._light = SimulatedLight(
+        frames_of_light = SimulatedLight(
             *(self.bus, Scenes((light,)), light),
             camera=CAMERA,
             embedding=EMBEDDING,
@@ -189,9 +183,18 @@ class Rig:
             seed=0,
             began_at=0.0,
         )
-        sensor = ReopeningSensor("IMX477", 1.1, self._sensor, clock=unhurried)
+        frames = partial(FakePicamera2, frames_of_light, mode=MODE, faults=self.frames)
+        camera = partial(
+            IMX477,
+            frames,
+            shape=EMBEDDING.shape,
+            mode=MODE,
+            exposures=ExposureRange(0.0),
+            full_scale=1.1,
+        )
+        sensor = ReopeningSensor("IMX477", 1.1, camera, clock=unhurried)
         signer, budget = DeviceKey.open(directory), ReleaseBudget(directory, raw=0)
-        terms = supply.terms(form)
+        terms = Terms(form, (supply.receiver.public,) if form == "sealed" else ())
         self.camera = MaskedCamera(
             Device(display, sensor, simulated=True),
             # This light is of no camera that real tests could know.
@@ -203,31 +206,14 @@ class Rig:
             policy=EveryCaptures(captures=1),
         )
 
-    def _panel(self) -> ST7735R:
-        return ST7735R(self.bus, self.bus, camera=CAMERA, tab=TABS["green"], sleep=_at_once)
-
-    def _sensor(self) -> IMX477:
-        return IMX477(
-            lambda: FakePicamera2(self._light, mode=MODE, faults=self.frames),
-            shape=EMBEDDING.shape,
-            mode=MODE,
-            exposures=ExposureRange(0.0),
-            full_scale=1.1,
-        )
-
     def break_something(self) -> None:
         """Let the next thing of a random kind fail."""
-        kind = random.randrange(5)
-        if kind == 0:
-            self.bus.breaks = random.choice((1, 1, 2, 3))
-        elif kind == 1:
-            self.frames.hangs = 1
-        elif kind == 2:
-            self.frames.stale = 2
-        elif kind == 3:
-            self.frames.stuck = True
-        else:
-            self.frames.gain = 2.0
+        breaks = random.choice((1, 1, 2, 3))
+        faults = (
+            *((self.bus, "breaks", breaks), (self.frames, "hangs", 1), (self.frames, "stale", 2)),
+            *((self.frames, "stuck", True), (self.frames, "gain", 2.0)),
+        )
+        setattr(*random.choice(faults))
 
     def mend(self) -> None:
         """End what would last."""

@@ -84,6 +84,8 @@ async def dribbling(
             certificate = write_certificate(settings.state_dir.parent)
             settings = settings.model_copy(update=certificate)
             daemon = stack.enter_context(ground.start(settings))
+            spoken = daemon.address.url.startswith("https://")
+            judgement.holds("it speaks TLS", true=spoken)
         else:
             settings, daemon = ground.shared
         tokens = make_tokens(settings, ("neighbour", "beside", "captures", "attacker"))

@@ -196,7 +196,7 @@ async def test_attacker_never_ends_and_knows_what_was_dropped(
     kinds: tuple[Kind, ...] = ("headers", "body", "half handshake", "silent")
     async with await asyncio.start_server(handle, "127.0.0.1", 0) as server:
         address = Address(f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}")
-        plan = Attack(address=address, sockets=8, seconds=0.3, lingering=0.5, kinds=kinds)
+        plan = Attack(address=address, sockets=8, seconds=1.0, lingering=0.5, kinds=kinds)
         losses = await plan.run()
     assert losses.left == left
     assert (losses.opened > 8) == (left == 0)

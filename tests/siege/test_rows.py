@@ -18,7 +18,7 @@ TOGETHER = ("sockets", "sockets-spread", "streams", "upload")
 MISSED = {
     "page": ["requests of a page act"],
     "sockets": ["left of"],
-    "sockets-tls": ["captures answered", "status p99"],
+    "sockets-tls": ["it speaks TLS", "left of"],
     "sockets-spread": ["left of"],
     "streams": ["streams of others that hear"],
     "upload": ["another uploads", "is dropped"],
