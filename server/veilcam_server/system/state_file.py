@@ -330,12 +330,6 @@ def unusable(directory: Path, error: OSError) -> StartError:
     )
 
 
-def refuse_earlier(path: Path, remedy: str) -> None:
-    """Raise :class:`StartError` where ``path`` is: an earlier version wrote it."""
-    if path.exists():
-        raise StartError(f"{path} is of an earlier version: {remedy}")
-
-
 def _newest(copies: Sequence[_Copy[StateT]]) -> _Copy[StateT]:
     return max(copies, key=lambda copy: copy.serial)
 
