@@ -44,7 +44,7 @@ def test_it_is_for_its_owner_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     temporary, folder = seen  # both reach the disk
     assert stat.S_IMODE(temporary) == 0o600
     assert stat.S_ISDIR(folder)
-    # One that others could read, from an earlier version, is replaced by one that they cannot.
+    # One that others could read is replaced by one that they cannot.
     path.chmod(0o644)
     save_checkpoint(path, "a", STATE)
     assert mode(path) == 0o600
@@ -81,13 +81,6 @@ def test_every_damage_is_found(tmp_path: Path) -> None:
             path.write_bytes(damaged)
             with pytest.raises(TrainingError, match=r"cannot be read \(damaged.*: remove it to"):
                 load_checkpoint(path, "a")
-
-
-def test_a_checkpoint_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "fit.checkpoint"
-    torch.save({"fingerprint": "a", "state": STATE}, path)
-    with pytest.raises(TrainingError, match=r"earlier version\): remove it to start again"):
-        load_checkpoint(path, "a")
 
 
 def test_whole_but_not_for_this_torch(tmp_path: Path) -> None:

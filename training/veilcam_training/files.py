@@ -38,7 +38,7 @@ def read_private(path: Path) -> bytes | None:
         raise unreadable(path, str(error.strerror)) from None
     digest, content = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
     if hashlib.sha256(content).digest() != digest:
-        raise unreadable(path, "damaged, truncated, or of an earlier version")
+        raise unreadable(path, "damaged or truncated")
     return content
 
 

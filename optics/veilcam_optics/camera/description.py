@@ -16,7 +16,6 @@ from veilcam_optics.camera.geometry import (
     Window,
 )
 from veilcam_optics.errors import OpticsError, invalid, require
-from veilcam_optics.files import write_whole
 
 TABLES = ("panel", "window", "sensor")
 
@@ -129,11 +128,6 @@ def _panel(values: dict[str, Any]) -> Panel:
         values.setdefault(name, values[f"pitch_{axis}"])
     panel = Panel(**values)
     return panel if share is None else panel.with_fill_factor(share)
-
-
-def write_camera(path: Path, camera: Camera) -> None:
-    """Describe ``camera`` in a file, which :func:`read_camera` reads back as it was."""
-    write_whole(path, describe_camera(camera).encode())
 
 
 def describe_camera(camera: Camera) -> str:

@@ -33,7 +33,6 @@ from veilcam_server.system.state_file import (
     StateFile,
     log_fault,
     make_directory,
-    refuse_earlier,
 )
 
 CAPACITY = 32
@@ -64,20 +63,11 @@ class BundleStore:
         configured: the bundle that the daemon was started with; it stays where it is.
         digest: SHA-256 of the bundle.
         report: takes what was damaged.
-
-    Raises:
-        StartError: the directory is of an earlier version.
     """
 
     def __init__(
         self, directory: Path, configured: Path, digest: str, report: Report = log_fault
     ) -> None:
-        refuse_earlier(
-            directory.with_name("keyrings"), f"rename it to {directory.name}, or remove it"
-        )
-        refuse_earlier(
-            directory / "active.json", "remove it, start again, and activate the bundle again"
-        )
         self._record = StateFile(
             directory / "in-use.json",
             _InUse,

@@ -13,13 +13,12 @@ from veilcam_server.system.state_file import (
     StateFile,
     log_fault,
     make_directory,
-    refuse_earlier,
+    unusable,
 )
 from veilcam_server.system.state_folder import unusable
 
 KEY_NAME = "device-key.json"
 """Of the private key in the state directory."""
-EARLIER_NAME = "calibration-key.json"
 """Of the same key, from when it signed calibrations only."""
 
 
@@ -43,7 +42,7 @@ class DeviceKey:
             report: takes what was damaged.
 
         Raises:
-            StartError: it cannot be made or read.
+            StartError: it cannot be made.
         """
         file = StateFile(
             state_dir / KEY_NAME,
@@ -51,10 +50,6 @@ class DeviceKey:
             lost="this device has another key from now on: tell its receivers, and run "
             "'veilcamd calibrate' again if it was calibrated",
             report=report,
-        )
-        refuse_earlier(
-            state_dir / EARLIER_NAME,
-            f"rename it to {KEY_NAME}, and {EARLIER_NAME}.copy and {EARLIER_NAME}.lock alike",
         )
         found = file.read()
         if found is None:

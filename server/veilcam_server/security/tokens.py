@@ -22,7 +22,7 @@ from veilcam_server.system.state_file import (
     StateFile,
     log_fault,
     make_directory,
-    refuse_earlier,
+    unusable,
 )
 from veilcam_server.system.state_folder import unusable
 
@@ -88,7 +88,7 @@ class TokenStore:
         report: takes what was damaged.
 
     Raises:
-        StartError: the directory cannot be used, or an earlier version used it.
+        StartError: the directory cannot be used.
     """
 
     def __init__(
@@ -99,7 +99,6 @@ class TokenStore:
         report: Report = log_fault,
     ) -> None:
         self._wall, self._monotonic = now, monotonic
-        refuse_earlier(directory / "tokens.sqlite3", "make the tokens again, and remove it")
         try:
             make_directory(directory)
         except OSError as error:

@@ -332,10 +332,11 @@ def make_directory(directory: Path) -> None:
         sync_folder(directory.parent)
 
 
-def refuse_earlier(path: Path, remedy: str) -> None:
-    """Raise :class:`StartError` where ``path`` is: an earlier version wrote it."""
-    if path.exists():
-        raise StartError(f"{path} is of an earlier version: {remedy}")
+def unusable(directory: Path, error: OSError) -> StartError:
+    """What is said of a state directory that cannot be used."""
+    return StartError(
+        f"{directory} cannot be used ({error.strerror}): check it, or give another --state-dir"
+    )
 
 
 def _newest(copies: Sequence[_Copy[StateT]]) -> _Copy[StateT]:

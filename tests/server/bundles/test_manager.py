@@ -34,7 +34,6 @@ from veilcam_server.errors import (
     BundleStoreError,
     NotReadyError,
     ProblemError,
-    StartError,
     StateLostError,
     TooManyUploadsError,
     TooManyUploadsOfOneError,
@@ -571,19 +570,3 @@ def test_reasons_hold_no_path(restarts: Restarts, bundle: Bundle) -> None:
     with pytest.raises(BundleInvalidError) as caught:
         opener.read(bad)
     assert str(restarts.directory) not in str(caught.value)
-
-
-def test_state_of_an_earlier_version_is_refused(restarts: Restarts) -> None:
-    restarts.use(1, before=0)
-    (restarts.directory / "bundles").rename(restarts.directory / "keyrings")
-    with pytest.raises(
-        StartError, match=r"keyrings is of an earlier version: rename it to bundles"
-    ):
-        restarts.store()
-    (restarts.directory / "keyrings").rename(restarts.directory / "bundles")
-    assert restarts.start()[0] == "task 1"
-    (restarts.directory / "bundles" / "active.json").touch()
-    with pytest.raises(
-        StartError, match=r"active\.json is of an earlier version: remove it, start again, and"
-    ):
-        restarts.store()

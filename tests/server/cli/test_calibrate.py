@@ -102,12 +102,7 @@ def test_refusals_are_one_line_and_change_nothing(fresh_file: Path, tmp_path: Pa
     assert set(tmp_path.iterdir()) == before
     assert "no such file" in refused(*state, "--bundle", "missing.veilcam")
     assert "--frame is for fresh masks" in refused(*state, "--frame", str(tmp_path / "frame"))
-    earlier = tmp_path / "calibration-key.json"
-    earlier.write_text("")
-    assert "calibration-key.json is of an earlier version: rename it to device-key.json" in refused(
-        *state, "--bundle", str(fresh_file)
-    )
-    assert set(tmp_path.iterdir()) - before == {earlier}
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_a_person_is_told_what_to_set(

@@ -74,24 +74,6 @@ def test_a_damaged_key_is_put_right_and_another_one_is_told(
     assert len(faults) == 1
 
 
-def test_the_key_of_an_earlier_version_is_refused_and_serves_once_it_is_renamed(
-    tmp_path: Path, key: DeviceKey
-) -> None:
-    ends = ("", ".copy", ".lock")
-    for end in ends:
-        (tmp_path / f"{KEY_NAME}{end}").rename(tmp_path / f"calibration-key.json{end}")
-    with pytest.raises(StartError) as refused:
-        DeviceKey.open(tmp_path)
-    assert str(refused.value) == (
-        f"{tmp_path}/calibration-key.json is of an earlier version: rename it to device-key.json, "
-        "and calibration-key.json.copy and calibration-key.json.lock alike"
-    )
-    assert not (tmp_path / KEY_NAME).exists()
-    for end in ends:
-        (tmp_path / f"calibration-key.json{end}").rename(tmp_path / f"{KEY_NAME}{end}")
-    assert DeviceKey.open(tmp_path).public == key.public
-
-
 def test_a_place_that_takes_no_key_is_said(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.touch()

@@ -239,12 +239,6 @@ def test_a_disk_that_takes_nothing_refuses_no_request(
     assert store.tokens()[0].last_used_on == "2027-01-15"
 
 
-def test_tokens_of_an_earlier_version_are_refused_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "tokens.sqlite3").touch()
-    with pytest.raises(StartError, match=r"tokens\.sqlite3 is of an earlier version: make the"):
-        TokenStore(tmp_path)
-
-
 def test_what_is_no_directory_is_a_reason_not_to_start(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StartError, match=r"file cannot be used .* --state-dir"):

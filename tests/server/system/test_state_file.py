@@ -27,7 +27,6 @@ from veilcam_server.system.state_file import (
     StateFile,
     log_fault,
     make_directory,
-    refuse_earlier,
 )
 
 
@@ -484,13 +483,6 @@ def test_faults_are_logged_where_nobody_takes_them(rig: Rig) -> None:
         "remedy": "check_disk",
     }
     assert logs == [entry]
-
-
-def test_what_an_earlier_version_wrote_is_named_with_what_to_do(tmp_path: Path) -> None:
-    refuse_earlier(tmp_path / "old", "remove it")
-    (tmp_path / "old").touch()
-    with pytest.raises(StartError, match=r"old is of an earlier version: remove it$"):
-        refuse_earlier(tmp_path / "old", "remove it")
 
 
 def test_a_directory_is_made_and_held_by_one(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ class PairManifest(BaseModel, frozen=True, extra="forbid", strict=True):
 
     layers: tuple[LayerRecord, ...]
     transfer_error: TransferError | None = Field(default=None, exclude_if=lambda it: it is None)
-    """Not in files of earlier versions."""
+    """Where it was measured."""
 
 
 class FreshManifest(BaseModel, frozen=True, extra="forbid", strict=True):
@@ -32,8 +32,6 @@ class FreshManifest(BaseModel, frozen=True, extra="forbid", strict=True):
 
     scheme: Literal["veilcam mask levels, version 1"] = "veilcam mask levels, version 1"
     """How a key becomes a mask: see :mod:`veilcam_optics.keys.masks`."""
-    device: str | None = Field(default=None, exclude=True)
-    """Of files that earlier versions wrote; it means nothing any more."""
     noise: MeasurementNoise
     reach: Reach
     features: tuple[Feature, ...]

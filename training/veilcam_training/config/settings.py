@@ -17,7 +17,7 @@ A fit for fresh masks has its settings, beside the name of a ``task``, in one ta
 import hashlib
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -40,10 +40,6 @@ from veilcam_training.encoders.fresh import Misalignment
 from veilcam_training.encoders.psf import PsfFile
 from veilcam_training.errors import TrainingError, require
 from veilcam_training.transforms.augmentation import Augmentation, ShearedAugmentation
-
-LATER = ("psf_pitch", "psf_distance")
-LATER_IN_RECIPE = ("mixup", "averaging", "pooling", "rank")
-"""Settings that came after others were fitted, of a fit and of its recipe."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -88,13 +84,8 @@ class Settings(BaseModel, frozen=True, extra="forbid", strict=True):
         files = sorted(source.digests().items())
         if self.psf is not None:
             files.append(("psf", hashlib.sha256(self.psf.read_bytes()).hexdigest()))
-        # What is in the file counts, not where it lies; and settings that came later are left out
-        # as long as they say nothing, so that fits from before them are still the same.
-        same = self.model_copy(update={"psf": None})
-        excluded = dict.fromkeys(_unsaid(self, LATER), True) | {
-            "recipe": _unsaid(self.recipe, LATER_IN_RECIPE)
-        }
-        return _digest(same.model_dump_json(exclude=excluded), files)
+        # What is in the file counts, not where it lies.
+        return _digest(self.model_copy(update={"psf": None}).model_dump_json(), files)
 
     @property
     def psf_file(self) -> PsfFile | None:
@@ -178,15 +169,7 @@ class FreshSettings(BaseModel, frozen=True, extra="forbid", strict=True):
 
     def fingerprint(self, source: Source) -> str:
         """SHA-256 of the settings and of the data: two fits are the same if these are."""
-        # Without defaults: a setting that is added later does not disown what was fitted before.
-        chosen = self.model_dump_json(exclude_defaults=True)
-        return _digest(chosen, sorted(source.digests().items()))
-
-
-def _unsaid(model: BaseModel, names: Iterable[str]) -> set[str]:
-    """Those fields of ``names`` that have their default."""
-    fields = type(model).model_fields
-    return {name for name in names if getattr(model, name) == fields[name].default}
+        return _digest(self.model_dump_json(), sorted(source.digests().items()))
 
 
 def _digest(chosen: str, files: list[tuple[str, str]]) -> str:
