@@ -32,14 +32,6 @@ from veilcam_training.errors import TrainingError, require
 from veilcam_training.experiments.executors import make_executor
 from veilcam_training.files import check_folder
 
-console = Console()
-
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Folder for report.html, report.md and pictures.")
-]
-Figures = Annotated[
-    Path | None, typer.Option("--figures", help="Record to write test accuracies into.")
-]
 Names = Annotated[
     str | None, typer.Option(help="Only these of the table's, with commas between them.")
 ]

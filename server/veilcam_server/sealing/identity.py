@@ -13,13 +13,11 @@ from veilcam_server.system.state_file import (
     StateFile,
     log_fault,
     make_directory,
-    unusable,
 )
 from veilcam_server.system.state_folder import unusable
 
 KEY_NAME = "device-key.json"
 """Of the private key in the state directory."""
-"""Of the same key, from when it signed calibrations only."""
 
 
 class _Seed(BaseModel):
@@ -42,7 +40,7 @@ class DeviceKey:
             report: takes what was damaged.
 
         Raises:
-            StartError: it cannot be made.
+            StartError: it cannot be made or read.
         """
         file = StateFile(
             state_dir / KEY_NAME,

@@ -22,7 +22,6 @@ from veilcam_server.system.state_file import (
     StateFile,
     log_fault,
     make_directory,
-    unusable,
 )
 from veilcam_server.system.state_folder import unusable
 

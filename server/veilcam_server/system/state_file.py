@@ -332,13 +332,6 @@ def make_directory(directory: Path) -> None:
         sync_folder(directory.parent)
 
 
-def unusable(directory: Path, error: OSError) -> StartError:
-    """What is said of a state directory that cannot be used."""
-    return StartError(
-        f"{directory} cannot be used ({error.strerror}): check it, or give another --state-dir"
-    )
-
-
 def _newest(copies: Sequence[_Copy[StateT]]) -> _Copy[StateT]:
     return max(copies, key=lambda copy: copy.serial)
 

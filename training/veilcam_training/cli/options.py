@@ -47,6 +47,9 @@ Threads = Annotated[
     int | None,
     typer.Option("--threads", min=1, help="Instead of OMP_NUM_THREADS, which is 1 unless set."),
 ]
+SkipDamaged = Annotated[
+    bool, typer.Option("--skip-damaged", help="Go on without own pictures that cannot be read.")
+]
 
 
 def given(**options: object) -> dict[str, object]:
