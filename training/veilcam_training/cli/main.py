@@ -44,6 +44,7 @@ from veilcam_training.data.base import ReadOnce
 from veilcam_training.data.download import REMOTES, download
 from veilcam_training.data.drawn import SHAPES, draw_folder
 from veilcam_training.encoders import ENCODERS, read_psf
+from veilcam_training.encoders.registry import WITH_PSF
 from veilcam_training.errors import TrainingError
 from veilcam_training.experiments.executors import make_executor
 from veilcam_training.experiments.fit import FitResult, run_fit, settle_seed
@@ -185,7 +186,8 @@ def fit_command(
             show_summary(console, source)
             mixed = settings.recipe.precision == "mixed"
             warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
-            if settings.psf_file and (said := read_psf(settings.psf_file, 1e-3).warning):
+            psf_used = settings.psf_file if settings.encoder in WITH_PSF else None
+            if psf_used and (said := read_psf(psf_used, camera.distance).warning):
                 console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
         name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
         with watch(
