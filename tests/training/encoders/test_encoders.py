@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.pictures.samples import make_samples
 
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor
 from veilcam_optics.camera.masks import to_weights
@@ -317,6 +318,20 @@ def test_pictures_and_arrays_are_psfs_with_a_pitch(
     assert (found.pitch, found.distance) == (1e-5, 4e-3)
     with pytest.raises(TrainingError, match="give --psf-pitch METRES"):
         read_psf(PsfFile(path), 4e-3)
+
+
+def test_psf_in_a_picture_is_read_by_the_one_reader_of_pictures(tmp_path: Path) -> None:
+    bright = np.linspace(0, 60_000, 48).reshape(6, 8).astype(np.uint16)
+    for name, shown, warned in (("bright", bright, False), ("dark", bright // 16, True)):
+        Image.fromarray(shown).save(tmp_path / f"{name}.tif")
+        found = read_psf(PsfFile(tmp_path / f"{name}.tif", 1e-5), 4e-3)
+        assert np.array_equal(found.irradiance[0].numpy(), shown)
+        assert (found.warning is not None) == warned
+    deep = next(each for each in make_samples() if each.name == "deep-colour.png")
+    for content, reason in ((deep.content, "16 bits a channel"), (deep.content[:60], "damaged")):
+        (tmp_path / "psf.png").write_bytes(content)
+        with pytest.raises(TrainingError, match=rf"psf\.png .*{reason}"):
+            read_psf(PsfFile(tmp_path / "psf.png", 1e-5), 4e-3)
 
 
 @pytest.mark.parametrize(
