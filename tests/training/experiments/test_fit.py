@@ -245,7 +245,8 @@ def test_fingerprint_tells_settings_recipes_and_torch_apart(
         {},
         {"seed": 1},
         {"embedding": "3x4"},
-        *({"recipe": Recipe(**each)} for each in ({"mixup": 0.5}, {"rank": 10})),
+        {"recipe": Recipe(mixup=0.5)},
+        {"recipe": Recipe(rank=10)},
     ]
     chosen = [Settings().model_copy(update=change) for change in changes]
     monkeypatch.setattr(torch, "__version__", "2.13.0")
