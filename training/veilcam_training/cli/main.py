@@ -168,34 +168,28 @@ def fit_command(
     source = ReadOnce(source)
     if out is not None:
         check_pairs(settings, source, camera)
-    with join_ranks(place) as (ranks, place):
-        settings = settle_seed(settings, work, ranks)
-        if ranks.is_first:
-            show_summary(console, source)
-            mixed = settings.recipe.precision == "mixed"
-            warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
-            psf_used = settings.psf_file if settings.encoder in WITH_PSF else None
-            if psf_used and (said := read_psf(psf_used, camera.distance).warning):
-                console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
-        name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
-        with watch(
-            console, name, settings.recipe.epochs, ranks, logs=tensorboard, table=csv
-        ) as callbacks:
-            result = run_fit(
-                settings,
-                source,
-                camera,
-                device=place,
-                checkpoint=None if work is None else work / "fit.checkpoint",
-                callbacks=callbacks,
-                ranks=ranks,
-            )
-        if not ranks.is_first:
-            return
-        _show(result)
-        if out is not None:
-            write_bundle(out, as_bundle([result], source, camera))
-            console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
+    settings = settle_seed(settings, work)
+    show_summary(console, source)
+    mixed = settings.recipe.precision == "mixed"
+    warn_of_precision(console, place, mixed=mixed, instead='precision = "full"')
+    psf_used = settings.psf_file if settings.encoder in WITH_PSF else None
+    if psf_used and (said := read_psf(psf_used, camera.distance).warning):
+        console.print(f"warning: {said}", markup=False, highlight=False, soft_wrap=True)
+    name = f"{settings.classifier} {settings.encoder} {settings.embedding}"
+    epochs_wanted = settings.recipe.epochs
+    with watch(console, name, epochs_wanted, logs=tensorboard, table=csv) as callbacks:
+        result = run_fit(
+            settings,
+            source,
+            camera,
+            device=place,
+            checkpoint=None if work is None else work / "fit.checkpoint",
+            callbacks=callbacks,
+        )
+    _show(result)
+    if out is not None:
+        write_bundle(out, as_bundle([result], source, camera))
+        console.print(f"wrote {out} ({out.stat().st_size / 1e6:.2f} MB)")
 
 
 @app.command("keyring")
