@@ -112,6 +112,24 @@ test-page: $(INSTALLED)
 test-libcamera: $(INSTALLED)
 	$(BIN)/python tests/system/real_picamera2/run.py
 
+# Lint, types and unit tests with a second Python. It gets no torch, which comes as gigabytes of CUDA for
+# most of them: the tests of client and bridge are run, and mypy checks all code for that version.
+SECOND := 3.13
+SECOND_ENV := build/python$(SECOND)
+.PHONY: test-second-python
+test-second-python: $(INSTALLED)
+	@for each in python$(SECOND) $(HOME)/.pyenv/versions/$(SECOND)*/bin/python; do \
+		if "$$each" -c 'import sys; sys.exit("%d.%d" % sys.version_info[:2] != "$(SECOND)")' 2>/dev/null; \
+		then python="$$each"; break; fi; done; \
+	if [ -z "$${python:-}" ]; then \
+		echo "make: there is no Python $(SECOND) here: lint, types and tests ran with the first alone"; exit 0; \
+	fi; \
+	set -e; "$$python" -m venv $(SECOND_ENV); \
+	$(SECOND_ENV)/bin/pip install --quiet '.[server,mqtt,discover]' ruff pytest pytest-timeout pytest-xdist hypothesis; \
+	$(SECOND_ENV)/bin/ruff check .; \
+	$(BIN)/mypy --python-version $(SECOND); \
+	$(SECOND_ENV)/bin/pytest -n 2 --dist worksteal -p no:cacheprovider tests/unit
+
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,11 +12,15 @@ import pytest
 # Two OpenMP pools fighting over two cores run 10 to 80 times slower: set before torch is imported.
 os.environ["OMP_NUM_THREADS"] = os.environ.get("VEILCAM_TEST_THREADS", "1")
 
-import torch
 from hypothesis import settings
 
 THREADS = int(os.environ["OMP_NUM_THREADS"])
-torch.set_num_threads(THREADS)
+TORCH = importlib.util.find_spec("torch") is not None
+"""Client and bridge need none: with another Python their tests run without it."""
+if TORCH:
+    import torch
+
+    torch.set_num_threads(THREADS)
 # The same cases in every run, as long as a machine takes for them; the long form draws new ones.
 settings.register_profile("short", max_examples=10, deadline=None, derandomize=True)
 settings.register_profile("long", max_examples=1000, deadline=None)
@@ -49,6 +54,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_report_header() -> str:
     """What results depend on beside the source; `benchmarks.capabilities` reads it."""
+    if not TORCH:
+        return f"torch: none, threads: {THREADS}"
     return f"torch: {torch.backends.cpu.get_cpu_capability()}, threads: {THREADS}"
 
 
@@ -72,6 +79,8 @@ def global_state_of_torch() -> Iterator[None]:
 
     The number of threads is put back, which a command sets for its whole process.
     """
-    torch.manual_seed(0)
+    if TORCH:
+        torch.manual_seed(0)
     yield
-    torch.set_num_threads(THREADS)
+    if TORCH:
+        torch.set_num_threads(THREADS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing.process
 import os
 import subprocess
@@ -10,6 +11,9 @@ from collections.abc import Callable
 from typing import NoReturn
 
 import pytest
+
+collect_ignore = [] if importlib.util.find_spec("torch") else ["optics", "training", "server"]
+"""Folders whose tests compute with torch."""
 
 REFUSED = (
     (subprocess.Popen, "__init__"),
