@@ -42,13 +42,13 @@ SUBJECTS = (
         (
             "tests/server/camera/test_panel.py",
             "tests/server/camera/test_camera.py",
-            "tests/server/camera/test_proof.py",
+            "tests/server/camera/test_guard.py",
         ),
     ),
     Subject(
-        "proof",
-        ("server/veilcam_server/camera/proof.py",),
-        ("tests/server/camera/test_proof.py",),
+        "guard",
+        ("server/veilcam_server/camera/guard.py",),
+        ("tests/server/camera/test_guard.py",),
     ),
     Subject(
         "epochs",

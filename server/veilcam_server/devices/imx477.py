@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -20,12 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.wire.simulation import SensorFaults
-from veilcam_optics.proof import PROOF
-from veilcam_server.devices.base import Exposure, Measurement, Sensor
+from veilcam_server.devices.base import Exposure, Light, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
     DeviceError,
-    LightError,
+    SaturatedError,
     SensorError,
     SensorHungError,
     SensorTimeoutError,
@@ -40,6 +39,8 @@ HALF = SensorMode(1520, 2028, line_time=15.17e-6, frame_duration=0.025)
 _NANO, _MICRO = 1_000_000_000, 1_000_000
 _SATURATED = 1e-3
 """Share of saturated pixels from which on a measurement is no longer linear in the light."""
+_NOISE = 1e-4
+"""Error of a frame's mean light, over saturation: half a step of 12 bits of its black level."""
 _DIM, _MIDDLE = 0.2, 0.5
 """A brightest value below the one asks for an exposure that brings it to the other."""
 _CLOSING = 5.0
@@ -75,11 +76,7 @@ class _Binned:
     """A frame in shares of saturation."""
 
     embedding: npt.NDArray[np.float64]
-    proof: npt.NDArray[np.float64]
-    clipped: npt.NDArray[np.bool_]
-    """Bins of the proof with a saturated pixel."""
-    saturated: float
-    """Share of all pixels."""
+    saturated: bool
 
 
 class IMX477:
@@ -113,7 +110,7 @@ class IMX477:
         self._mode, self._exposures, self._clock = mode, exposures, clock
         self.full_scale = full_scale
         """Measurement of saturated pixels at the exposure to begin with."""
-        self._binning = Binning((mode.rows, mode.columns), shape, PROOF.shape)
+        self._binning = Binning((mode.rows, mode.columns), shape)
         self._asked = exposures.start
         self._last_stamp = -1
         self._format: RawFormat
@@ -128,14 +125,15 @@ class IMX477:
         does not, as it is given for the exposure to begin with.
         """
         deadline = max(not_before, self._clock()) + timeout
-        try:
+        with _as_sensor_error():
             return self._capture(self._camera, not_before, deadline)
-        except SensorError:
-            raise
-        except Exception as error:  # picamera2 raises whatever it likes
-            raise SensorError(
-                f"the camera failed ({type(error).__name__}): it is opened again"
-            ) from None
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        """Return the light of one frame of any exposure, which no later exposure follows."""
+        deadline = max(not_before, self._clock()) + timeout
+        with _as_sensor_error():
+            frame, binned = self._frame(self._camera, not_before, deadline, asked=None)
+            return self._light(frame, binned)
 
     def close(self) -> None:
         """Stop the camera."""
@@ -147,9 +145,35 @@ class IMX477:
             raise SensorHungError("the camera hangs while it is closed: start the daemon again")
 
     def _capture(self, camera: Picamera, not_before: float, deadline: float) -> Exposure:
+        unfit = ""
+        while True:
+            frame, binned = self._frame(camera, not_before, deadline, self._asked, unfit)
+            if binned.saturated:
+                unfit = self._shorten(camera)
+                continue
+            exposure = self._exposure(frame, binned)
+            self._follow(camera, float(np.max(binned.embedding)))
+            return exposure
+
+    def _frame(
+        self,
+        camera: Picamera,
+        not_before: float,
+        deadline: float,
+        asked: float | None,
+        unfit: str = "",
+    ) -> tuple[Frame, _Binned]:
+        """Return the next frame that is fit for use, at an exposure or at any.
+
+        Args:
+            camera: that takes it.
+            not_before: monotonic time before which it does not begin [s].
+            deadline: monotonic time [s].
+            asked: its exposure [s]; None for any.
+            unfit: reason against the frame before.
+        """
         # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
         fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0
-        unfit = ""
         while True:
             try:
                 wait = deadline - self._clock()
@@ -161,7 +185,7 @@ class IMX477:
                     if frame.stamp <= self._last_stamp:
                         raise SensorError("the camera gave the same frame again")
                     self._last_stamp = frame.stamp
-                    unfit = frame.unfit(fence, self._asked, self._mode.line_time)
+                    unfit = frame.unfit(fence, asked, self._mode.line_time)
                     if unfit:
                         continue
                     raw = self._format.pixels(request, self._mode)
@@ -172,44 +196,39 @@ class IMX477:
                 ) from None
             # From here on the camera has its buffer back, and `raw` is the only copy.
             try:
-                binned = self._binned(raw)
+                return frame, self._binned(raw)
             finally:
                 raw.fill(0)
-            if binned.saturated > _SATURATED:
-                unfit = self._shorten(camera)
-                continue
-            exposure = self._exposure(frame, binned)
-            self._follow(camera, float(np.max(binned.embedding)))
-            return exposure
 
     def _binned(self, raw: Raw) -> _Binned:
         black, white = self._format.black, self._format.white
-        embedding, proof = ((mean - black) / (white - black) for mean in self._binning.means(raw))
-        _, clipped = self._binning.reaching(raw, white)
-        # Counted only where there is something to count: it takes as long as the sums.
-        saturated = float((raw >= white).mean()) if clipped.any() else 0.0
-        return _Binned(embedding, proof, clipped, saturated)
+        embedding = (self._binning.means(raw) - black) / (white - black)
+        return _Binned(embedding, float((raw >= white).mean()) > _SATURATED)
 
     def _exposure(self, frame: Frame, binned: _Binned) -> Exposure:
-        integration = frame.exposure / _NANO
-        scale = self.full_scale
-        if integration > 0:
-            scale *= self._exposures.start / integration
+        scale = self.full_scale * self._scale(frame)
         embedding: Measurement = (scale * binned.embedding).astype(np.float32)
-        proof: Measurement = (scale * binned.proof).astype(np.float32)
         return Exposure(
             embedding,
             started_at=(frame.stamp - frame.exposure) / _NANO,
             ended_at=frame.stamp / _NANO + self._mode.readout,
-            proof=proof,
-            clipped=binned.clipped,
-            integration=integration,
+            light=self._light(frame, binned),
+            integration=frame.exposure / _NANO,
         )
+
+    def _light(self, frame: Frame, binned: _Binned) -> Light:
+        mean = math.inf if binned.saturated else float(binned.embedding.mean())
+        scale = self._scale(frame)
+        return Light(scale * mean, scale * _NOISE)
+
+    def _scale(self, frame: Frame) -> float:
+        """Exposure to begin with, over that of a frame."""
+        return self._exposures.start * _NANO / frame.exposure if frame.exposure > 0 else 1.0
 
     def _shorten(self, camera: Picamera) -> str:
         shorter = self._exposures.bounded(self._asked / 4)
         if shorter >= self._asked:
-            raise LightError(
+            raise SaturatedError(
                 f"the sensor is saturated at {self._asked * 1000:g} ms: "
                 "use less light or a shorter exposure"
             )
@@ -281,6 +300,18 @@ class IMX477:
         for step in (self._camera.cancel_all_and_flush, self._camera.close):
             with suppress(Exception):
                 step()
+
+
+@contextmanager
+def _as_sensor_error() -> Iterator[None]:
+    try:
+        yield
+    except SensorError:
+        raise
+    except Exception as error:  # picamera2 raises whatever it likes
+        raise SensorError(
+            f"the camera failed ({type(error).__name__}): it is opened again"
+        ) from None
 
 
 def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:

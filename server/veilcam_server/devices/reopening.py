@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic, Protocol, TypeVar
 
-from veilcam_server.devices.base import Exposure, Levels, OpenDisplay, Sensor, Shown
+from veilcam_server.devices.base import Exposure, Levels, Light, OpenDisplay, Sensor, Shown
 from veilcam_server.devices.errors import (
     DeviceError,
     DisplayError,
@@ -171,6 +171,11 @@ class ReopeningSensor:
         """Expose once."""
         with self._part.open() as sensor:
             return sensor.capture(not_before, timeout)
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        """Return the light of one frame."""
+        with self._part.open() as sensor:
+            return sensor.light(not_before, timeout)
 
     def close(self) -> None:
         """Stop the sensor."""
