@@ -66,7 +66,7 @@ def recorded(shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     random = np.random.default_rng(0)
     place = np.hypot(*np.mgrid[-1 : 1 : rows * 1j, -1 : 1 : columns * 1j])
     frame = random.poisson(256 + 600 * np.exp(-2 * place**2)).clip(0, 4095).astype(np.uint16)
-    [binned] = Binning((rows, columns), shape).means(frame)
+    binned = Binning((rows, columns), shape).means(frame)
     measurement: npt.NDArray[np.float32] = (0.05 * (binned - 256) / (4095 - 256)).astype(np.float32)
     return measurement
 

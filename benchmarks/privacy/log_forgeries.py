@@ -1,6 +1,6 @@
 """Logs of captures with one record forged: how many of them pass for whole.
 
-    python -m benchmarks.privacy.log_forgeries --figures benchmarks/results/proof.json
+    python -m benchmarks.privacy.log_forgeries --figures benchmarks/results/log.json
 
 Every log is written by the daemon's own. In each, one record has one bit flipped, or is dropped, or
 changes places with another one. The newest record is not dropped without a head that was signed

@@ -74,11 +74,11 @@ MORE_KEYS: Figures = {
 
 CAPTURE_LOG: Figures = {
     "log_forgeries_missed": (
-        "proof",
+        "log",
         "records of a log of 10,000 that were changed, dropped or swapped unnoticed",
         "{:.0f}",
     ),
-    "log_record_ms": ("proof", "digest, signature and write of one record", "{:.2f} ms"),
+    "log_record_ms": ("log", "digest, signature and write of one record", "{:.2f} ms"),
 }
 
 SIEGE: Figures = {

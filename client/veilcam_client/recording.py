@@ -154,7 +154,6 @@ def _take(camera: Recordable, *, labels: bool) -> Recorded:
             number=answer.number,
             taken_at=answer.taken_at,
             embedding=answer.embedding,
-            proof=answer.proof,
             replay=answer.replay,
             notes=answer.notes,
         ),

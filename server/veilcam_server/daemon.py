@@ -24,7 +24,6 @@ from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.bundles.owners import Owners
 from veilcam_server.bundles.store import BundleStore
 from veilcam_server.calibration.loading import (
-    mask_tests,
     open_calibration,
     settle_time,
     source_opener,
@@ -99,8 +98,7 @@ def build_service(settings: Settings) -> Service:
             policies = PolicyStore(settings.state_dir, settings.rotation, faults.append)
             device = open_device(settings, bundle)
             undo.callback(device.close)
-            tests = mask_tests(bundle, signed, full_scale=device.sensor.full_scale)
-            preparation = Preparation(keys.source, key, terms, budget, tests)
+            preparation = Preparation(keys.source, key, terms, budget)
             undo.callback(preparation.close)
             camera = MaskedCamera(
                 device,
@@ -115,6 +113,8 @@ def build_service(settings: Settings) -> Service:
                     configured=keys.info.digest == bundle.digest,
                 ),
                 test_every=settings.self_test_every,
+                guard_every=settings.guard,
+                steps=bundle.camera.panel.levels,
                 calibration=signed,
             )
             undo.pop_all()

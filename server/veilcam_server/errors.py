@@ -146,20 +146,6 @@ class FenceError(
     """A measurement that was not wholly exposed under one settled mask; it is thrown away."""
 
 
-class MaskNotSeenError(
-    ProblemError,
-    code="mask_not_seen",
-    status=503,
-    title="The capture does not show the mask that it names",
-    retryable=True,
-    detail=(
-        "this capture does not show the mask that it names and was thrown away; the panel was made "
-        "opaque and is tested: try again"
-    ),
-):
-    """A measurement that the mask which should be there cannot have made."""
-
-
 class NotReadyError(
     ProblemError,
     code="not_ready",
@@ -185,6 +171,32 @@ class SelfTestError(NotReadyError, remedy="check_panel_wiring"):
 
 class UndecidedError(SelfTestError, remedy="adjust_light"):
     """The self test cannot tell, for want of light or of steady light."""
+
+
+class UnwatchableError(SelfTestError, remedy="shield_light"):
+    """Too much light comes past the masks to tell a panel that hides from one that does not."""
+
+
+class UnsteadyLightError(
+    UndecidedError,
+    code="light_unsteady",
+    status=503,
+    title="The light changed around the capture",
+    retryable=True,
+    detail="the light changed around this capture, which was thrown away: try again",
+):
+    """The guard cannot tell whether the panel hid the scene; nothing failed."""
+
+
+class PanelNotHidingError(
+    ProblemError,
+    code="panel_not_hiding",
+    status=503,
+    title="The panel does not hide the scene",
+    retryable=True,
+    remedy="check_panel_wiring",
+):
+    """The opaque panel lets as much light through as the mask; the panel was made safe."""
 
 
 class RotationImpossibleError(
@@ -363,20 +375,6 @@ class SceneNotWantedError(
     def __init__(self, given: str, wanted: str | None) -> None:
         what = "no scene is" if wanted is None else f"the scene {wanted!r} is"
         super().__init__(f"{what} waited for, not {given!r}: see GET /v1/calibration")
-
-
-class CalibrationDueError(
-    ProblemError,
-    code="calibration_due",
-    status=500,
-    title="The camera has drifted away from its calibration",
-    detail=(
-        "the last captures fit their masks worse than the calibration says they should: calibrate "
-        "this camera soon, before labels are wrong"
-    ),
-    remedy="calibrate",
-):
-    """Masks are still seen, but not as well as they should be."""
 
 
 class CalibrationError(

@@ -217,6 +217,9 @@ class Settings(Wiring):
     """Longest wait for a measurement in seconds."""
     self_test_every: float = Field(default=600.0, ge=1, le=3600, allow_inf_nan=False)
     """Seconds between two self tests of the panel, at most."""
+    guard: float = Field(default=10.0, ge=0, le=600, allow_inf_nan=False)
+    """Longest age in seconds of the opaque frame that vouches for an answer, where masks serve more
+    than one capture; 0 for one with each answer."""
     queue_limit: int = Field(default=8, ge=1, le=1024)
     """Captures that may wait."""
     auth: Literal["tokens", "none"] = "tokens"

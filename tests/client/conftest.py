@@ -109,13 +109,6 @@ DIAGNOSTICS = {
     "events": {"capture": 5},
     "fault_counts": {"sensor_failed": 1},
     "audit_lost": 0,
-    "proof": {
-        "captures": 100,
-        "undecided": 0.02,
-        "margin": 353.0,
-        "departure": 0.98,
-        "light": 0.4,
-    },
 }
 BUNDLE: dict[str, Any] = {
     "digest": "ab" * 32,

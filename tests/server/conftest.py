@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
 from pathlib import Path
@@ -26,7 +26,6 @@ from veilcam_client.wire.watch import OnRequest, WatchPolicy
 from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene, Sensor, Window
 from veilcam_optics.decoding import MeasurementNoise, fit_statistics
 from veilcam_optics.keys.masks import MaskDistribution
-from veilcam_optics.proof import PROOF, Finding, MaskTest, MaskTests
 from veilcam_server.api.app import create_app
 from veilcam_server.bundles.loader import Identity, LoadedBundle, Opener, bundle_info
 from veilcam_server.bundles.manager import BundleManager
@@ -39,7 +38,7 @@ from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.demo_data import load_digits
 from veilcam_server.devices import Device, DisplayError, Exposure, Shown
-from veilcam_server.devices.base import Levels, Measurement
+from veilcam_server.devices.base import Light
 from veilcam_server.devices.simulated import device as simulation
 from veilcam_server.devices.simulated.scenes import write_scene
 from veilcam_server.masks.fresh import FreshSource
@@ -141,7 +140,10 @@ def make_fresh_bundle() -> Bundle:
 
 
 class FakeDisplay:
-    """Remembers what it was shown; ``faults`` are taken one for each write."""
+    """Remembers masks, and when all of it was opaque; ``faults`` are taken one for each of these.
+
+    Windows that were made opaque between two masks are counted.
+    """
 
     name = "fake panel"
 
@@ -149,9 +151,17 @@ class FakeDisplay:
         self.resets = 1
         self.shown: list[npt.NDArray[np.uint8]] = []
         self.faults: list[Exception | None] = []
-        self.closed = False
+        self.covers = 0
+        self.opaque = self.closed = False
 
     def show(self, levels: npt.NDArray[np.uint8]) -> Shown:
+        self.opaque = not levels.any()
+        if self.opaque:
+            self.covers += 1
+            return Shown(time.monotonic())
+        return self._take(levels)
+
+    def _take(self, levels: npt.NDArray[np.uint8]) -> Shown:
         fault = self.faults.pop(0) if self.faults else None
         if fault is not None:
             raise fault
@@ -159,7 +169,8 @@ class FakeDisplay:
         return Shown(time.monotonic())
 
     def blank(self) -> None:
-        self.show(np.zeros(CAMERA.mask_shape, np.uint8))
+        self._take(np.zeros(CAMERA.mask_shape, np.uint8))
+        self.opaque = True
 
     def close(self) -> None:
         self.closed = True
@@ -170,54 +181,14 @@ class FakeTest:
 
     def __init__(self) -> None:
         self.faults: list[BaseException | None] = []
-        self.runs = 0
+        self.runs, self.leak = 0, 0.0
 
-    def run(self, device: Device, fence: Fence) -> None:
+    def run(self, device: Device, fence: Fence) -> float:
         self.runs += 1
         fault = self.faults.pop(0) if self.faults else None
         if fault is not None:
             raise fault
-
-
-class FakeMaskTest(MaskTest):
-    """Finds what the tests say that it was made by; ``before`` is what it was given last."""
-
-    def __init__(self, tests: FakeMaskTests, levels: Levels) -> None:
-        self.tests, self.levels = tests, levels.copy()
-        self.before: list[MaskTest] = []
-        self.erased = False
-
-    def find(
-        self,
-        measurement: Measurement,
-        clipped: npt.NDArray[np.bool_],
-        before: Sequence[MaskTest] = (),
-    ) -> Finding:
-        self.before = list(before)
-        assert not any(each.erased for each in (self, *before) if isinstance(each, FakeMaskTest))
-        assert measurement.shape == clipped.shape == PROOF.shape
-        return self.tests.findings.pop(0) if self.tests.findings else SEEN
-
-    def erase(self) -> None:
-        self.erased = True
-        self.levels.fill(0)
-
-
-class FakeMaskTests(MaskTests):
-    """Tests that see the mask, unless ``findings`` say what they find, one for each capture."""
-
-    def __init__(self) -> None:
-        self.findings: list[Finding] = []
-        self.made: list[FakeMaskTest] = []
-
-    def prepare(self, levels: Levels) -> FakeMaskTest:
-        self.made.append(FakeMaskTest(self, levels))
-        return self.made[-1]
-
-
-SEEN = Finding("seen", margin=100.0, nearest="before", departure=1.0, light=0.5)
-UNDECIDED = replace(SEEN, verdict="undecided", margin=1.0)
-NOT_SEEN = replace(SEEN, verdict="not seen", margin=-1000.0, nearest="transparent")
+        return self.leak
 
 
 class FakeSensor:
@@ -228,11 +199,11 @@ class FakeSensor:
 
     def __init__(self) -> None:
         self.measurement = np.ones(EMBEDDING.shape, np.float32)
-        self.proof = np.ones(PROOF.shape, np.float32)
-        self.clipped = np.zeros(PROOF.shape, np.bool_)
+        self.lights: Callable[[], float] = lambda: 1.0
+        """Mean light of a frame that begins now."""
         self.early = 0.0
         self.before: Callable[[], None] = lambda: None
-        self.captures = 0
+        self.captures = self.guards = 0
         self.closed = False
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
@@ -245,9 +216,13 @@ class FakeSensor:
             self.measurement,
             started,
             max(now, started),
-            proof=self.proof,
-            clipped=self.clipped,
+            light=Light(self.lights(), 1e-4),
         )
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        self.guards += 1
+        time.sleep(max(0.0, not_before - time.monotonic()))
+        return Light(self.lights(), 1e-4)
 
     def close(self) -> None:
         self.closed = True
@@ -265,12 +240,15 @@ class Bench:
     display: FakeDisplay = field(default_factory=FakeDisplay)
     sensor: FakeSensor = field(default_factory=FakeSensor)
     test: FakeTest = field(default_factory=FakeTest)
-    mask_tests: FakeMaskTests = field(default_factory=FakeMaskTests)
     epochs: list[str] = field(default_factory=list)
     states: list[tuple[str, str | None]] = field(default_factory=list)
     calibration: CalibrationService | None = None
     owners: Owners = field(default_factory=Owners)
     watch: WatchPolicy = field(default_factory=OnRequest)
+
+    def __post_init__(self) -> None:
+        # A panel that hides all when it is opaque.
+        self.sensor.lights = lambda: 0.0 if self.display.opaque else 1.0
 
     def note(self, make: Callable[..., Event]) -> None:
         """Remember new epochs and states."""
@@ -295,19 +273,25 @@ class Bench:
         return Terms(self.release, self.receivers.keys)
 
     def camera(
-        self, *, policy: RotationPolicy = OFF, settle: float = 0.0, test_every: float = 600.0
+        self,
+        *,
+        policy: RotationPolicy = OFF,
+        settle: float = 0.0,
+        test_every: float = 600.0,
+        guard_every: float = 600.0,
     ) -> MaskedCamera:
         make_directory(self.state_dir)
         budget = ReleaseBudget(self.state_dir, self.raw_budget)
         camera = MaskedCamera(
             Device(self.display, self.sensor, simulated=True),
-            Preparation(self.source, self.key, lambda: self.terms, budget, self.mask_tests),
+            Preparation(self.source, self.key, lambda: self.terms, budget),
             self.bundle.embedding.shape,
             self.test,
             budget=budget,
             fence=Fence(settle=settle),
             policy=policy,
             test_every=test_every,
+            guard_every=guard_every,
         )
         camera.listen(self.note)
         try:

@@ -22,7 +22,6 @@ from veilcam_client.keys.receivers import ReceiverKey
 from veilcam_client.wire.captures import Capture, Exposure, Notes, Timing
 from veilcam_client.wire.sealing import Release
 from veilcam_optics.keys.masks import draw_levels
-from veilcam_optics.proof import MaskTests
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.epochs import Preparation
 from veilcam_server.masks.fresh import FreshSource
@@ -101,9 +100,9 @@ def preparation_times(bundle: Bundle, folder: Path, rounds: int) -> dict[str, fl
     source, ends = FreshSource(bundle), Ends(bundle.digest)
     key = EpochKey.generate(device=ends.device.public, bundle=bundle.digest)
     forms: Sequence[Release] = ("none", "sealed", "white")
-    budget, tests = ReleaseBudget(folder, raw=0), MaskTests(bundle.camera)
+    budget = ReleaseBudget(folder, raw=0)
     prepare = {
-        form: Preparation(source, ends.device, _terms(form, ends.receiver), budget, tests)
+        form: Preparation(source, ends.device, _terms(form, ends.receiver), budget)
         for form in forms
     }
     took: dict[str, list[float]] = {name: [] for name in ("mask", *forms)}

@@ -222,12 +222,6 @@ def diagnostics_in_words(found: Diagnostics) -> str:
         f"{_remedy(fault.remedy)}"
         for fault in found.faults
     ]
-    if found.proof is not None:
-        proof = found.proof
-        lines.append(
-            f"proof     {proof.captures} captures, {100 * proof.undecided:.0f} % undecided, margin "
-            f"{proof.margin:g}, departure {proof.departure:g}, light {proof.light:g}"
-        )
     return "\n".join(lines)
 
 

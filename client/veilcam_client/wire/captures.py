@@ -128,35 +128,13 @@ class Timing(Answer):
     """Exposure and readout."""
 
 
-class ProofNote(Answer):
-    """Verdict of a capture about the mask that it names."""
-
-    verdict: Literal["seen", "undecided"]
-    """``undecided``: at this light a mask that is not there would be missed too often."""
-    margin: float = Field(allow_inf_nan=False)
-    """By how much the mask named is ahead of any other state of the panel, in standard deviations
-    of what masks that are not there come to in this capture."""
-    departure: float = Field(allow_inf_nan=False)
-    """Share of its mark that the mask named did not leave: 0 where it fits wholly, 1 where nothing
-    of it is there."""
-    light: float = Field(allow_inf_nan=False)
-    """Mean measurement."""
-
-
 class Notes(Answer):
     """Notes that are sealed with an embedding, because they depend on the light or on others."""
 
     exposure: Exposure
     timing: Timing
-    proof: ProofNote | None = None
-    """None: of a capture that no test of its mask came with."""
     scene: int | None = None
     """Which of its scenes a simulated camera looked at, from 0 on; null for a real one."""
-
-
-Proof = Literal["checked"]
-"""Said of every capture alike: before it left it was tested that it shows the mask that it names.
-What that came to depends on the light, and is in the notes."""
 
 
 class Replay(Answer):
@@ -181,8 +159,6 @@ class Capture(ArrayAnswer):
     taken_at: datetime
     """To the second."""
     embedding: AnyEmbedding
-    proof: Proof | None = None
-    """None: from a recording."""
     replay: Replay | None = None
     notes: Notes | None = None
     """Of a sealed embedding that was opened; nothing of them goes over the wire in the clear."""
@@ -214,7 +190,6 @@ class Capture(ArrayAnswer):
                 "number": int(headers.get("veilcam-number", "")),
                 "taken_at": datetime.fromisoformat(headers.get("veilcam-taken-at", "")),
                 "embedding": embedding,
-                "proof": headers.get("veilcam-proof"),
                 "replay": None
                 if replay is None
                 else {"capture": headers.get("veilcam-replay-capture"), "place": int(replay)},
@@ -251,8 +226,6 @@ class Classification(ArrayAnswer):
     ``read:scores:rounded``; with ``read:scores`` they sum to 1."""
     embedding: AnyEmbedding | None = None
     """Only when it was asked for."""
-    proof: Proof | None = None
-    """None: from a recording."""
     replay: Replay | None = None
     notes: Notes | None = None
     """Of a sealed embedding that was opened."""
@@ -276,7 +249,6 @@ EXAMPLES = Examples(
             number=0,
             taken_at=EXAMPLE_TIME,
             embedding=SealedEmbedding(shape=(2, 3), block="c2VhbGVk", envelope=example_envelope()),
-            proof="checked",
         ),
         Classification(
             id="c0ffee00" * 6,
@@ -286,7 +258,6 @@ EXAMPLES = Examples(
             label="1",
             confidence=0.98,
             scores={"0": 0.02, "1": 0.98},
-            proof="checked",
         ),
     )
 )

@@ -28,12 +28,12 @@ and captures come from a recording."""
 Remedy = Literal[
     "wait",
     "adjust_light",
+    "shield_light",
     "check_panel_wiring",
     "check_camera_cable",
     "check_disk",
     "run_doctor",
     "install_bundle",
-    "calibrate",
     "restart",
     "report_defect",
 ]
@@ -113,22 +113,6 @@ class PastFault(Answer):
     remedy: Remedy = "wait"
 
 
-class ProofMeans(Answer):
-    """Means over the last captures, 100 at most, of what tells which mask was there."""
-
-    captures: int
-    """So many."""
-    undecided: float
-    """Share of those that were too dark to tell."""
-    margin: float
-    """By how much the mask named was ahead of any other state of the panel, in standard deviations
-    of what masks that are not there come to."""
-    departure: float
-    """Share of their marks that the masks named did not leave; it grows with a drift."""
-    light: float
-    """Mean measurement."""
-
-
 class Diagnostics(Answer):
     """Versions, settings, and what happened lately. No secret is in it."""
 
@@ -146,9 +130,6 @@ class Diagnostics(Answer):
     """How many of each code there were since the start."""
     audit_lost: int
     """Lines of the audit log that could not be written."""
-    proof: ProofMeans | None = None
-    """Only for who has the scopes ``admin:receivers`` and ``read:embedding``, as it tells of the
-    light; None before the first capture, too."""
 
 
 class DoctorFinding(Answer):
@@ -219,7 +200,6 @@ EXAMPLES = Examples(
             events={"capture": 1200, "mask": 120},
             fault_counts={"sensor_timeout": 1},
             audit_lost=0,
-            proof=ProofMeans(captures=100, undecided=0.02, margin=3.5, departure=0.6, light=0.4),
         ),
     )
 )

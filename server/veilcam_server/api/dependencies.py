@@ -52,7 +52,8 @@ DEVICE = (
     "sensor_failed",
     "sensor_timeout",
     "fence_violated",
-    "mask_not_seen",
+    "panel_not_hiding",
+    "light_unsteady",
 )
 """What a route that needs the device can answer with besides."""
 

@@ -50,7 +50,6 @@ _HEADERS: Mapping[str, tuple[str, str]] = {
     "Veilcam-Number": ("Its `number`.", "0"),
     "Veilcam-Taken-At": ("Its `taken_at`.", "2026-01-02T03:04:05+00:00"),
     "Veilcam-Form": ("In which form it left.", "white"),
-    "Veilcam-Proof": ("Its `proof`, but where it comes from a recording.", "checked"),
     "Veilcam-Replay": ("Its place in a recording, where it comes from one.", "7"),
     "Veilcam-Replay-Capture": ("Which capture that was.", "c0ffee00"),
 }

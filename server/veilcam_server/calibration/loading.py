@@ -7,7 +7,6 @@ from pathlib import Path
 from veilcam_client.keys.envelopes import Signer
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
 from veilcam_optics.camera.imperfections import NOMINAL
-from veilcam_optics.proof import MaskTests
 from veilcam_server.bundles.loader import OpenSource, open_source
 from veilcam_server.calibration.record import AGAIN, RECORD_NAME, RecordFile, imperfections_of
 from veilcam_server.calibration.rig import Geometry
@@ -15,10 +14,6 @@ from veilcam_server.errors import CalibrationError, StartError
 from veilcam_server.settings import Settings
 from veilcam_server.system.state_file import Report, log_fault
 from veilcam_training.bundle import Bundle
-
-UNMEASURED_DARK = 1e-4
-"""By how much the black level of a sensor is off that nobody measured, half a step of 12 bits, as a
-share of full scale."""
 
 
 def open_calibration(
@@ -97,24 +92,6 @@ def source_opener(settings: Settings, signed: SignedCalibration | None) -> OpenS
     """Open the source of a bundle's masks, its readers prepared for the camera as measured."""
     imperfections = NOMINAL if signed is None else imperfections_of(signed.record)
     return lambda bundle: open_source(settings, bundle, imperfections)
-
-
-def mask_tests(bundle: Bundle, signed: SignedCalibration | None, *, full_scale: float) -> MaskTests:
-    """Make the tests of captures, for the camera as measured, or as designed.
-
-    Args:
-        bundle: bundle whose camera it is.
-        signed: the record in use.
-        full_scale: measurement of saturated pixels where there is none.
-    """
-    if signed is None:
-        return MaskTests(bundle.camera, dark=UNMEASURED_DARK * full_scale)
-    record = signed.record
-    dark = min(
-        record.black_level.uncertainty / record.gain.value,
-        UNMEASURED_DARK * record.full_scale.value,
-    )
-    return MaskTests(bundle.camera, imperfections=imperfections_of(record), dark=dark)
 
 
 def settle_time(settings: Settings, signed: SignedCalibration | None) -> float:

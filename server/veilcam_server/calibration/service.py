@@ -27,7 +27,6 @@ from veilcam_server.bundles.loader import LoadedBundle
 from veilcam_server.bundles.manager import BundleManager
 from veilcam_server.calibration.loading import (
     check_record,
-    mask_tests,
     panel_tab,
     record_path,
     settle_time,
@@ -282,13 +281,10 @@ class CalibrationService:
         """Keep a record, and go on with it; or raise, and nothing was changed."""
         signed = self.sign(record)
         settle = settle_time(self._settings, signed)
-        tests = await asyncio.to_thread(
-            mask_tests, self._bundle, signed, full_scale=record.full_scale.value
-        )
 
         async def change(keys: LoadedBundle) -> None:
             await asyncio.to_thread(self.write, signed)
-            await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source, tests))
+            await served.on_device(lambda: served.camera.adopt(signed, settle, keys.source))
 
         await served.bundles.reopen(source_opener(self._settings, signed), change)
         self._signed = signed

@@ -2,7 +2,8 @@
 
 Mask, reader and epoch change as one. A capture is exposed wholly under one settled mask, which is
 checked before and after (the fence), or it is an error. No capture is taken unless a self test has
-proven that the panel hides the scene (``panel.py``), and none leaves that does not show its mask.
+proven that the panel hides the scene (``panel.py``), and none leaves without an opaque frame that
+shows that it still does (``guard.py``).
 """
 
 from __future__ import annotations
@@ -13,17 +14,12 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
-from functools import partial
 
 from veilcam_client.keys.capture_log import calibration_digest
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.captures import Exposure as ExposureNote
-from veilcam_client.wire.captures import ProofNote
-from veilcam_client.wire.events import Fault
 from veilcam_client.wire.rotation import Preparation as PreparationStatus
 from veilcam_client.wire.rotation import Rotation, RotationOff, RotationPolicy
-from veilcam_client.wire.status import ProofMeans
-from veilcam_optics.proof import MaskTests
 from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import (
     ActiveMask,
@@ -37,28 +33,28 @@ from veilcam_server.camera.capture import (
 )
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
+from veilcam_server.camera.guard import EVERY as GUARD
+from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.camera.proof import Brake, Findings, ShownMasks, proof_note
 from veilcam_server.camera.self_test import EVERY, SelfTest, SelfTestStatus
 from veilcam_server.camera.watchdog import Health, stamped
-from veilcam_server.devices.base import Device, Exposure
+from veilcam_server.devices.base import Device, Exposure, Light
 from veilcam_server.devices.corrected import calibrated
-from veilcam_server.devices.errors import DisplayError, LightError, SensorError
+from veilcam_server.devices.errors import DisplayError, LightError, SaturatedError, SensorError
 from veilcam_server.errors import (
     CalibratingError,
-    CalibrationDueError,
     FenceError,
-    MaskNotSeenError,
     MasksSpentError,
     NoReceiverError,
     NotLookingError,
     NotReadyError,
+    PanelNotHidingError,
     ProblemError,
     RotationImpossibleError,
+    UnsteadyLightError,
     WithheldError,
 )
 from veilcam_server.masks.source import MaskSource
-from veilcam_server.system.logs import log_defect
 
 _MARGIN = 15.0
 """What a capture may take beyond its timeout: a camera is closed and opened again [s]."""
@@ -79,6 +75,8 @@ class MaskedCamera:
         fence: times to keep.
         policy: when masks change.
         test_every: longest time from one test to the next [s].
+        guard_every: longest age of the opaque frame that vouches for an answer [s].
+        steps: levels that the panel has.
         calibration: what measurements are corrected by.
 
     Raises:
@@ -96,6 +94,8 @@ class MaskedCamera:
         fence: Fence = Fence(),  # noqa: B008 - immutable
         policy: RotationPolicy = RotationOff(),  # noqa: B008 - immutable
         test_every: float = EVERY,
+        guard_every: float = GUARD,
+        steps: int = 64,
         calibration: SignedCalibration | None = None,
     ) -> None:
         self._health = Health(fence.settle + fence.timeout + _MARGIN)
@@ -106,8 +106,10 @@ class MaskedCamera:
         self._calibration = None if calibration is None else calibration_digest(calibration)
         self._shape, self._fence, self._budget = shape, fence, budget
         self._self_test = SelfTestStatus(test, self._device, fence, every=test_every)
-        self._masks, self._brake, self._findings = ShownMasks(), Brake(), Findings()
-        self._panel = MaskedPanel(self._device.display, preparation, self._self_test, self._masks)
+        self._guard = Guard(self._bare, fence, steps=steps, every=guard_every)
+        self._panel = MaskedPanel(self._device.display, preparation, self._self_test, self._guard)
+        self._good = "none yet"
+        """The last capture beside which an opaque frame was hidden."""
         self._lock = threading.Lock()
         self._failures = 0
         self._resting: str | None = None
@@ -167,10 +169,6 @@ class MaskedCamera:
             ),
         )
 
-    def proof(self) -> ProofMeans | None:
-        """What the last captures say of their masks; None: there was none."""
-        return self._findings.means
-
     def first_of(self, source: MaskSource) -> Epoch:
         """Prepare a mask of another source; raises as :meth:`Preparation.first_of`."""
         return self.preparation.first_of(source)
@@ -187,7 +185,11 @@ class MaskedCamera:
         self.preparation.wait()
 
     def due_in(self) -> float:
-        """Seconds until the mask must change; inf when nothing is planned."""
+        """Seconds until the mask must change, or be written again; inf when nothing is planned."""
+        return 0.0 if self._panel.covered else self._due_in()
+
+    def _due_in(self) -> float:
+        """Seconds until the mask must change."""
         active = self._panel.active
         if active is None:
             return math.inf
@@ -202,8 +204,6 @@ class MaskedCamera:
         """Seconds until the panel must be tested, or tested again after a test that failed."""
         if self.state.state in ("stopping", "calibrating", "off"):
             return math.inf
-        if self._panel.active is None:
-            return self._brake.holds_for()
         return self._panel.proven_for()
 
     def test_if_due(self) -> None:
@@ -278,7 +278,6 @@ class MaskedCamera:
         calibration: SignedCalibration,
         settle: float,
         source: MaskSource,
-        tests: MaskTests,
     ) -> None:
         """Within :meth:`exclusive`: go on with another calibration.
 
@@ -286,15 +285,12 @@ class MaskedCamera:
             calibration: what measurements are corrected by.
             settle: what the panel is given [s].
             source: whose readers are made for that calibration.
-            tests: of captures, made for it, too.
         """
         with self._lock:
             self._device = calibrated(self._bare, calibration)
             self._calibration = calibration_digest(calibration)
-            self._fence = Fence(settle, self._fence.timeout)
-            self._findings.forget()
-            self._brake.release()
-            self.preparation.serve(source, tests)
+            self._fence = self._guard.fence = Fence(settle, self._fence.timeout)
+            self.preparation.serve(source)
 
     def rotate(self) -> None:
         """Show the first mask, or another one now; from any state this is the way to ``ready``.
@@ -339,9 +335,14 @@ class MaskedCamera:
                 self._panel.show(first, source)
 
     def rotate_if_due(self) -> None:
-        """Show another mask if the policy wants it and one is ready; raises as :meth:`rotate`."""
+        """Show another mask if the policy wants it and one is ready, or the present one again.
+
+        Raises as :meth:`rotate`.
+        """
         with self._lock:
-            if self.due_in() <= 0 and not self.preparation.under_way:
+            if self._due_in() > 0:
+                self._panel.uncover()
+            elif not self.preparation.under_way:
                 self._rotate()
 
     def capture(self, *, release: bool) -> MaskedCapture:
@@ -361,8 +362,8 @@ class MaskedCamera:
             NotReadyError: no mask is shown, or the panel is not proven to hide the scene.
             SensorError: the sensor gave no measurement.
             FenceError: it gave one that cannot be trusted.
-            MaskNotSeenError: it gave one that the mask cannot have made. The panel was made opaque
-                and tested, and another mask is shown unless that failed, or came too often.
+            PanelNotHidingError: the panel does not hide the scene, and was made opaque.
+            UnsteadyLightError: the light changed, so that nothing tells whether it does.
             RotationImpossibleError, DisplayError: the mask was due to change and could not; it is
                 not used beyond what the policy allows.
             WithheldError, NoReceiverError, MasksSpentError: the embedding may not leave.
@@ -371,21 +372,20 @@ class MaskedCamera:
         with self._lock:
             begun = time.monotonic()
             self._require_running()
-            if self.due_in() <= 0 and not self._may_reuse():
+            if self._due_in() <= 0 and not self._may_reuse():
                 self._rotate()
             if release:
                 self._require_releasing()
             self._panel.test()
+            self._panel.uncover()
             active = self._panel.active
             if active is None:
                 raise NotReadyError(self.state.detail or "no mask is shown yet: try again")
             active.epoch.hold()
             try:
                 return self._captured(active, begun, release=release)
-            except BaseException as error:
+            except BaseException:
                 active.epoch.let_go()
-                if isinstance(error, MaskNotSeenError):
-                    self._begin_anew(error)
                 raise
 
     def _captured(self, active: ActiveMask, begun: float, *, release: bool) -> MaskedCapture:
@@ -396,12 +396,17 @@ class MaskedCamera:
         number = active.captures
         # Counted before it begins: a number is never used twice, whatever comes of it.
         active.captures += 1
-        exposure = self._exposed(not_before)
+        try:
+            exposure = self._exposed(not_before)
+        except SaturatedError:
+            # A panel that is transparent saturates a sensor that is exposed for masks.
+            self._vouch(active, Light(math.inf, 0.0), number, begun, at_once=True)
+            raise
         ended = time.monotonic()
         if self._panel.active is not active:
             raise FenceError("the mask changed during the exposure, which was thrown away")
         check_exposure(exposure, not_before=not_before, ended=ended, shape=self._shape)
-        proof = self._proven(exposure)
+        self._vouch(active, exposure.light, number, begun)
         scenes = self._device.scenes
         scene = None if scenes is None else scenes.seen
         if scenes is not None:
@@ -425,34 +430,50 @@ class MaskedCamera:
             rotation_s=rotated - begun,
             settle_s=waited,
             capture_s=max(0.0, ended - rotated - waited),
-            proof=proof,
             scene=scene,
         )
 
-    def _proven(self, exposure: Exposure) -> ProofNote:
-        """Refuse an exposure that does not show the mask that should be there."""
-        finding = self._masks.find(exposure.proof, exposure.clipped)
-        self._brake.note(finding.verdict)
-        if finding.verdict == "not seen":
-            raise MaskNotSeenError
-        if self._findings.add(finding):
-            due = CalibrationDueError()
-            self._panel.publish(partial(Fault, code=due.code, detail=str(due), remedy=due.remedy))
-        return proof_note(finding)
+    def _vouch(
+        self,
+        active: ActiveMask,
+        light: Light,
+        number: int,
+        begun: float,
+        *,
+        at_once: bool = False,
+    ) -> None:
+        """Hold a capture until the guard vouches for it.
 
-    def _begin_anew(self, error: MaskNotSeenError) -> None:
-        """Be opaque at once, test the panel, and show another mask; the state tells how it went."""
-        self._self_test.void(self._device, self._fence)
-        if self._brake.holds_for() > 0:
-            self._panel.pause()
-            return
-        self._panel.distrust(error)
+        A refusal leaves at a fixed time after the request, so that its latency tells nothing.
+
+        Args:
+            active: mask of the capture.
+            light: of the capture.
+            number: of the capture.
+            begun: when the request was taken up [s].
+            at_once: whether no earlier opaque frame will do.
+        """
+        levels, name = active.epoch.mask.levels, f"{number} of epoch {active.epoch.name}"
         try:
-            self._panel.show(self.preparation.take())
-        except Exception as failed:
-            # The capture's own error is what its caller is told of.
-            if not isinstance(failed, ProblemError):
-                log_defect(failed, during="begin anew after a mask was not seen")
+            with self._counted():
+                if self._guard.vouch(levels, light, last=at_once or self._due_in() <= 0):
+                    self._good = name
+            return
+        except DisplayError as error:
+            self._panel.fail(error)
+            raise
+        except PanelNotHidingError:
+            accusation = PanelNotHidingError(
+                "the panel does not hide the scene: it was reset and is tested; the last capture "
+                f"known to be good is {self._good}"
+            )
+            self._panel.accuse(accusation)
+            refusal: ProblemError = accusation
+        except UnsteadyLightError as error:
+            refusal = error
+            active.completed_at = self._guard.completed_at
+        time.sleep(max(0.0, begun + self._guard.refusal - time.monotonic()))
+        raise refusal from None
 
     def stop(self) -> None:
         """Stop the sensor, show opaque and let go; waits for a capture that is under way.
@@ -469,25 +490,30 @@ class MaskedCamera:
                 self._device.close()
 
     def _exposed(self, not_before: float) -> Exposure:
-        """Expose once; a sensor that fails again is given up until a self test has passed."""
-        try:
+        with self._counted():
             exposure = self._device.sensor.capture(not_before, self._fence.timeout)
+        self._failures = 0
+        return exposure
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        """Give a sensor up that fails again, until a self test has passed."""
+        try:
+            yield
         except LightError:
             raise
         except SensorError as error:
             self._failures += 1
             if self._failures >= _MOST_FAILURES:
-                self._self_test.void(self._device, self._fence)
+                self._self_test.void()
                 self._panel.give_up(error)
             raise
-        self._failures = 0
-        return exposure
 
     def _take_back(self) -> None:
         with self._lock:
             if self.state.state != "calibrating":
                 return
-            self._self_test.void(self._device, self._fence)
+            self._self_test.adopt(self._device, self._fence)
             if self._resting is not None:
                 self._rest(self._resting)
                 return

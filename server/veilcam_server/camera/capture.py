@@ -14,7 +14,6 @@ from veilcam_client.wire.captures import (
     Embedding,
     Notes,
     Prediction,
-    ProofNote,
     Replay,
     SealedEmbedding,
     Timing,
@@ -24,7 +23,6 @@ from veilcam_client.wire.captures import (
 )
 from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff, RotationPolicy
 from veilcam_client.wire.sealing import Form
-from veilcam_optics.proof import PROOF
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Exposure, Measurement
 from veilcam_server.errors import FenceError
@@ -66,19 +64,13 @@ def check_exposure(
             f"the exposure began {exposure.started_at - not_before:+.4f} s after the mask had "
             "settled and was thrown away: try again"
         )
-    for given, wanted in (
-        (exposure.embedding.shape, shape),
-        (exposure.proof.shape, PROOF.shape),
-        (exposure.clipped.shape, PROOF.shape),
-    ):
-        if given != wanted:
-            raise FenceError(
-                f"the sensor gave a measurement of shape {given}, not {wanted}: check that the "
-                "bundle fits this device"
-            )
-    for measurement in (exposure.embedding, exposure.proof):
-        if not bool(np.isfinite(measurement).all()):
-            raise FenceError("the sensor gave a measurement that is not finite: try again")
+    if exposure.embedding.shape != shape:
+        raise FenceError(
+            f"the sensor gave a measurement of shape {exposure.embedding.shape}, not {shape}: "
+            "check that the bundle fits this device"
+        )
+    if not bool(np.isfinite(exposure.embedding).all()):
+        raise FenceError("the sensor gave a measurement that is not finite: try again")
 
 
 def due_in(policy: RotationPolicy, *, shown_for: float, captures: int, chance: float) -> float:
@@ -213,8 +205,6 @@ class MaskedCapture:
     rotation_s: float
     settle_s: float
     capture_s: float
-    proof: ProofNote
-    """What it says of the mask."""
     scene: int | None
     """Number of what a simulated camera looked at."""
     replay: None = field(default=None, init=False)
@@ -256,7 +246,6 @@ class MaskedCapture:
         notes = Notes(
             exposure=self.exposure,
             timing=timing,
-            proof=self.proof,
             scene=self.scene,
         )
         return sealer.seal(self.number, self.taken_at, self.measurement, notes)

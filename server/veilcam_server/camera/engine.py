@@ -9,8 +9,7 @@ from typing import NamedTuple, Protocol
 from veilcam_client.wire.calibration import SignedCalibration
 from veilcam_client.wire.events import Event
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
-from veilcam_client.wire.status import ProofMeans, Remedy, State
-from veilcam_optics.proof import MaskTests
+from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import Captured
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.devices.base import Device
@@ -47,9 +46,6 @@ class CameraEngine(Protocol):
 
     def rotation(self) -> Rotation:
         """The policy, the present epoch, and whether the next one is ready."""
-
-    def proof(self) -> ProofMeans | None:
-        """What the last captures say of their masks; None: there was none."""
 
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""
@@ -95,7 +91,6 @@ class CameraEngine(Protocol):
         calibration: SignedCalibration,
         settle: float,
         source: MaskSource,
-        tests: MaskTests,
     ) -> None:
         """Within :meth:`exclusive`: go on with another calibration."""
 

@@ -16,9 +16,7 @@ from veilcam_client.keys.envelopes import Signer, seal_key
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.keys.receivers import Receiver
 from veilcam_client.wire.sealing import Release
-from veilcam_optics.proof import MaskTests
 from veilcam_server.camera.budget import ReleaseBudget
-from veilcam_server.camera.proof import HeldTest
 from veilcam_server.errors import NotReadyError
 from veilcam_server.masks.source import Mask, MaskSource, Terms
 
@@ -41,8 +39,6 @@ class Epoch:
     """In which embeddings leave, from its preparation to its end."""
     commitment: str
     """To its mask, under a key that is gone; what the capture log says of it."""
-    test: HeldTest = field(repr=False)
-    """Tells of a capture whether the mask was there; held for as long as the mask is."""
     sealer: Sealer | None = field(default=None, repr=False)
     """Seals embeddings to the receivers; None: to nobody."""
     receivers: tuple[Receiver, ...] = field(default=(), repr=False)
@@ -74,7 +70,6 @@ class Epoch:
         if self._retired and not self._uses and not self.erased:
             self.erased = True
             self.mask.erase()
-            self.test.let_go()
             if self.sealer is not None:
                 self.sealer.erase()
 
@@ -87,7 +82,6 @@ class Preparation:
         signer: the device, whose key signs envelopes and is part of every key's context.
         terms: what holds for an epoch that is prepared now; called on a thread of its own.
         budget: of embeddings that may leave behind one mask.
-        tests: prepare what captures are tested with, for the camera as it was measured.
     """
 
     def __init__(
@@ -96,10 +90,8 @@ class Preparation:
         signer: Signer,
         terms: Callable[[], Terms],
         budget: ReleaseBudget,
-        tests: MaskTests,
     ) -> None:
         self._source, self._signer, self._terms, self._budget = source, signer, terms, budget
-        self._tests = tests
         self._thread = ThreadPoolExecutor(1, "preparation")
         self._next: Future[Epoch] | None = None
         self.last_mark = ""
@@ -178,14 +170,9 @@ class Preparation:
         """Whether an epoch would be prepared on the same terms now."""
         return Terms(epoch.form, epoch.receivers) == self._terms()
 
-    def serve(self, source: MaskSource, tests: MaskTests | None = None) -> None:
-        """Take epochs from another source from now on; one prepared before is discarded.
-
-        Args:
-            source: of masks.
-            tests: for the camera as it was measured now; None: that has not changed.
-        """
-        self._source, self._tests = source, tests or self._tests
+    def serve(self, source: MaskSource) -> None:
+        """Take epochs from another source from now on; one prepared before is discarded."""
+        self._source = source
         self.discard()
 
     def discard(self) -> None:
@@ -213,12 +200,10 @@ class Preparation:
             with ExitStack() as undo:
                 mask = source.make(key, terms.form, self._avoided(source, terms.form))
                 undo.callback(mask.erase)
-                test = HeldTest(self._tests.prepare(mask.levels), mask.mark)
-                undo.callback(test.let_go)
                 commitment = mask_commitment(key, mask.levels)
                 sealer = self._sealer(key, name, source.bundle, terms)
                 undo.pop_all()
-            return Epoch(name, mask, terms.form, commitment, test, sealer, terms.receivers)
+            return Epoch(name, mask, terms.form, commitment, sealer, terms.receivers)
         finally:
             key.erase()
 

@@ -14,23 +14,19 @@ from veilcam_client.wire.status import Remedy, State
 from veilcam_server.camera.capture import ActiveMask
 from veilcam_server.camera.engine import Condition, Publish
 from veilcam_server.camera.epochs import Epoch, Preparation
-from veilcam_server.camera.proof import ShownMasks
+from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices.base import Display, Shown
 from veilcam_server.devices.errors import DeviceError, DisplayError, SensorError
 from veilcam_server.errors import (
     FenceError,
-    MaskNotSeenError,
+    PanelNotHidingError,
     ProblemError,
     UndecidedError,
+    UnwatchableError,
     remedy_for,
 )
 from veilcam_server.masks.source import MaskSource
-
-_UNSEEN = (
-    "captures do not show their masks, though the panel passes its self tests: calibrate this "
-    "camera, and see whether the light changes within a frame; it is tried again after a pause"
-)
 
 
 class MaskedPanel:
@@ -40,7 +36,7 @@ class MaskedPanel:
         display: that shows masks.
         preparation: makes epochs ready.
         self_test: whether the panel hides the scene.
-        masks: is told which are shown.
+        guard: writes masks, each after an opaque frame.
     """
 
     def __init__(
@@ -48,10 +44,10 @@ class MaskedPanel:
         display: Display,
         preparation: Preparation,
         self_test: SelfTestStatus,
-        masks: ShownMasks,
+        guard: Guard,
     ) -> None:
         self._display, self._preparation, self._self_test = display, preparation, self_test
-        self._masks = masks
+        self._guard = guard
         self.active: ActiveMask | None = None
         """The mask that is shown; None: there is none."""
         self._condition = Condition("starting")
@@ -76,20 +72,19 @@ class MaskedPanel:
 
         Raises:
             SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
+            UnwatchableError: the mask hides hardly more than it leaks.
             DisplayError: the panel did not take it.
         """
         previous = self.active
         try:
             self._prove()
-            # From here on no mask counts as shown until the panel has confirmed one.
-            self.active = None
+            self._require_watchable(epoch)
             shown = self._write(epoch, previous)
         except BaseException:
             epoch.retire()
             raise
         self.active = ActiveMask(epoch, shown.completed_at, shown.completed_at)
         self._preparation.last_mark = epoch.mask.mark
-        self._masks.show(epoch.test)
         if previous is not None:
             previous.epoch.retire()
         if source is not None:
@@ -101,7 +96,10 @@ class MaskedPanel:
     def _write(self, epoch: Epoch, previous: ActiveMask | None) -> Shown:
         """Write a mask to the panel, or put back the one before."""
         try:
-            return self._display.show(epoch.mask.levels)
+            self._guard.cover(epoch.mask.levels)
+            # From here on no mask counts as shown until the panel has confirmed one.
+            self.active = None
+            return self._guard.show(epoch.mask.levels)
         except DeviceError as error:
             self._put_back(previous, remedy_for(error))
             raise DisplayError(
@@ -122,20 +120,31 @@ class MaskedPanel:
             self._prove()
             self._put_back(active)
 
+    @property
+    def covered(self) -> bool:
+        """Whether the mask that counts as shown is under an opaque window still."""
+        return self.active is not None and self._guard.covered
+
+    def uncover(self) -> None:
+        """Write the mask again that an opaque frame covers."""
+        if self.active is not None and self._guard.covered:
+            self._put_back(self.active)
+
+    def fail(self, error: DisplayError) -> None:
+        """Put the mask back after the panel failed at an opaque frame, or make it safe."""
+        self._put_back(self.active, error.remedy)
+
     def give_up(self, error: SensorError) -> None:
         """No mask is shown any more, as the sensor behind it fails."""
         self._drop()
         self._make_opaque("degraded", str(error), error.remedy)
 
-    def distrust(self, error: MaskNotSeenError) -> None:
-        """No mask is shown any more, as a capture does not show it."""
+    def accuse(self, error: PanelNotHidingError) -> None:
+        """Reset the panel, initialise it and make it opaque, as it does not hide the scene."""
         self._drop()
+        self._self_test.void()
+        self._display.close()
         self._make_opaque("safe", str(error), error.remedy)
-
-    def pause(self) -> None:
-        """No mask is shown any more, as captures do not show theirs, though the panel is sound."""
-        self._drop()
-        self._make_opaque("degraded", _UNSEEN, "calibrate")
 
     def suspend(self) -> None:
         """No mask counts as shown: somebody has the panel for a calibration."""
@@ -161,7 +170,7 @@ class MaskedPanel:
 
     def _drop(self) -> None:
         """The mask that was shown does not come back."""
-        self._masks.forget()
+        self._guard.forget()
         active, self.active = self.active, None
         if active is not None:
             active.epoch.retire()
@@ -171,7 +180,7 @@ class MaskedPanel:
         if self._self_test.holds_for() > 0:
             return
         tested, self.active = self.active, None
-        self._masks.forget()
+        self._guard.forget()
         if self._condition.state in ("starting", "ready", "off", "calibrating"):
             self._enter("self-test", "the panel is being tested")
         try:
@@ -185,12 +194,24 @@ class MaskedPanel:
                 tested.epoch.retire()
             self._make_opaque("degraded" if blameless else "safe", reason, remedy_for(error))
             raise
+        self._guard.leak = self._self_test.leak
+
+    def _require_watchable(self, epoch: Epoch) -> None:
+        try:
+            self._guard.require_watchable(epoch.mask.levels)
+        except UnwatchableError as error:
+            self._drop()
+            # Whatever helps against light that leaks is seen by the next test.
+            self._self_test.void()
+            self._make_opaque("degraded", str(error), error.remedy)
+            raise
 
     def _put_back(self, previous: ActiveMask | None, remedy: Remedy = "wait") -> None:
         """After a failed write, or a test: the mask from before, or else opaque."""
+        self.active = None
         if previous is not None:
             try:
-                shown = self._display.show(previous.epoch.mask.levels)
+                shown = self._guard.show(previous.epoch.mask.levels)
             except BaseException as error:
                 previous.epoch.retire()
                 if not isinstance(error, Exception):
@@ -199,7 +220,6 @@ class MaskedPanel:
             else:
                 previous.completed_at = shown.completed_at
                 self.active = previous
-                self._masks.show(previous.epoch.test)
                 self._prepare_next()
                 self._enter("ready")
                 return
@@ -207,7 +227,7 @@ class MaskedPanel:
 
     def _make_opaque(self, state: State, reason: str, remedy: Remedy | None) -> None:
         """Captures stop."""
-        self._masks.forget()
+        self._guard.forget()
         try:
             self._display.blank()
         except Exception as error:

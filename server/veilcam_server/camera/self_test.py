@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from veilcam_optics.camera.geometry import CHANNELS, Camera, Embedding, Scene
 from veilcam_server.camera.capture import Fence, check_exposure
-from veilcam_server.devices.base import Device, Levels
+from veilcam_server.devices.base import Device, Exposure, Levels
 from veilcam_server.errors import SelfTestError, UndecidedError
 
 _DARK = 5e-4
@@ -38,8 +38,11 @@ _Measurement = npt.NDArray[np.float64]
 class SelfTest(Protocol):
     """Decides whether a panel may be trusted."""
 
-    def run(self, device: Device, fence: Fence) -> None:
+    def run(self, device: Device, fence: Fence) -> float:
         """Show and look; what the panel shows afterwards is not said.
+
+        Returns:
+            Light behind the opaque panel, over that behind the open window; raw, both.
 
         Raises:
             SelfTestError: the panel does not hide the scene, or does not show what it is told.
@@ -72,14 +75,18 @@ class OpticalSelfTest:
         self._generator = generator or np.random.default_rng(secrets.randbits(128))
         self._moved = _boxes_between_corners(camera, scene, embedding)
 
-    def run(self, device: Device, fence: Fence) -> None:
+    def run(self, device: Device, fence: Fence) -> float:
         """Take 9 measurements and judge them."""
         quarter = self._quarter()
         corner = np.zeros(self._camera.mask_shape, bool)
         corner[: corner.shape[0] // 2, : corner.shape[1] // 2] = True
 
+        lights: list[float] = []
+
         def seen(opened: npt.NDArray[np.bool_]) -> _Measurement:
-            return self._seen(device, fence, opened)
+            exposure = self._seen(device, fence, opened)
+            lights.append(exposure.light.mean)
+            return exposure.embedding.astype(np.float64)
 
         nothing, everything = np.zeros_like(corner), np.ones_like(corner)
         dark, light = seen(nothing), seen(everything)
@@ -109,6 +116,8 @@ class OpticalSelfTest:
                 "says: check its wiring and the clock of its bus"
             )
         self._judge_place(first, last)
+        # The first two and the last two are opaque and open.
+        return max(0.0, lights[0] + lights[-1]) / (lights[1] + lights[-2])
 
     def _judge_light(self, before: _Measurement, after: _Measurement, full_scale: float) -> None:
         if before.mean() <= _DARK * full_scale or after.mean() <= _DARK * full_scale:
@@ -135,8 +144,8 @@ class OpticalSelfTest:
                     "is mounted"
                 )
 
-    def _seen(self, device: Device, fence: Fence, opened: npt.NDArray[np.bool_]) -> _Measurement:
-        """The measurement behind a pattern."""
+    def _seen(self, device: Device, fence: Fence, opened: npt.NDArray[np.bool_]) -> Exposure:
+        """The exposure behind a pattern."""
         if opened.any():
             levels: Levels = np.where(opened, self._camera.panel.levels - 1, 0).astype(np.uint8)
             device.display.show(levels)
@@ -146,7 +155,7 @@ class OpticalSelfTest:
         not_before = self._clock() + fence.settle
         exposure = device.sensor.capture(not_before, fence.timeout)
         check_exposure(exposure, not_before=not_before, ended=self._clock(), shape=self._shape)
-        return exposure.embedding.astype(np.float64)
+        return exposure
 
     def _quarter(self) -> npt.NDArray[np.bool_]:
         """A quarter of the window at random, in blocks that hold every colour."""
@@ -221,6 +230,8 @@ class SelfTestStatus:
         self._test, self._device, self._fence = test, device, fence
         self._every, self._clock = every, clock
         self._passed, self._ends, self._resets = -math.inf, -math.inf, 0
+        self.leak = 0.0
+        """Light behind the opaque panel, over that behind the open window, when it passed last."""
 
     def holds_for(self) -> float:
         """Seconds for which it holds still; 0 if it does not."""
@@ -233,20 +244,20 @@ class SelfTestStatus:
         """How long ago the panel passed last [s]; inf: it never did."""
         return self._clock() - self._passed
 
-    def void(self, device: Device, fence: Fence) -> None:
-        """Test again before anything is believed.
+    def adopt(self, device: Device, fence: Fence) -> None:
+        """Test another device from now on, with other times to keep."""
+        self._device, self._fence = device, fence
+        self.void()
 
-        Args:
-            device: from now on.
-            fence: times to keep from now on.
-        """
-        self._device, self._fence, self._ends = device, fence, -math.inf
+    def void(self) -> None:
+        """Test again before anything is believed."""
+        self._ends = -math.inf
 
     def renew(self) -> None:
         """Test now; raises as :meth:`SelfTest.run`, and then there is no proof any more."""
         self._ends = -math.inf
         resets = self._device.display.resets
-        self._test.run(self._device, self._fence)
+        self.leak = self._test.run(self._device, self._fence)
         # Set up anew in the middle of the test, the panel may have forgotten what was tested.
         self._resets, self._passed = resets, self._clock()
         self._ends = self._passed + self._every

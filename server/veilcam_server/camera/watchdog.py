@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from veilcam_server.devices.base import Device, Display, Exposure, Levels, Sensor, Shown
+from veilcam_server.devices.base import Device, Display, Exposure, Levels, Light, Sensor, Shown
 from veilcam_server.devices.errors import SensorHungError
 
 
@@ -89,14 +89,22 @@ class _StampedSensor:
         self.name, self.full_scale = sensor.name, sensor.full_scale
 
     def capture(self, not_before: float, timeout: float) -> Exposure:
+        with self._stamped():
+            return self._sensor.capture(not_before, timeout)
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        with self._stamped():
+            return self._sensor.light(not_before, timeout)
+
+    @contextmanager
+    def _stamped(self) -> Iterator[None]:
         try:
             with self._health.action():
-                exposure = self._sensor.capture(not_before, timeout)
+                yield
         except SensorHungError:
             self._health.hung = True
             raise
         self._health.hung = False
-        return exposure
 
     def close(self) -> None:
         with self._health.action():

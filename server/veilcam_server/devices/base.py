@@ -31,6 +31,23 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
+class Light:
+    """Mean light of a frame, less the electronic black, over that of saturation.
+
+    It is given for the exposure to begin with. ``mean`` is inf for a frame that is saturated.
+    """
+
+    mean: float = field(repr=False)
+    noise: float
+    """By how much it may be off."""
+
+    @property
+    def dark(self) -> bool:
+        """Whether it tells nothing."""
+        return self.mean < 5 * self.noise
+
+
+@dataclass(frozen=True, slots=True)
 class Exposure:
     """One measurement and the time in which all of its light was collected.
 
@@ -42,11 +59,8 @@ class Exposure:
     """Binned on the device, shape of the embedding; the raw frame is gone."""
     started_at: float
     ended_at: float
-    proof: Measurement = field(repr=False, kw_only=True)
-    """The same frame binned to ``PROOF``, whatever the embedding's shape: it tells which mask was
-    there."""
-    clipped: npt.NDArray[np.bool_] = field(repr=False, kw_only=True)
-    """Which of its bins have a saturated pixel, of the same shape."""
+    light: Light = field(repr=False, kw_only=True)
+    """Of the raw frame: no calibration enters it."""
     integration: float = 0.0
     """How long each row collected light [s]: it may change from one measurement to the next."""
 
@@ -107,9 +121,23 @@ class Sensor(Protocol):
 
         Raises:
             SensorTimeoutError: no measurement in time.
+            SaturatedError: there is too much light.
             LightError: the light is at fault.
             SensorError: no measurement. One that was started once must now be closed, and started
                 again.
+        """
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        """Return the light of one frame, which may be saturated.
+
+        Automatic exposure does not follow that frame, and the frame is taken at any exposure.
+
+        Args:
+            not_before: monotonic time [s] before which the frame does not begin.
+            timeout: longest wait for the frame after ``not_before`` [s].
+
+        Raises:
+            SensorError: as :meth:`capture`.
         """
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from veilcam_client.wire.calibration import CalibrationRecord, SignedCalibration
-from veilcam_server.devices.base import Device, Exposure, Measurement, Sensor
+from veilcam_server.devices.base import Device, Exposure, Light, Measurement, Sensor
 
 
 def calibrated(device: Device, signed: SignedCalibration | None) -> Device:
@@ -53,11 +53,11 @@ class CalibratedSensor:
     def capture(self, not_before: float, timeout: float) -> Exposure:
         """As the sensor does."""
         exposure = self._sensor.capture(not_before, timeout)
-        return replace(
-            exposure,
-            embedding=self.corrected(exposure.embedding),
-            proof=self.corrected(exposure.proof),
-        )
+        return replace(exposure, embedding=self.corrected(exposure.embedding))
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        """As the sensor does."""
+        return self._sensor.light(not_before, timeout)
 
     def corrected(self, measurement: Measurement) -> Measurement:
         """Return what a decoder expects for a measurement of the sensor."""

@@ -54,6 +54,10 @@ class LightError(SensorError, remedy="adjust_light"):
     """There is too much light, or nothing that it could come from."""
 
 
+class SaturatedError(LightError):
+    """There is too much light for the shortest exposure."""
+
+
 class SensorHungError(SensorError, remedy="restart"):
     """The sensor's driver does not let go of it: only another process may have it."""
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -20,12 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from veilcam_client.wire.simulation import SensorFaults
-from veilcam_optics.proof import PROOF
-from veilcam_server.devices.base import Exposure, Measurement, Sensor
+from veilcam_server.devices.base import Exposure, Light, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
-    LightError,
-    Refused,
+    DeviceError,
+    SaturatedError,
     SensorError,
     SensorHungError,
     SensorTimeoutError,
@@ -42,6 +41,8 @@ HALF = SensorMode(1520, 2028, line_time=15.17e-6, frame_duration=0.025)
 _NANO, _MICRO = 1_000_000_000, 1_000_000
 _SATURATED = 1e-3
 """Share of saturated pixels from which on a measurement is no longer linear in the light."""
+_NOISE = 1e-4
+"""Error of a frame's mean light, over saturation: half a step of 12 bits of its black level."""
 _DIM, _MIDDLE = 0.2, 0.5
 """A brightest value below the one asks for an exposure that brings it to the other."""
 _CLOSING = 5.0
@@ -77,11 +78,7 @@ class _Binned:
     """A frame in shares of saturation."""
 
     embedding: npt.NDArray[np.float64]
-    proof: npt.NDArray[np.float64]
-    clipped: npt.NDArray[np.bool_]
-    """Bins of the proof with a saturated pixel."""
-    saturated: float
-    """Share of all pixels."""
+    saturated: bool
 
 
 class IMX477:
@@ -115,7 +112,7 @@ class IMX477:
         self._mode, self._exposures, self._clock = mode, exposures, clock
         self.full_scale = full_scale
         """Measurement of saturated pixels at the exposure to begin with."""
-        self._binning = Binning((mode.rows, mode.columns), shape, PROOF.shape)
+        self._binning = Binning((mode.rows, mode.columns), shape)
         self._asked = exposures.start
         self._last_stamp, self._unfit = -1, ""
         self._format: RawFormat
@@ -130,8 +127,15 @@ class IMX477:
         does not, as it is given for the exposure to begin with.
         """
         deadline = max(not_before, self._clock()) + timeout
-        with Refused(self._failed):
+        with _as_sensor_error():
             return self._capture(self._camera, not_before, deadline)
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        """Return the light of one frame of any exposure, which no later exposure follows."""
+        deadline = max(not_before, self._clock()) + timeout
+        with _as_sensor_error():
+            frame, binned = self._frame(self._camera, not_before, deadline, asked=None)
+            return self._light(frame, binned)
 
     def close(self) -> None:
         """Stop the camera."""
@@ -151,63 +155,90 @@ class IMX477:
         return SensorError(f"the camera failed ({without_text(error)}): it is opened again")
 
     def _capture(self, camera: Picamera, not_before: float, deadline: float) -> Exposure:
-        # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
-        fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0
-        self._unfit = ""
+        unfit = ""
         while True:
-            wait = deadline - self._clock()
-            if self._unfit and wait <= 0:
-                raise TimeoutError
-            # A wait of 0 would not wait at all, and give no frame either.
-            with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
-                frame = Frame.of(request.get_metadata())
-                if frame.stamp <= self._last_stamp:
-                    raise SensorError("the camera gave the same frame again")
-                self._last_stamp = frame.stamp
-                self._unfit = frame.unfit(fence, self._asked, self._mode.line_time)
-                if self._unfit:
-                    continue
-                raw = self._format.pixels(request, self._mode)
-            # From here on the camera has its buffer back, and `raw` is the only copy.
-            try:
-                binned = self._binned(raw)
-            finally:
-                raw.fill(0)
-            if binned.saturated > _SATURATED:
-                self._unfit = self._shorten(camera)
+            frame, binned = self._frame(camera, not_before, deadline, self._asked, unfit)
+            if binned.saturated:
+                unfit = self._shorten(camera)
                 continue
             exposure = self._exposure(frame, binned)
             self._follow(camera, float(np.max(binned.embedding)))
             return exposure
 
+    def _frame(
+        self,
+        camera: Picamera,
+        not_before: float,
+        deadline: float,
+        asked: float | None,
+        unfit: str = "",
+    ) -> tuple[Frame, _Binned]:
+        """Return the next frame that is fit for use, at an exposure or at any.
+
+        Args:
+            camera: that takes it.
+            not_before: monotonic time before which it does not begin [s].
+            deadline: monotonic time [s].
+            asked: its exposure [s]; None for any.
+            unfit: reason against the frame before.
+        """
+        # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
+        fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0
+        while True:
+            try:
+                wait = deadline - self._clock()
+                if unfit and wait <= 0:
+                    raise TimeoutError
+                # A wait of 0 would not wait at all, and give no frame either.
+                with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
+                    frame = Frame.of(request.get_metadata())
+                    if frame.stamp <= self._last_stamp:
+                        raise SensorError("the camera gave the same frame again")
+                    self._last_stamp = frame.stamp
+                    unfit = frame.unfit(fence, asked, self._mode.line_time)
+                    if unfit:
+                        continue
+                    raw = self._format.pixels(request, self._mode)
+            except TimeoutError:
+                reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
+                raise SensorTimeoutError(
+                    f"the camera is opened again, as {reason} in time: try again"
+                ) from None
+            # From here on the camera has its buffer back, and `raw` is the only copy.
+            try:
+                return frame, self._binned(raw)
+            finally:
+                raw.fill(0)
+
     def _binned(self, raw: Raw) -> _Binned:
         black, white = self._format.black, self._format.white
-        embedding, proof = ((mean - black) / (white - black) for mean in self._binning.means(raw))
-        _, clipped = self._binning.reaching(raw, white)
-        # Counted only where there is something to count: it takes as long as the sums.
-        saturated = float((raw >= white).mean()) if clipped.any() else 0.0
-        return _Binned(embedding, proof, clipped, saturated)
+        embedding = (self._binning.means(raw) - black) / (white - black)
+        return _Binned(embedding, float((raw >= white).mean()) > _SATURATED)
 
     def _exposure(self, frame: Frame, binned: _Binned) -> Exposure:
-        integration = frame.exposure / _NANO
-        scale = self.full_scale
-        if integration > 0:
-            scale *= self._exposures.start / integration
+        scale = self.full_scale * self._scale(frame)
         embedding: Measurement = (scale * binned.embedding).astype(np.float32)
-        proof: Measurement = (scale * binned.proof).astype(np.float32)
         return Exposure(
             embedding,
             started_at=(frame.stamp - frame.exposure) / _NANO,
             ended_at=frame.stamp / _NANO + self._mode.readout,
-            proof=proof,
-            clipped=binned.clipped,
-            integration=integration,
+            light=self._light(frame, binned),
+            integration=frame.exposure / _NANO,
         )
+
+    def _light(self, frame: Frame, binned: _Binned) -> Light:
+        mean = math.inf if binned.saturated else float(binned.embedding.mean())
+        scale = self._scale(frame)
+        return Light(scale * mean, scale * _NOISE)
+
+    def _scale(self, frame: Frame) -> float:
+        """Exposure to begin with, over that of a frame."""
+        return self._exposures.start * _NANO / frame.exposure if frame.exposure > 0 else 1.0
 
     def _shorten(self, camera: Picamera) -> str:
         shorter = self._exposures.bounded(self._asked / 4)
         if shorter >= self._asked:
-            raise LightError(
+            raise SaturatedError(
                 f"the sensor is saturated at {self._asked * 1000:g} ms: "
                 "use less light or a shorter exposure"
             )
@@ -281,11 +312,16 @@ class IMX477:
                 step()
 
 
-def _not_set_up(error: Exception) -> SensorError:
-    return SensorError(
-        f"the camera cannot be set up ({in_one_line(error)}): use a Raspberry Pi HQ camera, and "
-        "see rpicam-hello --list-cameras"
-    )
+@contextmanager
+def _as_sensor_error() -> Iterator[None]:
+    try:
+        yield
+    except SensorError:
+        raise
+    except Exception as error:  # picamera2 raises whatever it likes
+        raise SensorError(
+            f"the camera failed ({type(error).__name__}): it is opened again"
+        ) from None
 
 
 def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:

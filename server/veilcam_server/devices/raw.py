@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -115,18 +115,18 @@ class Frame:
             float(metadata["AnalogueGain"]),
         )
 
-    def unfit(self, fence: int, exposure: float, line_time: float) -> str:
-        """Say why a frame cannot be used; empty if it can.
+    def unfit(self, fence: int, exposure: float | None, line_time: float) -> str:
+        """Why it cannot be used; nothing if it can.
 
         Args:
             fence: before which it must not have begun [ns].
-            exposure: exposure that was asked for [s].
-            line_time: line time of the sensor [s].
+            exposure: that was asked for [s]; None for any.
+            line_time: of the sensor [s].
         """
         if self.stamp - self.exposure < fence:
             return "exposed before the mask had settled"
         # One line, and what is lost when an exposure is told in whole microseconds.
-        if abs(self.exposure - exposure * 1e9) > line_time * 1e9 + 1000:
+        if exposure is not None and (abs(self.exposure - exposure * 1e9) > line_time * 1e9 + 1000):
             return "the exposure asked for was not applied"
         if not math.isclose(self.gain, GAIN, rel_tol=1e-3):
             return f"the gain was {self.gain:.3f}, not {GAIN}"
@@ -134,24 +134,23 @@ class Frame:
 
 
 class Binning:
-    """Averages of raw frames of one shape over equal boxes, for several numbers of boxes.
+    """From raw frames of one shape to averages over equal boxes.
 
     Args:
         raw: shape (rows, columns) of the frames.
-        shapes: each a number of boxes, (rows, columns).
+        boxes: number of boxes, (rows, columns).
 
     Raises:
         ValueError: more boxes than pixels.
     """
 
-    def __init__(self, raw: tuple[int, int], *shapes: tuple[int, int]) -> None:
+    def __init__(self, raw: tuple[int, int], boxes: tuple[int, int]) -> None:
         self._raw = raw
-        self._row_cuts, row_shares = _axis(raw[0], [rows for rows, _ in shapes])
-        self._column_cuts, column_shares = _axis(raw[1], [columns for _, columns in shapes])
-        self._shares = tuple(zip(row_shares, column_shares, strict=True))
+        self._row_cuts, self._row_shares = _axis(raw[0], boxes[0])
+        self._column_cuts, self._column_shares = _axis(raw[1], boxes[1])
 
-    def means(self, raw: Raw) -> tuple[npt.NDArray[np.float64], ...]:
-        """Return the mean of every box, an array for each number of boxes.
+    def means(self, raw: Raw) -> npt.NDArray[np.float64]:
+        """Return the mean of every box.
 
         Raises:
             ValueError: a frame of another shape.
@@ -164,38 +163,23 @@ class Binning:
         )
         sums = np.add.reduceat(strips, self._column_cuts[:-1], axis=1, dtype=np.uint64)
         strips.fill(0)
-        pieces = sums.astype(np.float64)
-        return tuple(rows @ pieces @ columns.T for rows, columns in self._shares)
-
-    def reaching(self, raw: Raw, level: int) -> tuple[npt.NDArray[np.bool_], ...]:
-        """Return which boxes have a pixel of a level or more, an array for each number of boxes."""
-        strips = np.stack([raw[first:last].max(0) for first, last in pairwise(self._row_cuts)])
-        pieces = np.maximum.reduceat(strips, self._column_cuts[:-1], axis=1) >= level
-        strips.fill(0)
-        # A box touches the pieces that have a share in its mean.
-        return tuple(rows @ pieces @ columns.T > 0 for rows, columns in self._shares)
+        means: npt.NDArray[np.float64] = (
+            self._row_shares @ sums.astype(np.float64) @ self._column_shares.T
+        )
+        return means
 
 
-def _axis(pixels: int, numbers: Sequence[int]) -> tuple[list[int], list[npt.NDArray[np.float64]]]:
-    """Return the cuts of an axis, and the share of each piece in the mean of each box."""
-    for boxes in numbers:
-        if not 1 <= boxes <= pixels:
-            raise ValueError(
-                f"{boxes} boxes are not valid: use 1 to {pixels}, the number of pixels"
-            )
-    edges = [[Fraction(box * pixels, boxes) for box in range(boxes + 1)] for boxes in numbers]
-    cuts = sorted(
-        {whole for ends in edges for edge in ends for whole in (math.floor(edge), math.ceil(edge))}
-    )
-    return cuts, [_shares(cuts, ends) for ends in edges]
-
-
-def _shares(cuts: Sequence[int], edges: Sequence[Fraction]) -> npt.NDArray[np.float64]:
-    shares = np.zeros((len(edges) - 1, len(cuts) - 1))
+def _axis(pixels: int, boxes: int) -> tuple[list[int], npt.NDArray[np.float64]]:
+    """Where to cut an axis, and what share each piece has in the mean of each box."""
+    if not 1 <= boxes <= pixels:
+        raise ValueError(f"{boxes} boxes are not valid: use 1 to {pixels}, the number of pixels")
+    edges = [Fraction(box * pixels, boxes) for box in range(boxes + 1)]
+    cuts = sorted({whole for edge in edges for whole in (math.floor(edge), math.ceil(edge))})
+    shares = np.zeros((boxes, len(cuts) - 1))
     for box, (low, high) in enumerate(pairwise(edges)):
         for piece, (first, last) in enumerate(pairwise(cuts)):
             inside = min(high, Fraction(last)) - max(low, Fraction(first))
             if inside > 0:
                 # Of the piece's sum, each of whose pixels is in the box by the same part.
                 shares[box, piece] = float(inside / ((last - first) * (high - low)))
-    return shares
+    return cuts, shares

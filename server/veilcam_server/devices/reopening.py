@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from veilcam_client.wire.status import Remedy
-from veilcam_server.devices.base import Exposure, Levels, OpenDisplay, Sensor, Shown
+from veilcam_server.devices.base import Exposure, Levels, Light, OpenDisplay, Sensor, Shown
 from veilcam_server.devices.errors import (
     DeviceError,
     DisplayError,
@@ -186,6 +185,11 @@ class ReopeningSensor:
         """Expose once."""
         with self._part.open() as sensor:
             return sensor.capture(not_before, timeout)
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        """Return the light of one frame."""
+        with self._part.open() as sensor:
+            return sensor.light(not_before, timeout)
 
     def close(self) -> None:
         """Stop the sensor."""

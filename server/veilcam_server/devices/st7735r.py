@@ -24,7 +24,7 @@ from veilcam_server.devices.driver import DisplayDriver, EmulatedPanel
 from veilcam_server.devices.errors import DisplayError, Refused
 from veilcam_server.devices.spi import Lines, Spi, bus_failed, open_bus
 from veilcam_server.devices.st7735r_glass import COLOURS, PIXEL_COLUMNS, PIXEL_ROWS, TABS, Tab
-from veilcam_server.devices.st7735r_status import identify, require_sound
+from veilcam_server.devices.st7735r_status import identify, is_read, require_sound
 from veilcam_server.settings import Wiring
 
 FULL_FRAME = PIXEL_COLUMNS * PIXEL_ROWS * COLOURS
@@ -76,14 +76,15 @@ class ST7735R:
     Args:
         spi: the bus; closed with this.
         lines: D/C and RST; closed with this.
-        camera: camera whose window is the mask.
-        tab: place of the glass in the controller's memory.
-        read_back: True: the panel is asked after every write if it shows its memory.
+        camera: whose window is the mask.
+        tab: where the glass sits in the controller's memory.
+        read_back: whether the panel is asked after every write if it shows what is in its memory,
+            provided that it gives its known status three times at the start.
         sleep: waits so many seconds.
         clock: monotonic time [s].
 
     Raises:
-        DisplayError: the bus failed, or the panel answers that it does not show what it has.
+        DisplayError: the bus failed.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class ST7735R:
     ) -> None:
         panel, window = camera.panel, camera.window
         self._spi, self._lines, self._tab = spi, lines, tab
-        self._sleep, self._clock, self._read_back = sleep, clock, read_back
+        self._sleep, self._clock, self._read_back = sleep, clock, False
         self._madctl = _TURNED_BGR if tab.filters == "BGR" else 0
         self._shape, self._levels = camera.mask_shape, panel.levels
         first = window.first_row // COLOURS
@@ -113,7 +114,8 @@ class ST7735R:
         self._window: npt.NDArray[np.uint8] = self._pixels[:, lead : lead + window.rows]
         with Refused(bus_failed), self._wiped():
             self._initialise()
-            self._confirm()
+            # Where nothing known comes back, the panel is not asked: light tells how it is.
+            self._read_back = read_back and is_read(spi, lines, self._madctl)
 
     def show(self, levels: Levels) -> Shown:
         """Write a mask to the window."""

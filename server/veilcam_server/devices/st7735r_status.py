@@ -34,26 +34,49 @@ _SAYS = (
     (0x0000_0400, "its display is off"),  # DISON
 )
 """What a bit means that is not as it was set; others are for gamma, the tearing line, or free."""
+_TIMES: Final = 3
+"""Questions before an answer is believed."""
 
 
-def require_sound(spi: Spi, lines: Lines, madctl: int) -> None:
-    """Have the panel say that it shows what is in its memory.
+def is_read(spi: Spi, lines: Lines, madctl: int) -> bool:
+    """Return whether the panel, which was just set up, gives the status of a sound one each time.
+
+    Where the board is wired otherwise than it was told, the line gives something else.
 
     Args:
         spi: bus of the panel.
         lines: D/C of it.
-        madctl: turn of the memory as it was set.
+        madctl: order of its memory, as it was told.
 
     Raises:
         OSError: the bus failed.
-        DisplayError: it does not answer, or something else.
     """
-    status = _ask(spi, lines, *_RDDST)
-    _require_answer(status, *_RDDST)
-    wrong = status ^ (_SOUND | (madctl & _ORDER) << 23)
+    return all(not _wrong(_ask(spi, lines, *_RDDST), madctl) for _ in range(_TIMES))
+
+
+def require_sound(spi: Spi, lines: Lines, madctl: int) -> None:
+    """Raise if the panel says each time that it does not show what is in its memory.
+
+    A line that nobody drives, or an answer that changes, says nothing: that is for light to tell.
+
+    Args:
+        spi: its bus.
+        lines: D/C of it.
+        madctl: order of its memory, as it was told.
+
+    Raises:
+        OSError: the bus failed.
+        DisplayError: what is wrong.
+    """
+    found: set[int] = set()
+    for _ in range(_TIMES):
+        status = _ask(spi, lines, *_RDDST)
+        found.add(status)
+        if len(found) > 1 or _is_silent(status, *_RDDST) or not _wrong(status, madctl):
+            return
+    wrong = _wrong(found.pop(), madctl)
     told = [meaning for bits, meaning in _SAYS if wrong & bits]
-    if told:
-        raise DisplayError(f"the panel answers that {', '.join(told)}: check its power and wiring")
+    raise DisplayError(f"the panel answers that {', '.join(told)}: check its power and wiring")
 
 
 def identify(spi: Spi, lines: Lines) -> str:
@@ -87,9 +110,19 @@ def _ask(spi: Spi, lines: Lines, code: int, bits: int) -> int:
     return answer >> 7 & ((1 << bits) - 1) if late else answer
 
 
+def _wrong(status: int, madctl: int) -> int:
+    """Bits that are not as they were set."""
+    wrong = status ^ (_SOUND | (madctl & _ORDER) << 23)
+    return sum(wrong & bits for bits, _ in _SAYS)
+
+
+def _is_silent(answer: int, _: int, bits: int) -> bool:
+    """A line that nobody drives is read as all zeros, or all ones."""
+    return answer in (0, (1 << bits) - 1)
+
+
 def _require_answer(answer: int, code: int, bits: int) -> None:
-    """Refuse a line that nobody drives: it reads as all zeros, or all ones."""
-    if answer in (0, (1 << bits) - 1):
+    if _is_silent(answer, code, bits):
         raise DisplayError(
             f"the panel does not answer command {code:02X}h: check its power and the wire of its "
             "SDA, or leave out --panel-read-back"

@@ -20,10 +20,14 @@ from veilcam_server.errors import (
     QueueFullError,
     ReplayingError,
     RotationImpossibleError,
+    UnsteadyLightError,
 )
 
 ResultT = TypeVar("ResultT")
-_REFUSALS = (CalibrationError, NotLookingError, RotationImpossibleError, ReplayingError)
+_REFUSALS = (
+    *(CalibrationError, NotLookingError, RotationImpossibleError, ReplayingError),
+    UnsteadyLightError,
+)
 """At which nothing failed."""
 
 

@@ -21,8 +21,6 @@ from veilcam_client.wire.events import StateChanged
 from veilcam_client.wire.rotation import Preparation, Rotation, RotationOff, RotationPolicy
 from veilcam_client.wire.sealing import Form
 from veilcam_client.wire.status import Device as DeviceInfo
-from veilcam_client.wire.status import ProofMeans
-from veilcam_optics.proof import MaskTests
 from veilcam_server.bundles.loader import Identity
 from veilcam_server.calibration.service import CalibrationService
 from veilcam_server.camera.capture import Captured
@@ -114,10 +112,6 @@ class ReplayedCamera:
         none = Preparation(ready=False, prepared=0, last_s=0.0, late=0, reused=0)
         return Rotation(policy=self.policy, epoch=None, captures=0, preparation=none)
 
-    def proof(self) -> ProofMeans | None:
-        """Nothing is tested."""
-        return None
-
     def due_in(self) -> float:
         """No mask is ever due."""
         return math.inf
@@ -163,7 +157,6 @@ class ReplayedCamera:
         calibration: SignedCalibration,  # noqa: ARG002 - as above
         settle: float,  # noqa: ARG002
         source: MaskSource,  # noqa: ARG002
-        tests: MaskTests,  # noqa: ARG002
     ) -> None:
         """Refused."""
         raise ReplayingError

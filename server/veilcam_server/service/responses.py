@@ -16,7 +16,6 @@ from veilcam_client.wire.captures import (
     Classification,
     Embedding,
     Prediction,
-    Proof,
     SealedEmbedding,
 )
 from veilcam_client.wire.log import AGE_STEP, LoggedCapture
@@ -36,7 +35,6 @@ def capture_response(
         number=captured.number,
         taken_at=captured.taken_at,
         embedding=embedding,
-        proof=_proof(captured),
         replay=captured.replay,
     )
 
@@ -59,7 +57,6 @@ def classification_response(
         confidence=told.confidence,
         scores=told.scores,
         embedding=embedding,
-        proof=_proof(captured),
         replay=captured.replay,
     )
 
@@ -75,11 +72,6 @@ def logged(answer: Capture | Classification, provenance: Provenance) -> LoggedCa
         calibration=provenance.calibration,
         answer=answer_digest(answer),
     )
-
-
-def _proof(captured: Captured) -> Proof | None:
-    """Return the notes of a capture; one that does not show its mask has no answer."""
-    return "checked" if captured.replay is None else None
 
 
 def _told(prediction: Prediction, scores: Scores) -> Prediction:

@@ -34,7 +34,7 @@ from veilcam_client.wire.events import (
 from veilcam_client.wire.rotation import Rotation, RotationPolicy
 from veilcam_client.wire.sealing import Release
 from veilcam_client.wire.simulation import Faults, HeldScene
-from veilcam_client.wire.status import ProofMeans, Queue, Status
+from veilcam_client.wire.status import Queue, Status
 from veilcam_client.wire.watch import Watch, WatchPolicy
 from veilcam_optics.pictures import PictureError
 from veilcam_server.bundles.loader import Identity, LoadedBundle
@@ -52,6 +52,7 @@ from veilcam_server.errors import (
     ReplayingError,
     SceneApiOffError,
     SceneInvalidError,
+    UnsteadyLightError,
     WithheldError,
 )
 from veilcam_server.masks.source import Evidence
@@ -299,10 +300,6 @@ class Service:
         """Return the policy, the present epoch, and whether the next one is ready."""
         return self._camera.rotation()
 
-    def proof(self) -> ProofMeans | None:
-        """Return the verdicts of the last captures about their masks: they tell of the light."""
-        return self._camera.proof()
-
     async def set_policy(self, policy: RotationPolicy) -> Rotation:
         """Change when masks change, also after a restart.
 
@@ -455,7 +452,12 @@ class Service:
             future.add_done_callback(lambda _: captured.done())
             return captured, future
 
-        captured, answer = await self._queue.run(work)
+        try:
+            captured, answer = await self._queue.run(work)
+        except UnsteadyLightError:
+            # Its mask may be due: that is seen to before anybody asks again.
+            self._scheduler.wake()
+            raise
         self._events.publish(
             partial(
                 CaptureTaken,

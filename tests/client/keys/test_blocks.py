@@ -29,7 +29,6 @@ from veilcam_client.wire.captures import (
     Embedding,
     Exposure,
     Notes,
-    ProofNote,
     SealedEmbedding,
     Timing,
 )
@@ -38,7 +37,6 @@ LONG = 0.1234567890123456e-100
 WORDY = Notes(
     exposure=Exposure(started_after_shown_s=LONG, settle_s=LONG, duration_s=LONG),
     timing=Timing(queue_s=LONG, rotation_s=LONG, settle_s=LONG, capture_s=LONG),
-    proof=ProofNote(verdict="undecided", margin=-LONG, departure=-LONG, light=-LONG),
     scene=10**9,
 )
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from typing import Any
 
 import httpx
 import pytest
-from tests.server.conftest import SEEN, UNDECIDED, Bench, Running
+from tests.server.conftest import Bench, Running
 
-from veilcam_client.keys.blocks import Opener
 from veilcam_client.keys.receivers import ReceiverKey
-from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.sealing import Release
 
 pytestmark = pytest.mark.anyio
 
-CLEAR = {"id", "epoch", "number", "taken_at", "proof"}
+CLEAR = {"id", "epoch", "number", "taken_at"}
 OPEN = {"form", "shape", "values"}
 SEALED = {"form", "shape", "dtype", "block", "envelope"}
 ENVELOPE = {"version", "device", "epoch", "bundle", "keys", "signature"}
@@ -55,32 +51,6 @@ async def test_an_answer_says_nothing_else(
         assert [said(each) for each in answer["embedding"]["envelope"]["keys"]] == [
             {"receiver", "key"}
         ]
-
-
-async def test_of_its_proof_an_answer_says_the_same_whatever_it_came_to(
-    running: Running, bench: Bench
-) -> None:
-    bench.release = "sealed"
-    key = ReceiverKey.generate()
-    bench.receivers.add("archive", key.public)
-    told, opened = [], []
-    async with running() as client:
-        for finding in (SEEN, UNDECIDED, replace(SEEN, light=0.001, departure=9.0)):
-            bench.mask_tests.findings = 3 * [finding]
-            answers = [
-                (await ask(client, path)).json() for path in ("/v1/captures", "/v1/classifications")
-            ]
-            label = (await client.post("/v1/classifications")).json()
-            told += [answer["proof"] for answer in (*answers, label)]
-            assert len({len(answer["embedding"]["block"]) for answer in answers}) == 1
-            opener = Opener(key)
-            opened.append(opener.open(Capture.model_validate_json(json.dumps(answers[0]))).notes)
-    assert told == 9 * ["checked"]
-    notes = [each.proof for each in opened if each is not None and each.proof is not None]
-    assert [note.verdict for note in notes] == ["seen", "undecided", "seen"]
-    assert [note.light for note in notes] == [0.5, 0.5, 0.001]
-    assert [note.departure for note in notes] == [1.0, 1.0, 9.0]
-    assert [note.margin for note in notes] == [100.0, 1.0, 100.0]
 
 
 async def test_without_an_embedding_no_more_than_the_label_is_said(running: Running) -> None:

@@ -15,20 +15,16 @@ from typing import TYPE_CHECKING
 import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from tests.server.conftest import NOT_SEEN, SEEN, UNDECIDED
 
 from veilcam_client.wire.rotation import EveryCaptures
-from veilcam_client.wire.status import Diagnostics, ProofMeans
-from veilcam_client.wire.tokens import Scope
+from veilcam_client.wire.status import Diagnostics
 from veilcam_server.api.app import create_app
 from veilcam_server.api.routes.diagnostics import CHECKUP_EVERY, Checkups
 from veilcam_server.devices import DisplayError, SensorError
 from veilcam_server.doctor.checkup import Finding
-from veilcam_server.errors import MaskNotSeenError
 from veilcam_server.gate.connections import Connections
 from veilcam_server.security.admission import Admission, open_admission
 from veilcam_server.security.audit import AuditLog
-from veilcam_server.security.tokens import TokenStore
 from veilcam_server.settings import Settings
 
 if TYPE_CHECKING:
@@ -197,50 +193,19 @@ async def test_diagnostics_tell_of_the_last_states_and_faults(
 
 
 @pytest.mark.parametrize("path", ["/v1/captures", "/v1/classifications"])
-async def test_a_mask_that_is_not_seen_is_told_to_all_and_answered_to_nobody(
+async def test_a_panel_that_does_not_hide_is_told_to_all_and_answered_to_nobody(
     running: Running, bench: Bench, path: str
 ) -> None:
-    async with running() as client:
-        bench.mask_tests.findings = [NOT_SEEN]
+    async with running(policy=EveryCaptures(captures=1)) as client:
+        bench.sensor.lights = lambda: 1.0
         answer = await client.post(path)
         told = Diagnostics.model_validate_json((await client.get("/v1/diagnostics")).content)
-        after = await client.post(path)
     assert answer.status_code == 503
-    assert answer.json()["code"] == "mask_not_seen"
-    assert answer.json()["detail"] == MaskNotSeenError.detail
-    assert [fault.code for fault in told.faults] == ["mask_not_seen"]
-    assert told.fault_counts == {"mask_not_seen": 1}
+    assert answer.json()["code"] == "panel_not_hiding"
+    assert [fault.code for fault in told.faults] == ["panel_not_hiding"]
+    assert "none yet" in told.faults[0].detail
     assert told.events.get("capture", 0) == told.events.get("classification", 0) == 0
-    assert [state.state for state in told.states][-2:] == ["safe", "ready"]
-    assert after.status_code == 200
-
-
-async def test_the_proof_is_told_to_who_could_read_it_of_each_capture(
-    running: Running, bench: Bench, tmp_path: Path
-) -> None:
-    store = TokenStore(tmp_path)
-
-    def bearing(*scopes: Scope) -> dict[str, str]:
-        return {"Authorization": f"Bearer {store.create('a token', scopes, None).secret}"}
-
-    async def told(client: httpx.AsyncClient, *scopes: Scope) -> ProofMeans | None:
-        answer = await client.get("/v1/diagnostics", headers=bearing(*scopes))
-        return Diagnostics.model_validate_json(answer.content).proof
-
-    bench.mask_tests.findings = [SEEN, UNDECIDED]
-    async with running(admission=Admission(store)) as client:
-        both: tuple[Scope, ...] = ("read:status", "admin:receivers", "read:embedding")
-        assert await told(client, *both) is None  # nothing was captured yet
-        for _ in range(2):
-            await client.post("/v1/classifications", headers=bearing("classify"))
-        means = await told(client, *both)
-        others = [
-            await told(client, *given)
-            for given in (("read:status",), both[:2], ("read:status", "read:embedding"))
-        ]
-    assert means is not None
-    assert (means.captures, means.undecided, means.margin) == (2, 0.5, 50.5)
-    assert others == [None, None, None]
+    assert told.states[-1].state == "safe"
 
 
 async def test_settings_are_told_without_what_could_be_secret(

@@ -14,7 +14,6 @@ from tests.server.damage import DAMAGES
 
 from veilcam_client.wire.calibration import CalibrationRecord, Quantity, SignedCalibration
 from veilcam_optics.camera.geometry import Camera, Embedding, Scene
-from veilcam_optics.proof import PROOF
 from veilcam_server.calibration.loading import open_calibration, settle_time
 from veilcam_server.calibration.record import (
     RECORD_NAME,
@@ -24,7 +23,7 @@ from veilcam_server.calibration.record import (
     write_record,
 )
 from veilcam_server.calibration.rig import Geometry
-from veilcam_server.devices.base import Device, Exposure
+from veilcam_server.devices.base import Device, Exposure, Light
 from veilcam_server.devices.corrected import CalibratedSensor, calibrated
 from veilcam_server.errors import CalibrationError, ProblemError, StartError
 from veilcam_server.sealing.identity import KEY_NAME, DeviceKey
@@ -240,11 +239,9 @@ def test_the_fence_never_grants_less_than_was_measured(tmp_path: Path) -> None:
 
 
 def exposed(light: np.ndarray, not_before: float, timeout: float) -> Exposure:
-    """Both measurements of a frame whose first two columns are two boxes."""
-    proof = np.zeros(PROOF.shape, np.float32)
-    proof[:, ::2], proof[:, 1::2] = light[0]
-    embedding = light.astype(np.float32)
-    return Exposure(embedding, not_before, timeout, proof=proof, clipped=proof > 0.5)
+    """Measurement of a frame, and its raw light."""
+    mean = Light(float(light.mean()), 1e-4)
+    return Exposure(light.astype(np.float32), not_before, timeout, light=mean)
 
 
 class Sensor:
@@ -255,12 +252,11 @@ class Sensor:
     def capture(self, not_before: float, timeout: float) -> Exposure:
         return exposed(np.array([[0.02, 0.52]]), not_before, timeout)
 
+    def light(self, not_before: float, timeout: float) -> Light:
+        return self.capture(not_before, timeout).light
+
     def close(self) -> None:
         self.closed = True
-
-
-TILES = (PROOF.rows, PROOF.columns // 2)
-"""Pairs of boxes in the proof."""
 
 
 def test_measurements_are_those_that_decoders_expect() -> None:
@@ -268,11 +264,9 @@ def test_measurements_are_those_that_decoders_expect() -> None:
     corrected = CalibratedSensor(sensor, black_level=0.02, gain=0.5, stray_light=0.0)
     exposure = corrected.capture(1.0, 2.0)
     np.testing.assert_allclose(exposure.embedding, [[0.0, 1.0]], atol=1e-7)
-    np.testing.assert_allclose(
-        exposure.proof, np.tile([0.0, 1.0], (PROOF.rows, PROOF.columns // 2)), atol=1e-7
-    )
-    assert exposure.embedding.dtype == exposure.proof.dtype == np.float32
-    assert np.array_equal(exposure.clipped, exposure.proof > 0.5)
+    assert exposure.embedding.dtype == np.float32
+    # A guard that compares light with light wants it as it came.
+    assert exposure.light.mean == corrected.light(1.0, 2.0).mean == pytest.approx(0.27)
     assert (exposure.started_at, exposure.ended_at) == (1.0, 2.0)
     assert corrected.full_scale == pytest.approx(0.98 / 0.5)
     assert corrected.name == "a sensor"
@@ -291,7 +285,6 @@ def test_light_that_went_astray_is_put_back() -> None:
     corrected = CalibratedSensor(Hazy(), black_level=0.02, gain=0.5, stray_light=share)
     exposure = corrected.capture(1.0, 2.0)
     np.testing.assert_allclose(exposure.embedding, straight, atol=1e-7)
-    np.testing.assert_allclose(exposure.proof, np.tile(straight, TILES), atol=1e-6)
 
 
 def test_a_device_without_a_record_is_left_alone() -> None:

@@ -22,8 +22,6 @@ from veilcam_client.wire.calibration import (
 from veilcam_client.wire.captures import Capture
 from veilcam_client.wire.status import Status
 from veilcam_client.wire.tokens import Scope
-from veilcam_optics.proof import MaskTests
-from veilcam_server.calibration import service as served
 from veilcam_server.calibration.loading import open_calibration
 from veilcam_server.calibration.measurements import Budget
 from veilcam_server.calibration.procedure import Calibrated
@@ -150,17 +148,10 @@ async def measurement(client: httpx.AsyncClient) -> Capture:
     return Capture.model_validate_json((await client.post("/v1/captures")).content)
 
 
-@pytest.fixture(autouse=True)
-def _tested(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Captures are tested as before: the fake sensor's light comes through no mask."""
-    monkeypatch.setattr(served, "mask_tests", lambda *_, **__: bench.mask_tests)
-
-
 async def test_what_is_found_is_used_from_then_on(
     running: Running, bench: Bench, service: Measuring, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settled: list[float] = []
-    tested: list[MaskTests] = []
     adopt = MaskedCamera.adopt
 
     def noted(
@@ -168,11 +159,9 @@ async def test_what_is_found_is_used_from_then_on(
         calibration: SignedCalibration,
         settle: float,
         source: MaskSource,
-        tests: MaskTests,
     ) -> None:
         settled.append(settle)
-        tested.append(tests)
-        adopt(camera, calibration, settle, source, tests)
+        adopt(camera, calibration, settle, source)
 
     monkeypatch.setattr(MaskedCamera, "adopt", noted)
     async with running() as client:
@@ -187,7 +176,6 @@ async def test_what_is_found_is_used_from_then_on(
         after = await measurement(client)
         assert np.asarray(after) == pytest.approx((1 - 0.02) / 0.5)
         assert settled == [0.03]
-        assert tested == [bench.mask_tests]
         assert bench.pair_shown() is not None
         found = await status(client)
         assert found.signed is not None

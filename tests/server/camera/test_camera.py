@@ -46,7 +46,7 @@ def test_a_capture_names_what_vouches_for_it(bench: Bench) -> None:
     [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
     assert signed is not None
     with camera.exclusive():
-        camera.adopt(signed, 0.0, bench.source, bench.mask_tests)
+        camera.adopt(signed, 0.0, bench.source)
     later = camera.capture(release=False).provenance
     assert later.calibration == calibration_digest(signed)
     assert later.mask != first.mask

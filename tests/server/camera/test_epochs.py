@@ -52,7 +52,7 @@ def alone(bench: Bench) -> Preparation:
     """What makes epochs ready, without a camera."""
     make_directory(bench.state_dir)
     budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-    return Preparation(bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests)
+    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
 
 
 def pair_with(bench: Bench, key: ReceiverKey = RECEIVER) -> str:
@@ -205,7 +205,7 @@ def test_the_key_is_gone_before_its_mask_is_shown(
             key.reveal()
 
 
-@pytest.mark.parametrize("step", ["make", "test", "seal"])
+@pytest.mark.parametrize("step", ["make", "seal"])
 def test_what_cannot_be_prepared_leaves_no_key_and_no_mask(
     sealed_bench: Bench, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
@@ -226,15 +226,11 @@ def test_what_cannot_be_prepared_leaves_no_key_and_no_mask(
     monkeypatch.setattr(FreshSource, "make", noted)
     if step == "seal":
         monkeypatch.setattr("veilcam_server.camera.epochs.seal_key", fail)
-    if step == "test":
-        monkeypatch.setattr(sealed_bench.mask_tests, "prepare", fail)
     with closing(alone(sealed_bench)) as preparation, pytest.raises(ZeroDivisionError):
         preparation.take()
     assert not any(keys[0]._value)
     assert all(is_gone_mask(mask) for mask in masks)
     assert len(masks) == (step != "make")
-    assert all(test.erased for test in sealed_bench.mask_tests.made)
-    assert len(sealed_bench.mask_tests.made) == (step == "seal")
 
 
 def is_gone_mask(mask: Mask) -> bool:
@@ -258,14 +254,6 @@ def test_an_epoch_is_erased_once_it_is_retired_and_nobody_uses_it(sealed_bench: 
         assert is_whole(other)
         other.retire()
         assert is_gone(other)
-
-
-def test_a_test_is_of_the_levels_that_are_shown(bench: Bench) -> None:
-    camera = bench.camera()
-    for _ in range(3):
-        assert active(camera).test.test.levels.tolist() == bench.display.shown[-1].tolist()  # type: ignore[attr-defined]
-        camera.rotate()
-    camera.preparation.close()
 
 
 def test_a_stored_mask_outlives_its_epochs(bench: Bench) -> None:

@@ -7,26 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from veilcam_optics.proof import PROOF
 from veilcam_server.camera.capture import Fence, check_exposure
 from veilcam_server.devices import Exposure
+from veilcam_server.devices.base import Light
 from veilcam_server.errors import FenceError
 
 SHAPE = (4, 5)
 MEASUREMENT = np.ones(SHAPE, np.float32)
-WHITE = np.ones(PROOF.shape, np.float32)
-CLIPPED = np.zeros(PROOF.shape, np.bool_)
 
 
-def check(
-    started: float,
-    ended: float,
-    measurement: np.ndarray = MEASUREMENT,
-    proof: np.ndarray = WHITE,
-    clipped: np.ndarray = CLIPPED,
-) -> None:
+def check(started: float, ended: float, measurement: np.ndarray = MEASUREMENT) -> None:
     """An exposure behind a mask that had settled at 10 s, given out at 12 s."""
-    exposure = Exposure(measurement, started, ended, proof=proof, clipped=clipped)
+    exposure = Exposure(measurement, started, ended, light=Light(1.0, 1e-4))
     check_exposure(exposure, not_before=10.0, ended=12.0, shape=SHAPE)
 
 
@@ -88,20 +80,9 @@ def test_a_measurement_of_another_shape_is_refused(shape: tuple[int, ...]) -> No
         check(10.5, 11.5, np.ones(shape, np.float32))
 
 
-def test_so_is_a_proof_of_another_shape() -> None:
-    with pytest.raises(FenceError, match=r"shape \(48, 63\), not \(48, 64\)"):
-        check(10.5, 11.5, proof=WHITE[:, 1:])
-    with pytest.raises(FenceError, match=r"shape \(47, 64\), not \(48, 64\)"):
-        check(10.5, 11.5, clipped=CLIPPED[1:])
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_one_number_that_is_not_finite_is_enough(value: float) -> None:
     measurement = MEASUREMENT.copy()
     measurement[2, 3] = value
     with pytest.raises(FenceError, match="not finite"):
         check(10.5, 11.5, measurement)
-    proof = WHITE.copy()
-    proof[-1, -1] = value
-    with pytest.raises(FenceError, match="not finite"):
-        check(10.5, 11.5, proof=proof)

@@ -16,8 +16,8 @@ from veilcam_server.camera.budget import ReleaseBudget
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.engine import Condition
 from veilcam_server.camera.epochs import Epoch, Preparation
+from veilcam_server.camera.guard import Guard
 from veilcam_server.camera.panel import MaskedPanel
-from veilcam_server.camera.proof import ShownMasks
 from veilcam_server.camera.self_test import SelfTestStatus
 from veilcam_server.devices import Device, DisplayError, SensorError
 from veilcam_server.devices.errors import LightError
@@ -41,13 +41,11 @@ class Rig:
         self.display, self.test, self.clock = bench.display, bench.test, Clock()
         make_directory(bench.state_dir)
         budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-        self.preparation = Preparation(
-            bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests
-        )
+        self.preparation = Preparation(bench.source, bench.key, lambda: bench.terms, budget)
         device = Device(bench.display, bench.sensor, simulated=True)
         self.proof = SelfTestStatus(bench.test, device, Fence(), every=EVERY, clock=self.clock)
-        self.shown = ShownMasks()
-        self.panel = MaskedPanel(bench.display, self.preparation, self.proof, self.shown)
+        self.guard = Guard(device, Fence(0.0))
+        self.panel = MaskedPanel(bench.display, self.preparation, self.proof, self.guard)
         self.states: list[Condition] = []
         self.masks: list[str] = []
         self.panel.publish = self._note
@@ -165,9 +163,9 @@ def test_while_the_panel_is_tested_no_mask_counts_as_shown(rig: Rig) -> None:
     seen: list[object] = []
     run = rig.test.run
 
-    def watched(device: Device, fence: Fence) -> None:
+    def watched(device: Device, fence: Fence) -> float:
         seen.extend((rig.panel.active, rig.panel.state))
-        run(device, fence)
+        return run(device, fence)
 
     rig.test.run = watched  # type: ignore[method-assign]
     rig.show()
@@ -274,7 +272,7 @@ def test_a_panel_that_is_suspended_has_no_mask_until_it_shows_one(rig: Rig) -> N
     assert rig.panel.active is None
     lent = Condition("calibrating", "the camera is being calibrated")
     assert rig.panel.state == lent
-    rig.proof.void(Device(rig.display, rig.test, simulated=True), Fence())  # type: ignore[arg-type]
+    rig.proof.void()
     shown = rig.show()
     rig.panel.strand()  # a mask is shown: there is nothing to do
     assert rig.shows(shown)
@@ -322,7 +320,7 @@ def test_a_lone_mask_is_not_prepared_again(lone_bench: Bench) -> None:
 
 def test_nobody_has_to_listen(bench: Bench) -> None:
     rig = Rig(bench)
-    panel = MaskedPanel(rig.display, rig.preparation, rig.proof, rig.shown)
+    panel = MaskedPanel(rig.display, rig.preparation, rig.proof, rig.guard)
     panel.show(rig.preparation.take())
     assert panel.state == READY
     rig.preparation.close()

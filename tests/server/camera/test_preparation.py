@@ -74,7 +74,7 @@ def alone(bench: Bench) -> Preparation:
     """What makes epochs ready, without a camera."""
     make_directory(bench.state_dir)
     budget = ReleaseBudget(bench.state_dir, bench.raw_budget)
-    return Preparation(bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests)
+    return Preparation(bench.source, bench.key, lambda: bench.terms, budget)
 
 
 def settled(camera: MaskedCamera) -> MaskedCamera:

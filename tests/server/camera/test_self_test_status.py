@@ -30,7 +30,7 @@ def unstarted(bench: Bench) -> MaskedCamera:
     budget = ReleaseBudget(bench.state_dir, 0)
     camera = MaskedCamera(
         Device(bench.display, bench.sensor, simulated=True),
-        Preparation(bench.source, bench.key, lambda: bench.terms, budget, bench.mask_tests),
+        Preparation(bench.source, bench.key, lambda: bench.terms, budget),
         bench.bundle.embedding.shape,
         bench.test,
         budget=budget,
@@ -218,8 +218,9 @@ def test_how_long_a_proof_holds(bench: Bench) -> None:
 
 def test_a_panel_set_up_in_the_middle_of_its_test_is_not_proven(bench: Bench) -> None:
     class Resetting:
-        def run(self, device: Device, fence: Fence) -> None:
+        def run(self, device: Device, fence: Fence) -> float:
             bench.display.resets += 1
+            return 0.0
 
     device = Device(bench.display, bench.sensor, simulated=True)
     status = SelfTestStatus(Resetting(), device, Fence(0.0))

@@ -60,6 +60,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "imperfections": ((*SIMULATED, "--imperfections", "b.json"), Path("b.json")),
     "capture_timeout": (("--capture-timeout", "7"), 7.0),
     "self_test_every": (("--self-test-every", "9"), 9.0),
+    "guard": (("--guard", "3"), 3.0),
     "queue_limit": (("--queue-limit", "3"), 3),
     "auth": (("--auth", "none"), "none"),
     "tls_certificate": ((*CERTIFICATE, *KEY), Path("c.pem")),

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import torch
 
-from veilcam_optics.proof import PROOF
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_server.devices import (
     DeviceMissingError,
@@ -102,21 +101,25 @@ def test_pixels_are_averaged_where_they_are() -> None:
     np.testing.assert_allclose(bench.capture().embedding, (mean - 256) / (4095 - 256), rtol=1e-6)
 
 
-@pytest.mark.parametrize("layout", ["SRGGB12", "SRGGB16"])
-def test_the_proof_is_the_same_frame_in_boxes_of_its_own(layout: str) -> None:
-    bench = Bench(full_scale=2.0, faults=CameraFaults(format=layout))
-    frame = np.random.default_rng(4).integers(0, 4000, (60, 82), np.uint16)
-    # Saturated, at the corner of the frame: one pixel of 4920 is no reason to expose shorter.
-    frame[-1, -1] = 4095
+def test_the_light_of_a_frame_is_its_mean_at_the_exposure_to_begin_with() -> None:
+    bench = Bench(full_scale=2.0, exposures=ExposureRange(0.002, factor=8))
+    frame = np.full((60, 82), 256 + 384, np.uint16)
     bench.cameras[0]._light = lambda *_: frame
     exposure = bench.capture()
-    mean = area_average(torch.from_numpy(frame.astype(float)), *PROOF.shape).numpy()
-    np.testing.assert_allclose(exposure.proof, 2.0 * (mean - 256) / (4095 - 256), rtol=1e-6)
-    assert exposure.proof.dtype == np.float32
-    assert exposure.proof.mean() == pytest.approx(exposure.embedding.mean(), rel=1e-6)
-    assert np.argwhere(exposure.clipped).tolist() == [[PROOF.rows - 1, PROOF.columns - 1]]
-    frame[-1, -1] = 4094
-    assert not bench.capture().clipped.any()
+    assert exposure.light.mean == pytest.approx(384 / 3839)
+    # The next exposure is longer: a frame that tells of light takes it as it comes.
+    asked = bench.cameras[0]._controls[-1][1]["ExposureTime"] / 1e6
+    assert asked > 0.002
+    lights = [bench.sensor.light(bench.clock.now, 1.0) for _ in range(4)]
+    assert lights[0].mean == pytest.approx(384 / 3839)
+    assert lights[-1].mean == pytest.approx(0.002 / asked * 384 / 3839, rel=0.05)
+    assert lights[-1].noise < lights[0].noise
+    frame[:] = 4095
+    assert bench.sensor.light(bench.clock.now, 1.0).mean == math.inf
+    frame[:] = 256
+    assert bench.sensor.light(bench.clock.now, 1.0).dark
+    # Neither of them changed what is asked for.
+    assert bench.cameras[0]._controls[-1][1]["ExposureTime"] / 1e6 == asked
 
 
 def test_an_exposure_tells_when_its_rows_collected_light() -> None:

@@ -15,6 +15,7 @@ from veilcam_server.devices import (
     SensorTimeoutError,
     Shown,
 )
+from veilcam_server.devices.base import Light
 from veilcam_server.devices.errors import LightError
 from veilcam_server.devices.reopening import ReopeningDisplay, ReopeningSensor
 
@@ -55,7 +56,11 @@ class Part:
     def capture(self, not_before: float, timeout: float) -> Exposure:
         self._answer()
         ones = np.ones((1, 1), np.float32)
-        return Exposure(ones, self.clock.now, self.clock.now, proof=ones, clipped=ones > 1)
+        return Exposure(ones, self.clock.now, self.clock.now, light=Light(1.0, 1e-4))
+
+    def light(self, not_before: float, timeout: float) -> Light:
+        self._answer()
+        return Light(1.0, 1e-4)
 
     def _answer(self) -> None:
         self.asked += 1

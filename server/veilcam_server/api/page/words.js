@@ -47,11 +47,11 @@ function rateText(rate) {
 
 export const REMEDIES = {
   wait: "nothing: it is tried again",
+  shield_light: "make the camera light tight around its panel, and put an infrared filter before it",
   adjust_light: "give the scene light that is steady, and not so bright that the sensor saturates",
   check_panel_wiring: "check power, wiring and tab of the panel",
   check_camera_cable: "check the cable of the camera",
   check_disk: "free space on the disk of the state directory, or replace it",
-  calibrate: "run veilcamd calibrate, or POST /v1/calibration",
   run_doctor: "run veilcamd doctor: it names the package, group or device that is missing",
   install_bundle: "install a bundle that fits this camera and holds what is asked for",
   restart: "start the daemon again: a camera hangs in its driver; systemd does it by itself",

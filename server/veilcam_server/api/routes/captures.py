@@ -76,8 +76,6 @@ def _array(taken: Capture, embedding: Embedding) -> Response:
         "Veilcam-Taken-At": taken.taken_at.isoformat(),
         "Veilcam-Form": embedding.form,
     }
-    if taken.proof is not None:
-        names["Veilcam-Proof"] = taken.proof
     if taken.replay is not None:
         names["Veilcam-Replay"] = str(taken.replay.place)
         names["Veilcam-Replay-Capture"] = taken.replay.capture

@@ -20,7 +20,7 @@ from veilcam_server.api.conditional import KNOWN, IfNoneMatch, unless_known
 from veilcam_server.api.dependencies import AdmissionDep, ServiceDep, problems
 from veilcam_server.api.metrics import Metrics
 from veilcam_server.api.openapi import document
-from veilcam_server.api.scopes import CallerDep, requires
+from veilcam_server.api.scopes import requires
 from veilcam_server.doctor.checkup import Finding
 
 Examine: TypeAlias = Callable[[], Iterable[Finding]]
@@ -91,16 +91,9 @@ async def metrics(request: Request) -> Response:
 
 
 @router.get("/diagnostics", dependencies=[requires("read:status")], responses=problems())
-async def diagnostics(
-    service: ServiceDep, admission: AdmissionDep, caller: CallerDep
-) -> Diagnostics:
-    """Versions, settings without paths and labels, and the last states and faults.
-
-    `proof` is for who has the scopes `admin:receivers` and `read:embedding` alone.
-    """
+async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnostics:
+    """Versions, settings without paths and labels, and the last states and faults."""
     history = service.history
-    # Whoever may pair a receiver, and read what is sealed to it, reads it of each capture anyway.
-    lit = caller.may("admin:receivers") and caller.may("read:embedding")
     return Diagnostics(
         versions={
             "python": platform.python_version(),
@@ -113,7 +106,6 @@ async def diagnostics(
         events=dict(history.events),
         fault_counts=dict(history.faults),
         audit_lost=0 if admission.audit is None else admission.audit.lost,
-        proof=service.proof() if lit else None,
     )
 
 

@@ -26,7 +26,6 @@ from veilcam_optics.camera.geometry import Camera, Embedding, Scene
 from veilcam_optics.camera.imperfections import NOMINAL, Imperfections
 from veilcam_optics.camera.masks import to_weights
 from veilcam_optics.plan import plan
-from veilcam_optics.proof import PROOF
 from veilcam_optics.propagation.sampling import area_average
 from veilcam_optics.simulation.operator import LightOperator, Response
 from veilcam_server.devices import imx477, st7735r
@@ -77,17 +76,8 @@ class Light(Protocol):
 
 
 def raw_shape(embedding: Embedding) -> tuple[int, int]:
-    """Rows and columns of simulated raw frames: finer than the embedding.
-
-    Boxes of the embedding and of the proof are of whole pixels: one that an edge cuts would count
-    as if its light were even.
-    """
-
-    def pixels(boxes: int, proof: int) -> int:
-        whole = math.lcm(boxes, proof)
-        return whole * math.ceil(_FINER * boxes / whole)
-
-    return pixels(embedding.rows, PROOF.rows), pixels(embedding.columns, PROOF.columns)
+    """Rows and columns of simulated raw frames: boxes of the embedding are of whole pixels."""
+    return _FINER * embedding.rows, _FINER * embedding.columns
 
 
 def planned_light(
@@ -97,9 +87,6 @@ def planned_light(
     imperfections: Imperfections = NOMINAL,
 ) -> Light:
     """Return the light of a camera, as a plan for the embedding chooses it, on raw pixels.
-
-    The proof has finer bins. It asks for the texture of a mask, which a plan for the embedding
-    keeps; one for the proof's own bins is ten times slower where the window is small.
 
     Args:
         camera: camera as it is, its filters' leakage included.
@@ -172,8 +159,8 @@ class SimulatedLight:
         else:
             self._generator.manual_seed(seed)
         self._settled = _Responses(light, camera)
-        window, panel, sensor = camera.window, camera.panel, camera.sensor
-        size = window.rows * panel.pitch_y * window.columns * panel.pitch_x
+        window, glass, sensor = camera.window, camera.panel, camera.sensor
+        size = window.rows * glass.pitch_y * window.columns * glass.pitch_x
         # An even light on the whole sensor, where a window gives it to its shadow alone.
         self._beyond = max(0.0, sensor.height * sensor.width / size - 1)
         self._past, self._open_window = 0.0, False

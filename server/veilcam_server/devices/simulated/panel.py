@@ -95,7 +95,7 @@ class PanelEmulator:
         self.bytes_received = 0
         self._writes = 0
         self._is_data = False
-        self._in_reset = self._fell = False
+        self._in_reset = self._asleep = self._fell = False
         self._busy_until = -math.inf
         self._madctl = 0
         self._reset()

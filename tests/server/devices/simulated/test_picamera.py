@@ -7,12 +7,11 @@ import pytest
 from tests.server.devices.clock import Clock
 
 from veilcam_client.wire.simulation import SensorFaults
-from veilcam_optics.proof import PROOF
 from veilcam_server.devices import DeviceMissingError, Sensor, SensorError, SensorTimeoutError
 from veilcam_server.devices.imx477 import DRIVER
 from veilcam_server.devices.raw import SensorMode
 
-MODE = SensorMode(*PROOF.shape, line_time=0.0, frame_duration=0.0)
+MODE = SensorMode(48, 64, line_time=0.0, frame_duration=0.0)
 
 
 @pytest.fixture
@@ -23,7 +22,7 @@ def clock() -> Clock:
 def test_faults_are_switched_on_and_off(clock: Clock) -> None:
     assert DRIVER.emulate is not None
     start, set_faults = DRIVER.emulate(
-        lambda *_: np.full(PROOF.shape, 1000, np.uint16),
+        lambda *_: np.full((48, 64), 1000, np.uint16),
         MODE,
         shape=(2, 2),
         exposure=0.0,
