@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -23,7 +23,7 @@ from veilcam_client.wire.simulation import SensorFaults
 from veilcam_server.devices.base import Exposure, Light, Measurement, Sensor
 from veilcam_server.devices.driver import RawLight, SensorDriver
 from veilcam_server.devices.errors import (
-    DeviceError,
+    Refused,
     SaturatedError,
     SensorError,
     SensorHungError,
@@ -127,13 +127,14 @@ class IMX477:
         does not, as it is given for the exposure to begin with.
         """
         deadline = max(not_before, self._clock()) + timeout
-        with _as_sensor_error():
+        with Refused(self._failed):
             return self._capture(self._camera, not_before, deadline)
 
     def light(self, not_before: float, timeout: float) -> Light:
         """Return the light of one frame of any exposure, which no later exposure follows."""
         deadline = max(not_before, self._clock()) + timeout
-        with _as_sensor_error():
+        with Refused(self._failed):
+            self._unfit = ""
             frame, binned = self._frame(self._camera, not_before, deadline, asked=None)
             return self._light(frame, binned)
 
@@ -155,55 +156,43 @@ class IMX477:
         return SensorError(f"the camera failed ({without_text(error)}): it is opened again")
 
     def _capture(self, camera: Picamera, not_before: float, deadline: float) -> Exposure:
-        unfit = ""
+        self._unfit = ""
         while True:
-            frame, binned = self._frame(camera, not_before, deadline, self._asked, unfit)
+            frame, binned = self._frame(camera, not_before, deadline, self._asked)
             if binned.saturated:
-                unfit = self._shorten(camera)
+                self._unfit = self._shorten(camera)
                 continue
             exposure = self._exposure(frame, binned)
             self._follow(camera, float(np.max(binned.embedding)))
             return exposure
 
     def _frame(
-        self,
-        camera: Picamera,
-        not_before: float,
-        deadline: float,
-        asked: float | None,
-        unfit: str = "",
+        self, camera: Picamera, not_before: float, deadline: float, asked: float | None
     ) -> tuple[Frame, _Binned]:
         """Return the next frame that is fit for use, at an exposure or at any.
 
         Args:
-            camera: that takes it.
+            camera: camera that takes it.
             not_before: monotonic time before which it does not begin [s].
             deadline: monotonic time [s].
             asked: its exposure [s]; None for any.
-            unfit: reason against the frame before.
         """
         # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
         fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0
         while True:
-            try:
-                wait = deadline - self._clock()
-                if unfit and wait <= 0:
-                    raise TimeoutError
-                # A wait of 0 would not wait at all, and give no frame either.
-                with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
-                    frame = Frame.of(request.get_metadata())
-                    if frame.stamp <= self._last_stamp:
-                        raise SensorError("the camera gave the same frame again")
-                    self._last_stamp = frame.stamp
-                    unfit = frame.unfit(fence, asked, self._mode.line_time)
-                    if unfit:
-                        continue
-                    raw = self._format.pixels(request, self._mode)
-            except TimeoutError:
-                reason = f"no frame was fit for use: {unfit}" if unfit else "it gave no frame"
-                raise SensorTimeoutError(
-                    f"the camera is opened again, as {reason} in time: try again"
-                ) from None
+            wait = deadline - self._clock()
+            if self._unfit and wait <= 0:
+                raise TimeoutError
+            # A wait of 0 would not wait at all, and give no frame either.
+            with camera.captured_request(wait=max(wait, 1e-3), flush=fence) as request:
+                frame = Frame.of(request.get_metadata())
+                if frame.stamp <= self._last_stamp:
+                    raise SensorError("the camera gave the same frame again")
+                self._last_stamp = frame.stamp
+                self._unfit = frame.unfit(fence, asked, self._mode.line_time)
+                if self._unfit:
+                    continue
+                raw = self._format.pixels(request, self._mode)
             # From here on the camera has its buffer back, and `raw` is the only copy.
             try:
                 return frame, self._binned(raw)
@@ -312,16 +301,11 @@ class IMX477:
                 step()
 
 
-@contextmanager
-def _as_sensor_error() -> Iterator[None]:
-    try:
-        yield
-    except SensorError:
-        raise
-    except Exception as error:  # picamera2 raises whatever it likes
-        raise SensorError(
-            f"the camera failed ({type(error).__name__}): it is opened again"
-        ) from None
+def _not_set_up(error: Exception) -> SensorError:
+    return SensorError(
+        f"the camera cannot be set up ({in_one_line(error)}): use a Raspberry Pi HQ camera, and "
+        "see rpicam-hello --list-cameras"
+    )
 
 
 def _open(settings: Settings, shape: tuple[int, int]) -> IMX477:

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+from veilcam_client.wire.status import Remedy
 from veilcam_server.devices.base import Exposure, Levels, Light, OpenDisplay, Sensor, Shown
 from veilcam_server.devices.errors import (
     DeviceError,
