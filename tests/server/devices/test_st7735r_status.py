@@ -291,13 +291,14 @@ def test_answer_is_believed_if_it_comes_three_times() -> None:
     emulator, clock = woken()
     panel = reading(emulator, clock)
     asleep, read = (0x8061_0400 << 7).to_bytes(5, "big"), emulator.read
+    answers: list[bytes] = []
+
+    def said(command: int, count: int) -> bytes:
+        return answers.pop() if answers else read(command, count)
+
+    emulator.read = said  # type: ignore[method-assign]
     for wrong in (1, 2):
-        answers = [asleep] * wrong
-        emulator.read = (  # type: ignore[method-assign]
-            lambda command, count, answers=answers: (
-                answers.pop() if answers else read(command, count)
-            )
-        )
+        answers += [asleep] * wrong
         panel.show(LEVELS)
         assert not answers
     emulator.read = lambda *_: asleep  # type: ignore[method-assign]
