@@ -24,7 +24,7 @@ _PICTURE = 256
 
 
 def npy_bytes(picture: npt.ArrayLike) -> bytes:
-    """A picture as a ``.npy`` file; raises ValueError for what is no array of numbers."""
+    """Return a picture as a ``.npy`` file; raises ValueError for any other object."""
     buffer = io.BytesIO()
     pixels = np.asarray(picture)
     if pixels.dtype.kind not in "buif" or pixels.ndim not in (2, 3):

@@ -39,12 +39,12 @@ class View:
     """Last state of the camera.
 
     Attributes:
-        status: as it answered, with what events told of since.
-        label: what it sees, ``nothing``, or ``None`` while it does not look or may not tell.
+        status: status as it answered, with the changes that events told since.
+        label: label that it sees, ``nothing``, or ``None`` while it does not look or may not tell.
         confidence: probability of that, in [0, 1], where it is told.
-        mask_at: when the mask was shown, by the clock that ``messages`` is given [s]; None while
+        mask_at: time when the mask was shown, by the clock of ``messages`` [s]; None while
             none is.
-        online: whether it answers now.
+        online: True while it answers.
     """
 
     status: Status
@@ -55,7 +55,7 @@ class View:
 
     @classmethod
     def of(cls, status: Status, watch: Watch, now: float) -> View:
-        """The view of a camera that just answered, at a time [s]."""
+        """Return the view of a camera that just answered, at a time [s]."""
         belief, age = watch.belief, status.rotation.epoch_age_s
         seen = None if belief is None else belief.label
         return cls(
@@ -66,7 +66,7 @@ class View:
         )
 
     def after(self, event: Event, now: float) -> View:
-        """What is known once an event came, at a time [s]."""
+        """Return the view after an event, at a time [s]."""
         match event:
             case StateChanged():
                 news = {"state": event.state, "detail": event.detail, "remedy": event.remedy}
@@ -84,7 +84,7 @@ class View:
         """All retained messages, topic and payload, in the order in which they make sense.
 
         Args:
-            names: of the topics.
+            names: names of the topics.
             now: time [s].
         """
         status = self.status
@@ -106,16 +106,16 @@ class View:
 
 
 def calls_for_a_look(event: Event) -> bool:
-    """Whether an event says that there is more to know than it tells."""
+    """Return whether an event says that there is more to know than it tells."""
     return isinstance(event, BundleChanged) or event.kind in ("gap", "watch")
 
 
 def changes_what_is_seen(event: Event) -> bool:
-    """Whether an event tells of more than time that goes by."""
+    """Return whether an event tells of more than time that goes by."""
     return isinstance(event, StateChanged | Seen | Gone)
 
 
 def event_payload(event: Seen | Gone) -> str:
-    """The message of an event entity, never retained."""
+    """Return the message of an event entity, never retained."""
     told = event.model_dump(mode="json", exclude={"id", "kind"})
     return json.dumps({"event_type": event.kind, **told})

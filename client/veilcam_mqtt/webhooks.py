@@ -38,7 +38,7 @@ log = logging.getLogger("veilcam.mqtt")
 
 @dataclass(frozen=True, slots=True)
 class Webhook:
-    """Where events are posted to, and what they are signed with.
+    """Webhook: the address of its posts, and the key that signs them.
 
     Attributes:
         url: ``https://...``, or ``http://...``, where whoever listens reads labels.
@@ -88,8 +88,8 @@ class Delivery:
     """Posts events to one webhook, one after the other, each at most five times.
 
     Args:
-        hook: where to.
-        client: that posts; it follows no redirection.
+        hook: webhook to post to.
+        client: client that posts; it follows no redirection.
         sleep: waits so many seconds.
         clock: seconds since 1970.
     """
@@ -108,7 +108,7 @@ class Delivery:
         """Have an event posted, in the place of the oldest one where too many wait.
 
         Args:
-            event: what becomes JSON.
+            event: event that becomes JSON.
         """
         if self._waiting.full():
             self._waiting.get_nowait()
@@ -134,7 +134,7 @@ class Delivery:
             await self._sleep(pause)
 
     async def _post(self, message_id: str, body: bytes) -> tuple[str | None, bool]:
-        """What went wrong, None if nothing did; and whether it may go well later."""
+        """Return the fault, None if there was none; and whether it may go well later."""
         headers = self._hook.headers(message_id, int(self._clock()), body)
         try:
             # The answer's body is nobody's business, and may be without end: it is not read.

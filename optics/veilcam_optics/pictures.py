@@ -101,8 +101,8 @@ def choose_pictures(
     """Choose pictures by the names of their files.
 
     Args:
-        paths: of anything in a folder.
-        suffixes: of pictures, in small letters.
+        paths: paths of anything in a folder.
+        suffixes: endings of pictures, in lower case.
 
     Returns:
         The pictures, and the number of the others by their kind.

@@ -24,6 +24,6 @@ def _fake_daemon() -> Iterator[FakeCamera]:
 
 @pytest.fixture
 def fake_camera(_fake_daemon: FakeCamera) -> FakeCamera:
-    """A simulated camera: one for all tests, since it takes seconds to start, put back for each."""
+    """Return a simulated camera: one for all tests, put back for each."""
     _fake_daemon.put_back()
     return _fake_daemon

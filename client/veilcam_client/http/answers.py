@@ -29,7 +29,7 @@ class Received:
     """One answer as it came.
 
     Attributes:
-        status_code: of HTTP.
+        status_code: status code of HTTP.
         headers: names in any case.
         content: the body.
     """
@@ -51,7 +51,7 @@ class RawResponse(Received, Generic[ResultT]):
     _result: ResultT = field(repr=False)
 
     def parse(self) -> ResultT:
-        """What the method returns when it is not asked for the raw answer."""
+        """Return the method's result where the raw answer is not asked for."""
         return self._result
 
 
@@ -105,7 +105,7 @@ class Body:
             raise RequestTimeoutError(f"no whole answer from {self._response.url.host} in time")
 
     def received(self) -> Received:
-        """The whole."""
+        """Return the whole body."""
         response = self._response
         return Received(response.status_code, response.headers, b"".join(self._pieces))
 
@@ -152,7 +152,7 @@ def error_of(received: Received) -> VeilcamError:
 
 
 def media_type(received: Received) -> str:
-    """What an answer says that it is."""
+    """Return the media type of an answer."""
     return received.headers.get("content-type", "").partition(";")[0]
 
 

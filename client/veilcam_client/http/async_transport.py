@@ -42,7 +42,7 @@ class AsyncTransport:
         return self._holder.client()
 
     def for_one_caller(self) -> Self:
-        """A view of this one that keeps the last answer."""
+        """Return a view of this one that keeps the last answer."""
         return copy.copy(self)
 
     async def send(

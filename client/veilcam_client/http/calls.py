@@ -65,7 +65,7 @@ class Call(Generic[AnswerT]):
     accept: str = "application/json"
 
     def content(self) -> bytes | None:
-        """The body as it is sent."""
+        """Return the body as it is sent."""
         return (
             self.body.model_dump_json().encode() if isinstance(self.body, BaseModel) else self.body
         )

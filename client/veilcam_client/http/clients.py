@@ -14,7 +14,7 @@ class Closable(Protocol):
 
     @property
     def is_closed(self) -> bool:
-        """Whether it was closed."""
+        """Return whether it was closed."""
 
 
 ClientT = TypeVar("ClientT", bound=Closable)

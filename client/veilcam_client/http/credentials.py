@@ -1,4 +1,4 @@
-"""Who asks, and whom to trust: a token, and the authority that vouches for the daemon."""
+"""Credentials: a token, and the authority that vouches for the daemon."""
 
 import ipaddress
 import os
@@ -16,7 +16,7 @@ MOST_SECRET = 4096
 
 
 def read_secret(path: Path) -> str:
-    """The one line of a file that holds a token or a password; raises ValueError."""
+    """Return the one line of a file that holds a token or a password; raises ValueError."""
     try:
         with path.open("rb") as stream:
             content = stream.read(MOST_SECRET + 1)
@@ -31,10 +31,10 @@ def read_secret(path: Path) -> str:
 
 @dataclass(slots=True)
 class Credentials:
-    """What a client has beside an address.
+    """Credentials that a client has beside an address.
 
     Attributes:
-        token: that in ``VEILCAM_TOKEN`` if None.
+        token: token; that in ``VEILCAM_TOKEN`` if None.
         ca_file: PEM file; that in ``VEILCAM_CA_FILE`` if None, else what the system trusts.
         lease: secret of the lease that this client holds, where it was told one.
 
@@ -76,7 +76,7 @@ class Credentials:
         return {**headers, **more}
 
     def trusted(self) -> ssl.SSLContext | bool:
-        """What TLS trusts; raises ValueError for a ``ca_file`` that cannot be used."""
+        """Return the trust of TLS; raises ValueError for a ``ca_file`` that cannot be used."""
         if self.ca_file is None:
             return True
         try:

@@ -39,7 +39,7 @@ class Limit(float):
         return limit
 
     def left(self) -> float:
-        """What the next operation may take [s]; not above zero: nothing."""
+        """Return the time left for the next operation [s]; not above zero: none."""
         return min(float(self), self.until - time.monotonic())
 
 

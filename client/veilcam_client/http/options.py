@@ -1,4 +1,4 @@
-"""Where the daemon is, how long to wait for it, who asks, and when to ask again."""
+"""Options of requests: address, time-outs, credentials and repetitions."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class RetryPolicy:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What holds for all requests of one camera; ``url`` is kept without its password."""
+    """Options of all requests of one camera; ``url`` is kept without its password."""
 
     url: str
     call_timeout: float | None
@@ -97,7 +97,7 @@ class Options:
         return {**self.credentials.headers(headers), **self._basic}
 
     def until(self, timeout: CallTimeout) -> float:
-        """When a call that begins now ends, on the monotonic clock [s]."""
+        """Return the end of a call that begins now, on the monotonic clock [s]."""
         if timeout is CAMERA_TIMEOUT:
             return until(self.call_timeout)
         return until(None if timeout is None else seconds("timeout", timeout, "> 0, or None"))
@@ -126,12 +126,12 @@ class Attempts:
     """One call, from its first request to its answer or the error that ends it.
 
     Attributes:
-        deadline: of the call, on the monotonic clock [s].
+        deadline: deadline of the call, on the monotonic clock [s].
 
     Args:
-        options: of the camera.
-        timeout: of the call, without what it waits for another's lease [s].
-        wait: for another's lease to end [s]; None: not at all.
+        options: options of the camera.
+        timeout: time-out of the call, without the wait for another's lease [s].
+        wait: wait for another's lease to end [s]; None: none.
     """
 
     def __init__(self, options: Options, timeout: CallTimeout, wait: float | None) -> None:
@@ -188,7 +188,7 @@ def follow_environment() -> None:
 
 
 def _place(url: str) -> tuple[str, str | None, str | None]:
-    """Base of all paths, the unix socket if it is one, and user and password as base64."""
+    """Return the base of all paths, the unix socket if it is one, and the password as base64."""
     wrong = ArgumentError(
         f"url = {masked(str(url))!r} is not valid: use http://HOST:PORT or unix:///PATH/TO/SOCKET"
     )

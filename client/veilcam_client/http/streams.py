@@ -29,9 +29,9 @@ class EventStream:
     the events says that some were missed. An error that no waiting puts right is raised.
 
     Args:
-        transport: of the camera.
-        last_event_id: of the event to go on after; None: from now on.
-        reconnect: whether it is opened again.
+        transport: transport of the camera.
+        last_event_id: id of the event to go on after; None: from now on.
+        reconnect: True: a broken stream is opened again.
     """
 
     def __init__(self, transport: Transport, last_event_id: str | None, reconnect: bool) -> None:

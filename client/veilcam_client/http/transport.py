@@ -47,7 +47,7 @@ class Transport:
         return self._holder.client()
 
     def for_one_caller(self) -> Self:
-        """A view of this one that keeps the last answer."""
+        """Return a view of this one that keeps the last answer."""
         return copy.copy(self)
 
     def send(
@@ -60,9 +60,9 @@ class Transport:
         """Send, retry as the policy says, and return the answer.
 
         Args:
-            call: what to send.
-            timeout: for the answer, repetitions and the pauses before them included [s].
-            wait: for another's lease to end, before that [s]; None: ``LeasedError`` at once.
+            call: call to send.
+            timeout: time-out of the answer, repetitions and the pauses before them included [s].
+            wait: wait for another's lease to end, before that [s]; None: ``LeasedError`` at once.
         """
         attempts, headers = Attempts(self.options, timeout, wait), headers_of(call, self.options)
         while True:
@@ -128,7 +128,7 @@ def note(call: Call[AnswerT], received: Received, begun: float) -> None:
 
 
 def trusted(options: Options) -> ssl.SSLContext:
-    """What TLS trusts; nothing, and at no cost, where there is none."""
+    """Return the trust of TLS; none, and at no cost, for plain HTTP."""
     if urlsplit(options.base).scheme != "https" and options.credentials.ca_file is None:
         return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     return httpx.create_ssl_context(verify=options.credentials.trusted())

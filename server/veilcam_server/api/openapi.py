@@ -73,7 +73,7 @@ def document(app: FastAPI, root_path: str = "") -> dict[str, Any]:
     """Return the document of ``app``, made once.
 
     Args:
-        app: with all routes.
+        app: application with all routes.
         root_path: path under which a proxy shows the daemon.
     """
     made = app.openapi_schema is None

@@ -29,7 +29,7 @@ class Budget:
     patterns: Patterns = field(default_factory=Patterns)
 
     def captures(self, geometry: Geometry) -> int:
-        """Number of exposures of a calibration."""
+        """Count the exposures of a calibration."""
         single = 3 + 2 + sum(geometry.camera.mask_shape) + 1 + STEPS + 2 * self.patterns.count
         return 1 + 8 * self.samples + self.repeats * single
 

@@ -1,4 +1,4 @@
-"""How many embeddings may leave behind one mask over its whole life, and how many did.
+"""Budget of embeddings that may leave behind one mask over its whole life.
 
 What is sealed is for its receivers, who have the mask anyway. Of what leaves in the clear, several
 behind one mask give the mask away: one white embedding may leave, and as many raw ones as the
@@ -60,7 +60,7 @@ class ReleaseBudget:
         self._lost = self._file.lost
 
     def is_spent(self, mask: Mask, form: Release) -> bool:
-        """Whether no more embeddings may leave behind ``mask`` in this form."""
+        """Return whether no more embeddings may leave behind ``mask`` in this form."""
         limit = self._limits.get(form, 0)
         if not mask.mark:
             return mask.released >= limit

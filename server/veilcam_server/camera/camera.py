@@ -69,15 +69,15 @@ class MaskedCamera:
     Args:
         device: panel and sensor.
         preparation: makes epochs ready; closed with this.
-        shape: of an embedding.
+        shape: shape of an embedding.
         test: proves that the panel hides the scene.
-        budget: of embeddings that may leave behind one mask.
+        budget: budget of embeddings that may leave behind one mask.
         fence: times to keep.
-        policy: when masks change.
+        policy: policy of mask changes.
         test_every: longest time from one test to the next [s].
         guard_every: longest age of the opaque frame that vouches for an answer [s].
         steps: levels that the panel has.
-        calibration: what measurements are corrected by.
+        calibration: calibration that corrects measurements.
 
     Raises:
         RotationImpossibleError: the policy needs another mask, and there is none.
@@ -122,16 +122,16 @@ class MaskedCamera:
 
     @property
     def state(self) -> Condition:
-        """What the camera is doing."""
+        """State of the camera."""
         return self._panel.state
 
     def healthy(self) -> bool:
-        """Whether panel and camera still answer."""
+        """Return whether panel and camera still answer."""
         return self._health.healthy()
 
     @property
     def policy(self) -> RotationPolicy:
-        """When masks change."""
+        """Policy of mask changes."""
         return self._policy
 
     @policy.setter
@@ -148,12 +148,12 @@ class MaskedCamera:
 
     @property
     def shown_for(self) -> float | None:
-        """How long the present mask has been shown [s]; None: no mask."""
+        """Time that the present mask has been shown [s]; None: no mask."""
         active = self._panel.active
         return None if active is None else time.monotonic() - active.since
 
     def rotation(self) -> Rotation:
-        """The policy, the present epoch, and whether the next one is ready."""
+        """Return the policy, the present epoch, and whether the next one is ready."""
         epoch, captures = self.present
         return Rotation(
             policy=self._policy,
@@ -226,7 +226,7 @@ class MaskedCamera:
         While somebody has the device for himself, that begins when he gives it back.
 
         Args:
-            reason: for who asks for a capture.
+            reason: reason for whoever asks for a capture.
 
         Raises:
             DisplayError: the panel does not become opaque; :meth:`test_if_due` tries it again.
@@ -282,9 +282,9 @@ class MaskedCamera:
         """Within :meth:`exclusive`: go on with another calibration.
 
         Args:
-            calibration: what measurements are corrected by.
-            settle: what the panel is given [s].
-            source: whose readers are made for that calibration.
+            calibration: calibration that corrects measurements.
+            settle: settling time of the panel [s].
+            source: source whose readers are made for that calibration.
         """
         with self._lock:
             self._device = calibrated(self._bare, calibration)
@@ -311,8 +311,8 @@ class MaskedCamera:
         """Show a mask of another source: from then on masks and their readers come from there.
 
         Args:
-            source: for a camera and an embedding like these.
-            first: of its epochs, prepared by this camera's preparation; retired unless it is shown.
+            source: source for a camera and an embedding like these.
+            first: first epoch of it, prepared by this camera; retired unless it is shown.
 
         Raises:
             RotationImpossibleError: the policy needs another mask, and the source has one only.
@@ -353,7 +353,7 @@ class MaskedCamera:
         for whatever the policy says.
 
         Args:
-            release: whether the embedding will leave; it is counted then, before this returns.
+            release: True: the embedding will leave; it is counted then, before this returns.
 
         Returns:
             The capture; whoever has it calls ``done`` at last.
@@ -448,10 +448,10 @@ class MaskedCamera:
 
         Args:
             active: mask of the capture.
-            light: of the capture.
-            number: of the capture.
-            begun: when the request was taken up [s].
-            at_once: whether no earlier opaque frame will do.
+            light: light of the capture.
+            number: number of the capture.
+            begun: time when the request was taken up [s].
+            at_once: True: no earlier opaque frame will do.
         """
         levels, name = active.epoch.mask.levels, f"{number} of epoch {active.epoch.name}"
         try:
@@ -523,7 +523,7 @@ class MaskedCamera:
                 self._panel.strand()
 
     def _may_reuse(self) -> bool:
-        """Whether a mask that is due may serve this capture, too."""
+        """Return whether a mask that is due may serve this capture, too."""
         active = self._panel.active
         if active is None or not self.preparation.under_way:
             return False
@@ -546,7 +546,7 @@ class MaskedCamera:
             raise error
 
     def _withheld(self, epoch: Epoch) -> ProblemError | None:
-        """Why no embedding may leave behind the mask of an epoch."""
+        """Return the reason why no embedding may leave behind the mask of an epoch."""
         if epoch.form == "none":
             return WithheldError()
         if epoch.form == "sealed" and epoch.sealer is None:

@@ -31,7 +31,7 @@ from veilcam_server.masks.source import Evidence, Reader
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """How a measurement is kept from mixing two masks."""
+    """Fence that keeps a measurement from mixing two masks."""
 
     settle: float = 0.1
     """Given to the panel after a write; measured once per panel, 100 ms to start from [s]."""
@@ -51,10 +51,10 @@ def check_exposure(
     """Refuse a measurement that cannot be trusted.
 
     Args:
-        exposure: as the sensor gave it.
-        not_before: when the mask had settled, monotonic [s].
-        ended: when the sensor returned.
-        shape: of an embedding.
+        exposure: exposure as the sensor gave it.
+        not_before: time when the mask had settled, monotonic [s].
+        ended: time when the sensor returned.
+        shape: shape of an embedding.
 
     Raises:
         FenceError: exposed before or after that, of another shape, or not finite.
@@ -77,9 +77,9 @@ def due_in(policy: RotationPolicy, *, shown_for: float, captures: int, chance: f
     """Return how long the present mask may stay [s]: 0 when it must change, inf for ever.
 
     Args:
-        policy: what was asked for.
-        shown_for: how long the mask has been on the panel [s].
-        captures: how many were taken under it.
+        policy: policy that was asked for.
+        shown_for: time that the mask has been on the panel [s].
+        captures: number of captures under it.
         chance: drawn for this showing, uniform over [0, 1): how much of the jitter it gets.
     """
     if isinstance(policy, EverySeconds):
@@ -116,11 +116,11 @@ class ActiveMask:
     """Whether a capture was due before the next mask was ready."""
 
     def reuse(self, limit: int, lateness: Lateness) -> bool:
-        """Whether it may serve one more capture although it is due, which is then counted.
+        """Return whether it may serve one more capture although it is due; that is counted.
 
         Args:
-            limit: how often it may.
-            lateness: where that is counted, too.
+            limit: greatest number of such captures.
+            lateness: count of such captures, too.
         """
         if not self.late:
             self.late = True
@@ -134,7 +134,7 @@ class ActiveMask:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What the capture log says of a capture, beside its answer."""
+    """Entry of the capture log beside an answer."""
 
     mask: str
     """Commitment to the mask that it names, 64 hexadecimal digits."""
@@ -153,7 +153,7 @@ class Captured(Protocol):
 
     @property
     def number(self) -> int:
-        """Of the capture in its epoch, from 0 on; none comes twice."""
+        """Number of the capture in its epoch, from 0 on; none comes twice."""
 
     @property
     def taken_at(self) -> datetime:
@@ -165,11 +165,11 @@ class Captured(Protocol):
 
     @property
     def replay(self) -> Replay | None:
-        """From a recording: nothing was exposed."""
+        """Recording that it comes from: nothing was exposed."""
 
     @property
     def provenance(self) -> Provenance | None:
-        """What the capture log says; None: a recording is not logged as if it were a capture."""
+        """Entry of the capture log; None: a recording is not logged as if it were a capture."""
 
     def classify(self) -> Prediction:
         """Return the label, as the reader of its own mask tells it."""
@@ -181,7 +181,7 @@ class Captured(Protocol):
         """Return the embedding as it leaves; once, and in the order of the captures.
 
         Args:
-            queue_s: what the request waited for the device [s].
+            queue_s: time that the request waited for the device [s].
         """
 
     def done(self) -> None:
@@ -217,7 +217,7 @@ class MaskedCapture:
 
     @property
     def reader(self) -> Reader:
-        """Of the mask that was shown."""
+        """Epoch of the mask that was shown."""
         return self.active.mask.reader
 
     def classify(self) -> Prediction:
@@ -259,7 +259,7 @@ class MaskedCapture:
 
 @dataclass(slots=True)
 class Lateness:
-    """What it came to that the next mask was not ready."""
+    """Outcome where the next mask was not ready."""
 
     late: int = 0
     """Masks that a capture found due before the next one was ready."""

@@ -20,7 +20,7 @@ Publish = Callable[[Callable[..., Event]], None]
 
 
 class Condition(NamedTuple):
-    """What a camera, or the daemon, is doing."""
+    """State of a camera, or of the daemon."""
 
     state: State
     detail: str | None = None
@@ -36,16 +36,16 @@ class CameraEngine(Protocol):
 
     @property
     def state(self) -> Condition:
-        """What the camera is doing."""
+        """State of the camera."""
 
     def listen(self, publish: Publish) -> None:
         """Publish every new state and mask, from the thread that makes it so."""
 
     def healthy(self) -> bool:
-        """Whether panel and camera still answer."""
+        """Return whether panel and camera still answer."""
 
     def rotation(self) -> Rotation:
-        """The policy, the present epoch, and whether the next one is ready."""
+        """Return the policy, the present epoch, and whether the next one is ready."""
 
     def due_in(self) -> float:
         """Seconds until the mask must change; inf when nothing is planned."""

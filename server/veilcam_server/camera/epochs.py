@@ -61,7 +61,7 @@ class Epoch:
             self._erase_if_over()
 
     def retire(self) -> None:
-        """It will not be shown any more; twice does no harm."""
+        """Give the epoch up: it will not be shown any more. Twice does no harm."""
         with self._lock:
             self._retired = True
             self._erase_if_over()
@@ -78,10 +78,10 @@ class Preparation:
     """Prepares one epoch ahead. All but the properties is called by one thread at a time.
 
     Args:
-        source: of masks.
+        source: source of masks.
         signer: the device, whose key signs envelopes and is part of every key's context.
-        terms: what holds for an epoch that is prepared now; called on a thread of its own.
-        budget: of embeddings that may leave behind one mask.
+        terms: terms of an epoch that is prepared now; called on a thread of its own.
+        budget: budget of embeddings that may leave behind one mask.
     """
 
     def __init__(
@@ -103,24 +103,24 @@ class Preparation:
 
     @property
     def renewable(self) -> bool:
-        """Whether there is another mask to change to."""
+        """Return whether there is another mask to change to."""
         return self._source.renewable
 
     @property
     def spent(self) -> bool:
-        """Whether all masks are stored, and none of them may release anything more."""
+        """Return whether all masks are stored, and none of them may release anything more."""
         marks = self._source.marks
         return bool(marks) and marks == self._budget.spent(marks, self._terms().form)
 
     @property
     def under_way(self) -> bool:
-        """Whether to take the next epoch means to wait for it."""
+        """Return whether taking the next epoch means waiting for it."""
         future = self._next
         return future is not None and not future.done()
 
     @property
     def ready(self) -> bool:
-        """Whether the next epoch is prepared."""
+        """Return whether the next epoch is prepared."""
         future = self._next
         return future is not None and future.done() and not future.exception()
 
@@ -167,7 +167,7 @@ class Preparation:
             raise NotReadyError("the first mask is still being prepared: try again") from None
 
     def is_current(self, epoch: Epoch) -> bool:
-        """Whether an epoch would be prepared on the same terms now."""
+        """Return whether an epoch would be prepared on the same terms now."""
         return Terms(epoch.form, epoch.receivers) == self._terms()
 
     def serve(self, source: MaskSource) -> None:
@@ -214,7 +214,7 @@ class Preparation:
         return Sealer(key, envelope)
 
     def _avoided(self, source: MaskSource, form: Release) -> frozenset[str]:
-        """Marks of the mask shown last, and of those that are spent, if any others are left."""
+        """Return the marks of the mask shown last, and of those that are spent."""
         last = frozenset((self.last_mark,)) & source.marks
         spent = self._budget.spent(source.marks, form)
         return last if source.marks == last | spent else last | spent

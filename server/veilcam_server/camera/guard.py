@@ -105,8 +105,8 @@ class Guard:
     Attributes:
         fence: times to keep.
         leak: light behind the opaque panel over that behind the open window, of the last self test.
-        covered: whether the window was made opaque, and no mask was written since.
-        completed_at: when the last mask was written, monotonic [s].
+        covered: True where the window was made opaque, and no mask was written since.
+        completed_at: time when the last mask was written, monotonic [s].
     """
 
     def __init__(
@@ -170,8 +170,8 @@ class Guard:
 
         Args:
             levels: mask that is shown.
-            light: of the capture.
-            last: whether the mask is to change now.
+            light: light of the capture.
+            last: True where the mask is to change now.
 
         Returns:
             Whether an opaque frame beside the capture was hidden.

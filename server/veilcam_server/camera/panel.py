@@ -33,9 +33,9 @@ class MaskedPanel:
     """The panel and the state that follows from it. Called by one thread at a time.
 
     Args:
-        display: that shows masks.
+        display: display that shows masks.
         preparation: makes epochs ready.
-        self_test: whether the panel hides the scene.
+        self_test: test that the panel hides the scene.
         guard: writes masks, each after an opaque frame.
     """
 
@@ -56,7 +56,7 @@ class MaskedPanel:
 
     @property
     def state(self) -> Condition:
-        """What the camera is doing."""
+        """State of the camera."""
         return self._condition
 
     def proven_for(self) -> float:
@@ -67,8 +67,8 @@ class MaskedPanel:
         """Show a mask, after a test if that is due.
 
         Args:
-            epoch: of the mask; it is retired unless it is shown.
-            source: where it comes from; from then on the next ones do, too.
+            epoch: epoch of the mask; it is retired unless it is shown.
+            source: source of the epoch; from then on the next ones come from it, too.
 
         Raises:
             SelfTestError, SensorError, FenceError: the panel is not proven to hide the scene.
@@ -122,7 +122,7 @@ class MaskedPanel:
 
     @property
     def covered(self) -> bool:
-        """Whether the mask that counts as shown is under an opaque window still."""
+        """Return whether the shown mask is under an opaque window still."""
         return self.active is not None and self._guard.covered
 
     def uncover(self) -> None:
@@ -169,7 +169,7 @@ class MaskedPanel:
         self._enter("stopping", "the daemon is stopping")
 
     def _drop(self) -> None:
-        """The mask that was shown does not come back."""
+        """Retire the mask that was shown: it does not come back."""
         self._guard.forget()
         active, self.active = self.active, None
         if active is not None:
@@ -226,7 +226,7 @@ class MaskedPanel:
         self._make_opaque("safe", "the panel failed and was made opaque: it is tried again", remedy)
 
     def _make_opaque(self, state: State, reason: str, remedy: Remedy | None) -> None:
-        """Captures stop."""
+        """Stop captures."""
         self._guard.forget()
         try:
             self._display.blank()

@@ -56,9 +56,9 @@ class OpticalSelfTest:
 
     Args:
         camera: window, panel and sensor.
-        scene: of which the distance alone counts.
-        embedding: that the sensor gives.
-        generator: of patterns; by default one that nobody can foresee.
+        scene: scene, of which the distance alone counts.
+        embedding: embedding of the sensor.
+        generator: generator of patterns; by default one that nobody can foresee.
         clock: monotonic time [s].
     """
 
@@ -145,7 +145,7 @@ class OpticalSelfTest:
                 )
 
     def _seen(self, device: Device, fence: Fence, opened: npt.NDArray[np.bool_]) -> Exposure:
-        """The exposure behind a pattern."""
+        """Return the exposure behind a pattern."""
         if opened.any():
             levels: Levels = np.where(opened, self._camera.panel.levels - 1, 0).astype(np.uint8)
             device.display.show(levels)
@@ -158,7 +158,7 @@ class OpticalSelfTest:
         return exposure
 
     def _quarter(self) -> npt.NDArray[np.bool_]:
-        """A quarter of the window at random, in blocks that hold every colour."""
+        """Return a quarter of the window at random, in blocks that hold every colour."""
         rows, columns = self._camera.mask_shape
         high = -(-rows // len(CHANNELS))
         blocks = np.zeros(high * columns, bool)
@@ -168,7 +168,7 @@ class OpticalSelfTest:
 
 
 def _boxes_between_corners(camera: Camera, scene: Scene, embedding: Embedding) -> tuple[int, int]:
-    """How far the shadows of two opposite corners lie apart, rows and columns of an embedding."""
+    """Return the distance of the shadows of two opposite corners, in embedding pixels."""
     rows, columns = camera.mask_shape
     magnification = 1 + camera.distance / scene.distance
     down = (rows - rows // 2) * camera.panel.pitch_y * magnification
@@ -206,8 +206,8 @@ class SelfTestStatus:
     """A test that passed holds until the panel is set up anew, or until the test is too old.
 
     Args:
-        test: what decides.
-        device: that is tested.
+        test: test that decides.
+        device: device that is tested.
         fence: times to keep.
         every: longest time that it holds [s].
         clock: monotonic time [s].
@@ -241,7 +241,7 @@ class SelfTestStatus:
 
     @property
     def age(self) -> float:
-        """How long ago the panel passed last [s]; inf: it never did."""
+        """Return the time since the panel passed last [s]; inf: it never did."""
         return self._clock() - self._passed
 
     def adopt(self, device: Device, fence: Fence) -> None:

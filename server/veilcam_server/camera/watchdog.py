@@ -44,7 +44,7 @@ class Health:
                 del self._begun[action]
 
     def healthy(self) -> bool:
-        """Whether nothing hangs, or takes longer than it may."""
+        """Return whether nothing hangs, or takes longer than it may."""
         now = self._clock()
         with self._lock:
             return not self.hung and all(

@@ -45,7 +45,7 @@ def veilcamd(
         typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:
-    """The Veilcam daemon: a privacy camera without a lens."""
+    """Run the Veilcam daemon: a privacy camera without a lens."""
 
 
 @app.command()

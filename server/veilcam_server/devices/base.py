@@ -43,7 +43,7 @@ class Light:
 
     @property
     def dark(self) -> bool:
-        """Whether it tells nothing."""
+        """True where it tells nothing."""
         return self.mean < 5 * self.noise
 
 

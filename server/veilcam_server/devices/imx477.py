@@ -175,7 +175,7 @@ class IMX477:
             camera: camera that takes it.
             not_before: monotonic time before which it does not begin [s].
             deadline: monotonic time [s].
-            asked: its exposure [s]; None for any.
+            asked: exposure that was asked for [s]; None for any.
         """
         # A nanosecond more than asked: no rounding of the float may put a frame before the fence.
         fence = math.ceil(not_before * _NANO) + 1 if math.isfinite(not_before) else 0

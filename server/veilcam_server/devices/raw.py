@@ -116,12 +116,12 @@ class Frame:
         )
 
     def unfit(self, fence: int, exposure: float | None, line_time: float) -> str:
-        """Why it cannot be used; nothing if it can.
+        """Say why a frame cannot be used; empty if it can.
 
         Args:
             fence: before which it must not have begun [ns].
-            exposure: that was asked for [s]; None for any.
-            line_time: of the sensor [s].
+            exposure: exposure that was asked for [s]; None for any.
+            line_time: line time of the sensor [s].
         """
         if self.stamp - self.exposure < fence:
             return "exposed before the mask had settled"
@@ -134,7 +134,7 @@ class Frame:
 
 
 class Binning:
-    """From raw frames of one shape to averages over equal boxes.
+    """Averages of raw frames of one shape over equal boxes.
 
     Args:
         raw: shape (rows, columns) of the frames.
@@ -170,7 +170,7 @@ class Binning:
 
 
 def _axis(pixels: int, boxes: int) -> tuple[list[int], npt.NDArray[np.float64]]:
-    """Where to cut an axis, and what share each piece has in the mean of each box."""
+    """Return the cuts of an axis, and the share of each piece in the mean of each box."""
     if not 1 <= boxes <= pixels:
         raise ValueError(f"{boxes} boxes are not valid: use 1 to {pixels}, the number of pixels")
     edges = [Fraction(box * pixels, boxes) for box in range(boxes + 1)]

@@ -76,9 +76,9 @@ class ST7735R:
     Args:
         spi: the bus; closed with this.
         lines: D/C and RST; closed with this.
-        camera: whose window is the mask.
-        tab: where the glass sits in the controller's memory.
-        read_back: whether the panel is asked after every write if it shows what is in its memory,
+        camera: camera whose window is the mask.
+        tab: place of the glass in the controller's memory.
+        read_back: True: the panel is asked after every write if it shows its memory,
             provided that it gives its known status three times at the start.
         sleep: waits so many seconds.
         clock: monotonic time [s].

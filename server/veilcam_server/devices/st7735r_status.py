@@ -60,7 +60,7 @@ def require_sound(spi: Spi, lines: Lines, madctl: int) -> None:
     A line that nobody drives, or an answer that changes, says nothing: that is for light to tell.
 
     Args:
-        spi: its bus.
+        spi: bus of the panel.
         lines: D/C of it.
         madctl: order of its memory, as it was told.
 
@@ -117,7 +117,7 @@ def _wrong(status: int, madctl: int) -> int:
 
 
 def _is_silent(answer: int, _: int, bits: int) -> bool:
-    """A line that nobody drives is read as all zeros, or all ones."""
+    """Return whether nobody drives the line: it reads as all zeros, or all ones."""
     return answer in (0, (1 << bits) - 1)
 
 

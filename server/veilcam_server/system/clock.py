@@ -51,7 +51,7 @@ class MachineClock:
     The zone's file is read at each look: the C library reads it once for the whole process.
 
     Args:
-        trusted: whether hours go by it though the kernel does not call it synchronised.
+        trusted: True: hours go by it though the kernel does not call it synchronised.
         kernel: tells whether it is synchronised; by default the kernel of this machine.
     """
 

@@ -97,8 +97,8 @@ def open_file(path: Path, flags: int) -> int:
     """Open a state file for its owner alone, without waiting for what is none.
 
     Args:
-        path: of a regular file.
-        flags: of :func:`os.open`.
+        path: path of a regular file.
+        flags: flags of :func:`os.open`.
 
     Raises:
         OSError: it cannot be opened, or is a folder, a FIFO, a socket or a device.
@@ -116,8 +116,8 @@ def read_file(path: Path, limit: int = -1) -> bytes:
     """Return what a state file holds; raises :class:`OSError` as :func:`open_file`.
 
     Args:
-        path: of a regular file.
-        limit: of what is read [bytes]; -1: all.
+        path: path of a regular file.
+        limit: greatest number of bytes to read; -1: all.
     """
     try:
         with os.fdopen(open_file(path, os.O_RDONLY), "rb") as stream:
@@ -131,7 +131,7 @@ def unreadable(error: OSError, directory: Path) -> StartError:
     """Return what is said of something in a state folder that cannot be read.
 
     Args:
-        error: with the path.
+        error: error with the path.
         directory: the state folder.
     """
     path = Path(str(error.filename or directory))
@@ -165,7 +165,7 @@ def _keep_private(directory: Path) -> None:
 
 
 def _is_state(directory: Path, mode: int) -> bool:
-    """Whether a folder is for state alone: not, say, a home or ``/tmp`` that was named by error."""
+    """Return whether a folder is for state alone: not a home or ``/tmp`` named by error."""
     if mode & stat.S_ISVTX:
         return False
     names = set(os.listdir(directory))

@@ -72,9 +72,9 @@ def resting(policy: WatchPolicy, now: datetime, *, sure: bool = True) -> str | N
     quiet both times if it is, and one that spring leaves out is none.
 
     Args:
-        policy: when the camera looks.
+        policy: policy of the watch.
         now: time of day.
-        sure: whether quiet hours may go by it.
+        sure: True where quiet hours may go by the clock.
     """
     if isinstance(policy, WatchOff):
         return "the camera is switched off"

@@ -79,9 +79,9 @@ class WatchSetup:
     """Settings that a watch starts with.
 
     Attributes:
-        policy: when it looks.
-        store: where that is kept.
-        clock: by which hours are quiet.
+        policy: policy of the watch.
+        store: store of the policy.
+        clock: clock of the quiet hours.
         rests: why the panel is opaque already; None: it is not.
         admission: test of a capture: does it look like one of a thing.
         dynamics: rates at which things come and go.

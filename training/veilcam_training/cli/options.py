@@ -109,10 +109,10 @@ def for_bundle(console: Console, source: Source, classifier: str, *, named: bool
     """Return a data set as a daemon takes it: in gray.
 
     Args:
-        console: to print on that colour is left out.
+        console: console that tells of colour left out.
         source: the data set.
-        classifier: that is to be fitted.
-        named: whether somebody chose it; it would be another one in gray.
+        classifier: classifier to fit.
+        named: True where somebody chose it; it would be another one in gray.
 
     Raises:
         TrainingError: a classifier was chosen for pictures in colour.

@@ -227,7 +227,7 @@ class InGray(FileSource):
 
     @property
     def name(self) -> str:
-        """What it is called on the command line."""
+        """Name on the command line."""
         return self.source.name
 
     @property
@@ -237,7 +237,7 @@ class InGray(FileSource):
 
     @property
     def scene(self) -> Scene:
-        """How large and how far away its images are shown."""
+        """Size and distance at which its images are shown."""
         return self.source.scene
 
     @property

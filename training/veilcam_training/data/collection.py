@@ -53,7 +53,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Header:
-    """What a data set has to know of one picture before it is reduced."""
+    """Facts about one picture that a data set needs before it is reduced."""
 
     rows: int
     columns: int
@@ -92,12 +92,12 @@ class Collection(ABC):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a person should know of the pictures before a fit."""
+        """Remarks about the pictures for a person, before a fit."""
         return ()
 
     @abstractmethod
     def pictures(self, indices: Sequence[int]) -> Iterator[Values]:
-        """The pictures at ``indices``, upright: (rows, columns) or (rows, columns, 3).
+        """Read the pictures at ``indices``, upright: (rows, columns) or (rows, columns, 3).
 
         Raises:
             TrainingError: damaged pictures; all are named.
@@ -160,7 +160,7 @@ class Files(Collection):
 
     @cached_property
     def _examined(self) -> tuple[Header | str, ...]:
-        """Of each picture, decoded whole: its header, or why it cannot be used."""
+        """Headers of the pictures, decoded whole, or the reasons why one cannot be used."""
         return tuple(map(_examine, self.paths))
 
     @property
@@ -199,12 +199,12 @@ class Files(Collection):
 
     @property
     def deep(self) -> bool:  # type: ignore[override]
-        """Whether a picture has more than 8 bits."""
+        """Return whether a picture has more than 8 bits."""
         return any(each.deep for each in self._headers)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was passed over, and how many pictures use little of their range."""
+        """List what was passed over, and how many pictures use little of their range."""
         small = [
             f"{shown(name)} ({each.used})"
             for name, each in zip(self.names, self._headers, strict=True)
@@ -294,7 +294,7 @@ class Arrays(Collection):
 
 
 def is_collection(folder: Path) -> bool:
-    """True if ``folder`` holds labelled pictures, or what :func:`find_collection` refuses."""
+    """Return True if ``folder`` holds labelled pictures, or a layout that is refused."""
     if not folder.is_dir():
         return False
     if (folder / ARRAYS).is_file() or (folder / TABLE).is_file():
@@ -308,10 +308,10 @@ def is_collection(folder: Path) -> bool:
 
 
 def find_collection(folder: Path, *, skip_damaged: bool = False) -> Collection:
-    """The pictures in ``folder``: arrays, those of a table, or those of folders.
+    """Find the pictures in ``folder``: arrays, those of a table, or those of folders.
 
     Args:
-        folder: of the data set.
+        folder: folder of the data set.
         skip_damaged: pictures that cannot be read are left out.
 
     Raises:

@@ -54,7 +54,7 @@ def find_layout(folder: Path) -> Layout | None:
     Parts have their usual names, in any case. A class holds all pictures below its folder.
 
     Args:
-        folder: of the data set.
+        folder: folder of the data set.
 
     Returns:
         None where fewer than two classes and no parts are found.

@@ -101,7 +101,7 @@ class ImageFolderSource(FileSource):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was passed over, and pictures that use little of their range."""
+        """Remarks: what was passed over, and pictures that use little of their range."""
         return self._collection.remarks
 
     @property

@@ -23,11 +23,11 @@ SOURCES: Mapping[str, Callable[[Path], Source]] = {
 
 
 def open_source(name: str, folder: Path, *, skip_damaged: bool = False) -> Source:
-    """Data set ``name``, with its files in ``folder``; nothing is read yet.
+    """Open data set ``name``, with its files in ``folder``; nothing is read yet.
 
     Args:
-        name: of the data set.
-        folder: of its files.
+        name: name of the data set.
+        folder: folder of its files.
         skip_damaged: own pictures that cannot be read are left out.
 
     Raises:

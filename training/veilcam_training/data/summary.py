@@ -27,7 +27,7 @@ class Summary:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a person should know, and what makes an accuracy mean less than it says."""
+        """List what a person should know, and what makes an accuracy mean less than it says."""
         found = list(self.remarks)
         if self.repeated:
             found.append(

@@ -24,7 +24,7 @@ _DIGITS = {"|AUC - 1/2|": 3, "dB": 1}
 
 
 def write_page(card: PrivacyCard, pictures: bytes) -> str:
-    """The page, whole: it needs no other file and nothing of the network.
+    """Return the page, whole: it needs no other file and nothing of the network.
 
     Args:
         card: is shown.
@@ -45,12 +45,12 @@ def write_page(card: PrivacyCard, pictures: bytes) -> str:
 
 
 def number(value: float, unit: str) -> str:
-    """A figure as it is read: few digits, a true minus sign."""
+    """Return a figure as it is read: few digits, a true minus sign."""
     return f"{value:.{_DIGITS.get(unit, 1)}f}".replace("-", "−").replace("−0.0", "0.0")
 
 
 def place(row: CardRow, value: float) -> float:
-    """Where a value stands on a row's scale [%]: from chance to all there is, roots of both.
+    """Return the place of a value on a row's scale [%]: from chance to all, roots of both.
 
     Roots, so that a threshold near chance and a figure near certainty fit on one line.
     """

@@ -192,7 +192,7 @@ def _begin_worker() -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker that outlived a killed parent would write into the folders of the next run."""
+    """End this worker with its parent: it would write into the folders of the next run."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

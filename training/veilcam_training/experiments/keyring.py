@@ -101,7 +101,7 @@ def check_pairs(settings: Settings, source: Source, camera: Camera) -> None:
 
 
 def check_fresh(settings: FreshSettings, source: Source, camera: Camera) -> None:
-    """The same of a fit for fresh masks."""
+    """Return the same of a fit for fresh masks."""
     statistics = no_statistics(settings, camera, source.scene)
     model = make_fresh_model(settings, source, camera, statistics)
     record = provenance(settings.model_dump(mode="json"), {})

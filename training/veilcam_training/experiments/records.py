@@ -14,7 +14,7 @@ from pydantic import JsonValue
 
 
 def provenance(settings: JsonValue, digests: Mapping[str, str]) -> dict[str, JsonValue]:
-    """Settings, data, versions, date and command, as JSON: enough to make an artefact again."""
+    """Return settings, data, versions, date and command as JSON, to make an artefact again."""
     return {
         "settings": settings,
         "data_sha256": dict(digests),
@@ -45,7 +45,7 @@ def commit() -> str:
 
 
 def own_command() -> list[str]:
-    """This process's command line as one types it: programs by name, modules by ``python -m``."""
+    """Return this process's command line as one types it: programs by name, modules by ``-m``."""
     program, arguments = Path(sys.argv[0]), sys.argv[1:]
     spec = sys.modules["__main__"].__spec__
     if spec is not None:

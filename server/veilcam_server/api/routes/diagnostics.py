@@ -85,7 +85,7 @@ async def status(service: ServiceDep, if_none_match: IfNoneMatch = "") -> Respon
     },
 )
 async def metrics(request: Request) -> Response:
-    """Captures, faults, state and latencies for Prometheus."""
+    """Return captures, faults, state and latencies for Prometheus."""
     kept: Metrics = request.app.state.metrics
     return Response(kept.text(), media_type=CONTENT_TYPE_LATEST)
 
@@ -111,7 +111,7 @@ async def diagnostics(service: ServiceDep, admission: AdmissionDep) -> Diagnosti
 
 @router.get("/doctor", dependencies=[requires("read:status")], responses=problems())
 async def doctor(request: Request) -> DoctorFindings:
-    """Findings of the doctor on this machine, and remedies.
+    """Return the findings of the doctor on this machine, and remedies.
 
     It leaves out what needs panel or camera: `veilcamd doctor` looks, where no daemon runs.
     """
@@ -121,6 +121,6 @@ async def doctor(request: Request) -> DoctorFindings:
 
 @router.get("/openapi.json", dependencies=[requires("read:status")], responses=problems())
 async def openapi(request: Request, admission: AdmissionDep) -> dict[str, Any]:
-    """This document."""
+    """Return this document."""
     app: FastAPI = request.app
     return document(app, admission.site.root_path)

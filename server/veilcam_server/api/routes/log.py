@@ -22,7 +22,7 @@ async def log(
     after: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
     limit: Annotated[int, Query(ge=1, le=RECORDS_AT_ONCE)] = RECORDS_AT_ONCE,
 ) -> LogRecords:
-    """Records of answers, the oldest first; all of them are on the disk."""
+    """Return records of answers, the oldest first; all of them are on the disk."""
     return await asyncio.to_thread(service.capture_log.records, after, limit)
 
 

@@ -88,7 +88,7 @@ async def page(admission: AdmissionDep, if_none_match: IfNoneMatch = "") -> Resp
 
 @router.get("/docs", response_class=HTMLResponse, responses=_PAGE)
 async def docs(admission: AdmissionDep, if_none_match: IfNoneMatch = "") -> Response:
-    """This document for people, in a browser."""
+    """Return this document for people, in a browser."""
     return _document("docs.html", admission.site.frame_ancestors, if_none_match)
 
 

@@ -82,7 +82,7 @@ def _folder(folder: Path, shape: tuple[int, int]) -> Iterator[SceneSource]:
 
 
 def _data_set(name: str, shape: tuple[int, int], *, skip: bool) -> Iterator[SceneSource]:
-    """The images of a part of a data set; labels stay on the disk."""
+    """Yield the images of a part of a data set; labels stay on the disk."""
     # Imported late: of all daemons, only those that look at a data set need it.
     import torch  # noqa: PLC0415
 
