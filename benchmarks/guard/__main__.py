@@ -92,10 +92,10 @@ def measure_lost(captures: int = 200, figures: FiguresOption = None) -> None:
 
 
 @app.command("rest")
-def measure_rest(tries: int = 100, figures: FiguresOption = None) -> None:
-    """Break panels of daemons as shipped, over REST; five daemons at once."""
+def measure_rest(tries: int = 100, bundle: Path = BUNDLE, figures: FiguresOption = None) -> None:
+    """Break panels of daemons with a mask for each capture, over REST; five daemons at once."""
     with work_folder() as folder:
-        found = served.all_rest_faults(folder, tries)
+        found = served.all_rest_faults(folder, bundle, tries)
     for fault, came in found.items():
         typer.echo(f"{fault}: {dict(came)}")
     wrong = sum(

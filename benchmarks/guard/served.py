@@ -24,7 +24,7 @@ from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.capture import Fence
 from veilcam_server.camera.guard import Guard
 from veilcam_server.demo.daemon import running
-from veilcam_server.demo_data import BUNDLE, FRESH
+from veilcam_server.demo_data import BUNDLE
 from veilcam_server.devices import Device
 from veilcam_server.devices.base import Levels, Light
 from veilcam_server.devices.simulated.panel import Crystal, PanelEmulator
@@ -59,12 +59,12 @@ def _ready(camera: Camera) -> None:
     raise RuntimeError("the camera does not come back")
 
 
-def rest_faults(folder: Path, fault: str, tries: int, seed: int) -> Counter[str]:
-    """Count what a daemon as shipped says of the first and second capture after a fault."""
+def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, seed: int) -> Counter[str]:
+    """Count what a daemon says of the first and second capture after a fault, a mask for each."""
     random, came = np.random.default_rng(seed), Counter[str]()
     kinds = scenes(random, 10)
-    options = ("--rate-limit", "100000", "--rate-burst", "100000")
-    with _daemon(folder / fault, FRESH, *options) as url, Camera(url, max_retries=0) as camera:
+    options = ("--rate-limit", "100000", "--rate-burst", "100000", "--every-captures", "1")
+    with _daemon(folder / fault, bundle, *options) as url, Camera(url, max_retries=0) as camera:
         for turn in range(tries):
             camera.hold_scene(np.ones((28, 28), np.float32))
             _ready(camera)
@@ -85,11 +85,11 @@ def rest_faults(folder: Path, fault: str, tries: int, seed: int) -> Counter[str]
     return came
 
 
-def all_rest_faults(folder: Path, tries: int) -> Mapping[str, Counter[str]]:
+def all_rest_faults(folder: Path, bundle: Path, tries: int) -> Mapping[str, Counter[str]]:
     """Ask five daemons at once, one for each fault."""
     with ThreadPoolExecutor(len(FAULTS)) as threads:
         found = [
-            threads.submit(rest_faults, folder, fault, tries, seed)
+            threads.submit(rest_faults, folder, bundle, fault, tries, seed)
             for seed, fault in enumerate(FAULTS)
         ]
         return {fault: each.result() for fault, each in zip(FAULTS, found, strict=True)}

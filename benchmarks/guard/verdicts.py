@@ -90,7 +90,9 @@ def faults(
                 except UnsteadyLightError:
                     found[fault, light, "refused"] += 1
                 else:
+                    # A saturated capture is no answer: it is refused for its light.
                     name = "too dark" if seen.dark else "answered"
+                    name = "saturated" if seen.saturated else name
                     found[fault, light, name if turn else f"{name} first"] += 1
     return found
 

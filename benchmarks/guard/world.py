@@ -208,7 +208,7 @@ class Rig:
         if key not in self._lights:
             self._lights[key] = self._passed()
         mean = self.brightness * self.lamp.mean(begin, begin + EXPOSURE) * self._lights[key]
-        return Light(math.inf if mean > 1 else mean + self.offset, NOISE)
+        return Light(min(mean, 1.0) + self.offset, NOISE, saturated=mean > 1)
 
     def capture(self, mask: int, *, last: bool = True) -> Light:
         """Take a capture behind a mask that is written if need be; raises as the guard does."""

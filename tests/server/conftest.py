@@ -216,13 +216,17 @@ class FakeSensor:
             self.measurement,
             started,
             max(now, started),
-            light=Light(self.lights(), 1e-4),
+            light=self.seen(),
         )
 
     def light(self, not_before: float, timeout: float) -> Light:
         self.guards += 1
         time.sleep(max(0.0, not_before - time.monotonic()))
-        return Light(self.lights(), 1e-4)
+        return self.seen()
+
+    def seen(self) -> Light:
+        mean = self.lights()
+        return Light(min(mean, 1.0), 1e-4, saturated=mean > 1)
 
     def close(self) -> None:
         self.closed = True

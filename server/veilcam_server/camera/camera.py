@@ -400,7 +400,8 @@ class MaskedCamera:
             exposure = self._exposed(not_before)
         except SaturatedError:
             # A panel that is transparent saturates a sensor that is exposed for masks.
-            self._vouch(active, Light(math.inf, 0.0), number, begun, at_once=True)
+            light = self._device.sensor.light(not_before, self._fence.timeout)
+            self._vouch(active, light, number, begun, at_once=True)
             raise
         ended = time.monotonic()
         if self._panel.active is not active:

@@ -76,9 +76,11 @@ def verdict(opaque: Light, neighbours: Sequence[MaskFrame]) -> Verdict:
     if opaque.dark and all(each.light.dark for each in neighbours):
         return "too dark"
     limits = [each.threshold * each.light.mean for each in neighbours]
-    if not any(each.light.dark for each in neighbours) and opaque.mean < min(limits):
+    dark = any(each.light.dark for each in neighbours)
+    if not (dark or opaque.saturated) and opaque.mean < min(limits):
         return "hidden"
-    return "not hidden" if not opaque.dark and opaque.mean >= max(limits) else "light changes"
+    over = opaque.saturated or opaque.mean >= max(limits)
+    return "not hidden" if over and not opaque.dark else "light changes"
 
 
 @dataclass(frozen=True, slots=True)

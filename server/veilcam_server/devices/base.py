@@ -34,12 +34,13 @@ class Shown:
 class Light:
     """Mean light of a frame, less the electronic black, over that of saturation.
 
-    It is given for the exposure to begin with. ``mean`` is inf for a frame that is saturated.
+    It is given for the exposure to begin with. In truth a saturated frame had more than ``mean``.
     """
 
     mean: float = field(repr=False)
     noise: float
     """By how much it may be off."""
+    saturated: bool = False
 
     @property
     def dark(self) -> bool:

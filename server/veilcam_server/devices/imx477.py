@@ -216,9 +216,8 @@ class IMX477:
         )
 
     def _light(self, frame: Frame, binned: _Binned) -> Light:
-        mean = math.inf if binned.saturated else float(binned.embedding.mean())
         scale = self._scale(frame)
-        return Light(scale * mean, scale * _NOISE)
+        return Light(scale * float(binned.embedding.mean()), scale * _NOISE, binned.saturated)
 
     def _scale(self, frame: Frame) -> float:
         """Exposure to begin with, over that of a frame."""
