@@ -27,16 +27,16 @@ settings.register_profile("long", max_examples=1000, deadline=None)
 
 NUMERICAL = (
     "contracts",
-    "optics",
+    "unit/optics",
     *(
-        f"training/{room}"
+        f"unit/training/{room}"
         for room in ("attacks", "encoders", "export", "models", "trainer", "transforms")
     ),
-    *(f"training/bundle/test_{name}.py" for name in ("fresh", "layers", "network")),
-    *(f"training/data/test_{name}.py" for name in ("drawn", "measurements", "sources")),
-    *(f"training/experiments/test_{name}.py" for name in ("adapt", "fit", "fresh", "pictures")),
-    "server/calibration",
-    "server/devices/simulated",
+    *(f"unit/training/bundle/test_{name}.py" for name in ("fresh", "layers", "network")),
+    *(f"unit/training/data/test_{name}.py" for name in ("drawn", "measurements", "sources")),
+    *(f"unit/training/experiments/test_{name}.py" for name in ("adapt", "fit", "fresh", "pictures")),
+    "unit/server/calibration",
+    "unit/server/devices/simulated",
 )
 """Folders and files of tests that compute; single files elsewhere bear the mark themselves. What
 parses, refuses, keeps files or talks HTTP is the same on every processor."""

@@ -5,7 +5,7 @@
 Installs Home Assistant into an environment of its own (630 MB, Python 3.13, some minutes) where
 that is not there yet, and has its own schemas judge the discovery message of every camera that the
 wire models have an example of, and messages that it must refuse. Ends with 0 if it judges all as it
-should. `make test` checks the same against tests/mqtt/discovery_schema.json instead.
+should. `make test` checks the same against tests/unit/mqtt/discovery_schema.json instead.
 """
 
 from __future__ import annotations

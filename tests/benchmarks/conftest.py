@@ -1,13 +1,13 @@
 """The server's benches, which measurements are tried on."""
 
-from tests.server.conftest import (
+from tests.unit.server.conftest import (
     _no_settings_from_outside,
     _own_logs,
     anyio_backend,
     bench,
     bundle,
 )
-from tests.training.conftest import digit_folder, source
+from tests.unit.training.conftest import digit_folder, source
 
 __all__ = [
     "_no_settings_from_outside",

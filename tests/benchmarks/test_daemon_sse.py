@@ -18,7 +18,7 @@ from veilcam_server.service.events import CAPACITY
 
 if TYPE_CHECKING:
     from starlette.types import Message
-    from tests.server.conftest import Bench
+    from tests.unit.server.conftest import Bench
 
 NOW = datetime.now(UTC)
 

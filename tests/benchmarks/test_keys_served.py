@@ -11,7 +11,7 @@ import torch
 from benchmarks.privacy.keys import served
 from benchmarks.privacy.keys.costs import preparation_times, read_sealed, sealing_times
 from benchmarks.privacy.keys.past import Findings, past_of
-from tests.server.conftest import make_fresh_bundle
+from tests.unit.server.conftest import make_fresh_bundle
 
 from veilcam_server.demo_data import load_digits
 from veilcam_training.bundle import write_bundle

@@ -22,7 +22,7 @@ from benchmarks.privacy.keys.released import (
 )
 from benchmarks.privacy.keys.rows import attack
 from benchmarks.privacy.keys.scenes import Question, Scene, Scenes, Stock, load_scenes, pink_noise
-from tests.server.conftest import make_fresh_bundle
+from tests.unit.server.conftest import make_fresh_bundle
 
 from veilcam_server.masks.source import Mask
 from veilcam_training.attacks.intervals import Gain, holm

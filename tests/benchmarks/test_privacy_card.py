@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from benchmarks.privacy import card
-from tests.training.attacks.card.conftest import TINY, make_fresh, make_images, make_pairs
+from tests.unit.training.attacks.card.conftest import TINY, make_fresh, make_images, make_pairs
 from typer.testing import CliRunner
 
 from veilcam_training.bundle import write_bundle

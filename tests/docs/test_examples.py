@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from tests.training.conftest import write_digits
+from tests.unit.training.conftest import write_digits
 
 from veilcam_client import Camera
 from veilcam_client.keys.receivers import ReceiverKey

@@ -1,5 +1,5 @@
 """Settings of the machine that runs the tests are none of the daemon's."""
 
-from tests.server.conftest import _no_settings_from_outside
+from tests.unit.server.conftest import _no_settings_from_outside
 
 __all__ = ["_no_settings_from_outside"]

@@ -14,7 +14,7 @@ import structlog
 from anyio.from_thread import start_blocking_portal
 from PIL import Image
 from tests.pictures.samples import SIDE
-from tests.server.conftest import make_bundle
+from tests.unit.server.conftest import make_bundle
 
 from veilcam_server.api.app import create_app
 from veilcam_server.daemon import build_service

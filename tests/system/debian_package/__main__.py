@@ -18,8 +18,8 @@ import typer
 from benchmarks.figures import FiguresOption, record
 from deploy.debian.build import Architecture, BuildError, build
 from rich.console import Console
-from tests.client.recordings import Daemon
 from tests.system.obstacle import obstacle
+from tests.unit.client.recordings import Daemon
 
 from veilcam_client.recording import record as record_captures
 

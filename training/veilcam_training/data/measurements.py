@@ -1,7 +1,7 @@
 """Labelled measurements of a camera, as 'veilcam collect' keeps them.
 
 JSON lines: docs/adaptation.md. The SDK writes them, and training, which does not know the SDK,
-reads them; ``tests/training/data/test_measurements.py`` holds the two against each other.
+reads them; ``tests/unit/training/data/test_measurements.py`` holds the two against each other.
 """
 
 import hashlib

@@ -1,0 +1,169 @@
+"""Calibrations through both cameras and the command line."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+from typer.testing import CliRunner
+
+from veilcam_client import AsyncCamera, CalibrationChanged, Camera
+from veilcam_client.cli import calibrate as command
+from veilcam_client.cli.format import event_in_words
+from veilcam_client.cli.main import app
+from veilcam_client.wire.events import EVENT
+
+if TYPE_CHECKING:
+    from tests.unit.client.conftest import Daemon, Problem
+
+pytestmark = pytest.mark.anyio
+runner = CliRunner()
+MEASURING: dict[str, Any] = {
+    "stage": "measuring",
+    "scene": "dark",
+    "instruction": None,
+    "exposures": 10,
+    "total": 330,
+    "detail": None,
+}
+WAITING = {**MEASURING, "stage": "waiting", "scene": "lamp", "instruction": "Put a lamp there."}
+DONE = {**MEASURING, "stage": "done", "scene": None, "exposures": 330}
+FAILED = {**DONE, "stage": "failed", "detail": "too little light: light it"}
+QUANTITY = {"value": 0.00003, "uncertainty": 0.000001, "residual": 0.01}
+SIGNED = {
+    "record": {
+        "taken_at": "2026-01-02T03:04:05Z",
+        "display": "ST7735R",
+        "sensor": "IMX477",
+        "simulated": False,
+        "exposure_s": 0.01,
+        "geometry": "0" * 64,
+        "dead_rows": [20],
+        **dict.fromkeys(
+            (
+                *("settling_s", "black_level", "gain", "full_scale", "gamma", "contrast_floor"),
+                *("dead_transmittance", "shift_y_m", "shift_x_m"),
+                "stray_light",
+                *("rotation_rad", "distance_error_m"),
+            ),
+            QUANTITY,
+        ),
+        "psf_residual": 0.016,
+        "drift": -0.001,
+    },
+    "public_key": "a" * 64,
+    "signature": "b" * 128,
+}
+
+
+def said(run: dict[str, Any], status: int = 200) -> httpx.Response:
+    return httpx.Response(status, json=run)
+
+
+def looked(run: dict[str, Any] | None, signed: dict[str, Any] | None = None) -> httpx.Response:
+    return said({"signed": signed, "run": run})
+
+
+@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
+async def test_calibrations_by_both_cameras(daemon: Daemon, kind: type) -> None:
+    client = httpx.Client if kind is Camera else httpx.AsyncClient
+    camera = kind(
+        "http://camera.local:1", http_client=client(transport=httpx.MockTransport(daemon))
+    )
+
+    async def result(answer: Any) -> Any:
+        return await answer if inspect.isawaitable(answer) else answer
+
+    daemon.first = [said(MEASURING, 202), looked(WAITING), said(MEASURING), said(DONE)]
+    assert (await result(camera.start_calibration(repeats=3))).total == 330
+    seen = await result(camera.calibration())
+    assert (seen.signed, seen.run.scene) == (None, "lamp")
+    assert (await result(camera.confirm_scene("lamp"))).stage == "measuring"
+    assert (await result(camera.cancel_calibration())).stage == "done"
+    assert [
+        (request.method, request.url.path, request.content and json.loads(request.content))
+        for request in daemon.requests
+    ] == [
+        ("POST", "/v1/calibration", {"repeats": 3}),
+        ("GET", "/v1/calibration", b""),
+        ("POST", "/v1/calibration/scene", {"scene": "lamp"}),
+        ("DELETE", "/v1/calibration", b""),
+    ]
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, url: str) -> None:
+    monkeypatch.setattr(command, "_EVERY", 0.0)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_person_is_asked_for_scenes_and_told_what_was_found(daemon: Daemon) -> None:
+    daemon.first = [
+        said(MEASURING, 202),
+        looked(WAITING),
+        said({**MEASURING, "scene": "lamp", "exposures": 300}),
+        looked(DONE, SIGNED),
+        looked(DONE, SIGNED),
+    ]
+    result = runner.invoke(app, ["calibrate", "--repeats", "3"], input="\n")
+    assert result.exit_code == 0, result.output
+    assert json.loads(daemon.requests[0].content) == {"repeats": 3}
+    for words in ("Put a lamp there.", "10 of 330 exposures of dark", "300 of 330"):
+        assert words in result.stderr
+    for words in ("shift along y [um]          30", "dead rows: 20", "drifted by -0.1 %"):
+        assert words in result.stdout
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_answer_comes_as_json(daemon: Daemon) -> None:
+    daemon.first = [said(DONE, 202), looked(DONE, SIGNED)]
+    result = runner.invoke(app, ["calibrate", "--json"])
+    assert json.loads(result.stdout)["signed"]["record"]["dead_rows"] == [20]
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(
+    ("run", "reason"), [(FAILED, "too little light"), ({**DONE, "stage": "cancelled"}, "cancelled")]
+)
+def test_a_calibration_that_failed_is_said(
+    daemon: Daemon, run: dict[str, Any], reason: str
+) -> None:
+    daemon.first = [said(run, 202), looked(run)]
+    result = runner.invoke(app, ["calibrate"])
+    assert result.exit_code == 7
+    assert reason in result.stderr
+    assert "nothing was changed" in result.stderr
+
+
+@pytest.mark.usefixtures("quick")
+def test_who_goes_away_cancels_it(daemon: Daemon) -> None:
+    daemon.first = [said(WAITING, 202), said(DONE)]
+    result = runner.invoke(app, ["calibrate"], input="")
+    assert result.exit_code != 0
+    assert [request.method for request in daemon.requests] == ["POST", "DELETE"]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_refusal_cancels_nothing(daemon: Daemon, make_problem: Problem) -> None:
+    daemon.first = [make_problem(409, "calibration_impossible")]
+    assert runner.invoke(app, ["calibrate"]).exit_code == 5
+    assert len(daemon.requests) == 1
+
+
+@pytest.mark.parametrize(
+    ("run", "words"),
+    [
+        (WAITING, "waiting  Put a lamp there."),
+        (MEASURING, "measuring  10 of 330 exposures of dark"),
+        (DONE, "done  330 of 330 exposures"),
+        (FAILED, "failed  too little light: light it"),
+    ],
+)
+async def test_the_event_in_words(run: dict[str, Any], words: str) -> None:
+    told = {"id": "a-1", "at": "2026-01-02T03:04:05Z", "kind": "calibration", "run": run}
+    event = EVENT.validate_json(json.dumps(told))
+    assert isinstance(event, CalibrationChanged)
+    assert event_in_words(event) == words

@@ -1,0 +1,122 @@
+"""Which camera is asked, and with whose token."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from veilcam_client.cli.main import app
+from veilcam_client.cli.profiles import environment, profiles_path
+
+if TYPE_CHECKING:
+    from tests.unit.client.conftest import Daemon
+
+runner = CliRunner()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Of the file of profiles."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    made = tmp_path / "veilcam"
+    made.mkdir()
+    return made
+
+
+@pytest.fixture
+def elsewhere(url: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A profile of the daemon, beside an environment that names another camera."""
+    (folder / "hall.token").write_text("vc_hall\n")
+    (folder / "config.toml").write_text(
+        f'[profiles.hall]\nurl = "{url}"\ntoken_file = "hall.token"\n'
+        f'[profiles.open]\nurl = "{url}"\n'
+    )
+    monkeypatch.setenv("VEILCAM_URL", "http://127.0.0.1:1")
+    monkeypatch.setenv("VEILCAM_TOKEN", "vc_elsewhere")
+    return folder
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize(
+    ("options", "variables"), [(["--profile", "hall"], {}), ([], {"VEILCAM_PROFILE": "hall"})]
+)
+def test_a_profile_counts_as_a_whole(
+    daemon: Daemon, options: list[str], variables: dict[str, str]
+) -> None:
+    before = dict(os.environ)
+    result = runner.invoke(app, [*options, "status"], env=variables)
+    assert result.exit_code == 0, result.output
+    assert os.environ == before
+    assert len(daemon.requests) == 1
+
+
+def test_each_camera_is_told_its_own_token(
+    elsewhere: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str | None] = []
+    monkeypatch.setattr(
+        "veilcam_client.cli.terminal.Camera.status",
+        lambda camera: told.append(camera._transport.options.credentials.token),
+    )
+    other = elsewhere / "other"
+    other.write_text("vc_other")
+    for options in (
+        ["--profile", "hall", "status"],
+        ["--profile", "open", "status"],
+        ["status", "--url", url],
+        ["--token-file", str(other), "status"],
+        ["--profile", "hall", "--token-file", str(other), "status"],
+    ):
+        runner.invoke(app, options)
+    assert told == ["vc_hall", None, "vc_elsewhere", "vc_other", "vc_other"]
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_the_token_of_a_profile_goes_to_no_other_camera() -> None:
+    result = runner.invoke(app, ["--profile", "hall", "status", "--url", "http://127.0.0.1:2"])
+    assert result.exit_code == 2
+    assert result.stderr == "veilcam: error: give --url or the profile 'hall', not both\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "cannot be read: No such file"),
+        ("[profiles", "cannot be read: "),
+        ("", "has no profile 'hall': it has none"),
+        ('[profiles.a]\nurl = "u"\n[profiles.b]\nurl = "u"', "it has a, b"),
+        ("[profiles.hall]", "profiles.hall.url: Field required"),
+        ('[profiles.hall]\nurl = "u"\ntoken = "vc_hidden"', "name that as token_file"),
+        ('[profiles.hall]\nurl = "u"\ntoken_file = "none"', "none cannot be read"),
+        ("colour = 1", "colour: Extra inputs"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named(folder: Path, text: str | None, message: str) -> None:
+    if text is not None:
+        (folder / "config.toml").write_text(text)
+    result = runner.invoke(app, ["--profile", "hall", "status"])
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert message in line
+    assert str(folder) in line
+    assert "hidden" not in line
+
+
+def test_the_file_is_where_users_keep_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setenv("HOME", "/home/me")
+    assert profiles_path() == Path("/home/me/.config/veilcam/config.toml")
+
+
+def test_the_environment_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VEILCAM_URL", "before")
+    monkeypatch.delenv("VEILCAM_TOKEN", raising=False)
+    with environment({"VEILCAM_URL": None, "VEILCAM_TOKEN": "within"}):
+        assert "VEILCAM_URL" not in os.environ
+        assert os.environ["VEILCAM_TOKEN"] == "within"
+    assert os.environ["VEILCAM_URL"] == "before"
+    assert "VEILCAM_TOKEN" not in os.environ

@@ -1,0 +1,244 @@
+"""Event streams over a mock transport, and over sockets that somebody closes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+from collections.abc import AsyncIterator, Iterator
+from itertools import islice
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import httpx
+import pytest
+
+from veilcam_client import (
+    AsyncCamera,
+    Camera,
+    ConnectError,
+    EventStream,
+    InvalidRequestError,
+    ProtocolError,
+    UnauthorizedError,
+)
+from veilcam_client.http.options import STREAM_SILENCE
+from veilcam_client.wire.base import CALL_HEADER
+
+if TYPE_CHECKING:
+    from tests.unit.client.conftest import Problem
+    from tests.unit.client.http.conftest import Both
+
+pytestmark = pytest.mark.anyio
+KINDS = pytest.mark.parametrize("kind", [Camera, AsyncCamera])
+
+
+def events(*texts: str) -> httpx.Response:
+    return httpx.Response(200, text="".join(texts), headers={"Content-Type": "text/event-stream"})
+
+
+def event(number: int, kind: str = "mask") -> str:
+    data = {"kind": kind, "id": f"b-{number}", "at": "2026-01-02T03:04:05Z", "epoch": f"e{number}"}
+    return f": heartbeat\n\nevent: {kind}\nid: b-{number}\ndata: {json.dumps(data)}\n\n"
+
+
+async def collect(
+    camera: Any, count: int, last_event_id: str | None = "b-0", reconnect: bool = True
+) -> list[str]:
+    """Epochs, or ``gap``, of the next events."""
+    heard = []
+    stream = camera.events(last_event_id=last_event_id, reconnect=reconnect)
+    if isinstance(stream, EventStream):
+        with stream:
+            heard += [getattr(each, "epoch", each.kind) for each in islice(stream, count)]
+        assert list(stream) == []
+    else:
+        async with stream:
+            while len(heard) < count:
+                each = await anext(stream)
+                heard.append(getattr(each, "epoch", each.kind))
+        assert [each async for each in stream] == []
+    return heard
+
+
+@KINDS
+async def test_a_broken_stream_goes_on_after_the_last_event(both: Both, kind: type) -> None:
+    both.daemon.first = [
+        events(event(1), event(2)),
+        httpx.ConnectError("restarting"),
+        events(event(3), event(4, "of_the_future"), event(5)),
+    ]
+    assert await both(kind, lambda camera: collect(camera, 4)) == ["e1", "e2", "e3", "e5"]
+    resumed = [request.headers["last-event-id"] for request in both.daemon.requests]
+    assert resumed == ["b-0", "b-2", "b-2"]
+
+
+@KINDS
+async def test_a_stream_that_never_was_is_an_error(both: Both, kind: type) -> None:
+    both.daemon.first = [httpx.ConnectError("gone")] * 9
+    with pytest.raises(ConnectError):
+        await both(kind, lambda camera: collect(camera, 1))
+    assert len(both.daemon.requests) == 3
+
+
+@KINDS
+async def test_pauses_of_a_stream_grow_and_stay_until_it_was_healthy(
+    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lasted = 0.0
+    clock = SimpleNamespace(monotonic=lambda: lasted + sum(both.waits))
+    monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
+    gone: list[httpx.Response | Exception] = [
+        *[httpx.ConnectError("gone")] * 40,
+        httpx.Response(502, text="Bad Gateway"),
+        httpx.ReadTimeout("slow"),
+    ]
+    # It is there again, and each stream ends with its first event.
+    flapping = [events(event(n)) for n in range(10)]
+    both.daemon.first = [events(event(1)), *gone, *flapping, events(event(2)), events(event(3))]
+
+    async def follow(camera: Any) -> None:
+        nonlocal lasted
+        stream = camera.events()
+        for heard in range(13):
+            await anext(stream) if isinstance(camera, AsyncCamera) else next(stream)
+            # Of the first and of the last but one: longer than any pause.
+            lasted += 60.0 if heard in (0, 11) else 0.0
+        closed = stream.close()
+        if closed is not None:
+            await closed
+
+    await both(kind, follow, max_retries=0)
+    *pauses, last = both.waits
+    assert len(pauses) == 1 + len(gone) + len(flapping)
+    grown = [min(30.0, 0.25 * 2**n) for n in range(len(pauses))]
+    assert all(most / 2 <= pause <= most for pause, most in zip(pauses, grown, strict=True))
+    assert last <= 0.25
+    # Once they have grown, less than six in a minute.
+    assert min(sum(pauses[n : n + 5]) for n in range(8, len(pauses) - 4)) > 60
+
+
+@KINDS
+async def test_silence_of_a_stream_is_not_health(
+    both: Both, kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Silent(httpx.SyncByteStream, httpx.AsyncByteStream):
+        def __iter__(self) -> Iterator[bytes]:
+            both.waits.append(STREAM_SILENCE)
+            raise httpx.ReadTimeout("silent")
+
+        async def __aiter__(self) -> AsyncIterator[bytes]:
+            for piece in self:
+                yield piece
+
+    clock = SimpleNamespace(monotonic=lambda: sum(both.waits))
+    monkeypatch.setattr("veilcam_client.http.resumption.time", clock)
+    both.daemon.first = [events(event(0)), events(event(1), event(2))]
+    both.daemon.first[1:1] = [httpx.Response(200, stream=Silent()) for _ in range(9)]
+    assert await both(kind, lambda camera: collect(camera, 3)) == ["e0", "e1", "e2"]
+    pauses = [pause for pause in both.waits if pause != STREAM_SILENCE]
+    assert pauses[-1] >= 15
+
+
+@KINDS
+async def test_a_stream_that_shall_not_come_back_says_what_broke_it(both: Both, kind: type) -> None:
+    both.daemon.first = [httpx.ConnectError("gone"), events(event(1))]
+    with pytest.raises(ConnectError, match="ended the stream"):
+        await both(kind, lambda camera: collect(camera, 2, reconnect=False))
+    assert len(both.daemon.requests) == 2
+
+
+@KINDS
+async def test_what_a_daemon_cannot_know_that_was_missed_is_a_gap(both: Both, kind: type) -> None:
+    both.daemon.first = [events(": veilcam events\n\n"), events(), events(event(1)), events()]
+    both.daemon.first.append(events(event(2)))
+    heard = await both(kind, lambda camera: collect(camera, 4, None))
+    assert heard == ["gap", "gap", "e1", "e2"]
+    resumed = [request.headers.get("last-event-id") for request in both.daemon.requests]
+    assert resumed == [None, None, None, "b-1", "b-1"]
+
+
+@KINDS
+async def test_a_token_that_ended_ends_the_stream(
+    both: Both, kind: type, make_problem: Problem
+) -> None:
+    both.daemon.first = [events(event(1)), make_problem(401, "unauthorized")]
+    with pytest.raises(UnauthorizedError):
+        await both(kind, lambda camera: collect(camera, 2))
+
+
+@KINDS
+async def test_a_refused_stream_is_the_error_of_its_problem(
+    both: Both, kind: type, make_problem: Problem
+) -> None:
+    both.daemon.first = [make_problem(422, "invalid_request")]
+    with pytest.raises(InvalidRequestError):
+        await both(kind, lambda camera: collect(camera, 1))
+
+
+@KINDS
+async def test_stream_of_another_call_is_a_protocol_error(both: Both, kind: type) -> None:
+    foreign = events(event(2))
+    foreign.headers[CALL_HEADER] = "0" * 32
+    both.daemon.first = [events(event(1)), foreign]
+    with pytest.raises(ProtocolError, match="answer to another request"):
+        await both(kind, lambda camera: collect(camera, 2))
+    one, two = (request.headers[CALL_HEADER] for request in both.daemon.requests)
+    assert one != two
+
+
+@KINDS
+async def test_an_unreadable_event_is_a_protocol_error(both: Both, kind: type) -> None:
+    both.daemon.first = [events("event: mask\ndata: {}\n\n")]
+    with pytest.raises(ProtocolError, match="update veilcam"):
+        await both(kind, lambda camera: collect(camera, 1))
+
+
+@pytest.fixture
+def quiet() -> Iterator[tuple[str, threading.Event]]:
+    """URL of a stream on which nothing happens, and whether somebody listens."""
+    listened = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def stream() -> None:
+            peer, _ = listener.accept()
+            with peer:
+                peer.recv(4096)
+                peer.sendall(
+                    b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n: hello\n\n"
+                )
+                listened.set()
+                peer.recv(4096)  # until the client hangs up
+
+        thread = threading.Thread(target=stream)
+        thread.start()
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}", listened
+        thread.join()
+
+
+def test_another_thread_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+    url, listened = quiet
+    with Camera(url) as camera, camera.events() as stream:
+        heard: list[object] = []
+        listener = threading.Thread(target=lambda: heard.extend(stream))
+        listener.start()
+        assert listened.wait(300)
+        stream.close()
+        listener.join(30)
+        assert not listener.is_alive()
+        assert heard == []
+
+
+async def test_another_task_may_close_a_stream(quiet: tuple[str, threading.Event]) -> None:
+    url, listened = quiet
+    async with AsyncCamera(url) as camera:
+        stream = camera.events()
+
+        async def listen() -> list[object]:
+            return [event async for event in stream]
+
+        task = asyncio.create_task(listen())
+        await asyncio.to_thread(listened.wait, 30)
+        await stream.close()
+        assert await task == []

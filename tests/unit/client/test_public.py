@@ -1,0 +1,143 @@
+"""What the SDK promises to the outside."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import veilcam_client
+from veilcam_client import AsyncCamera, AsyncEventStream, Camera, EventStream, VeilcamError
+from veilcam_client.cli.terminal import EXIT_CODES
+
+PACKAGE = Path(veilcam_client.__file__).parent
+
+
+SNAPSHOT = Path(__file__).with_name("public_api.txt")
+
+
+def public_api() -> str:
+    """Every public name, with the signatures of functions, and methods and fields of classes."""
+    lines = []
+    for name in veilcam_client.__all__:
+        thing = getattr(veilcam_client, name)
+        lines.append(f"{name}{signature(thing) if inspect.isfunction(thing) else ''}")
+        if inspect.isclass(thing):
+            lines += [f"    {member}" for member in members(thing)]
+    return "\n".join(lines) + "\n"
+
+
+def members(kind: type) -> list[str]:
+    """Fields, properties and methods of a class that are its own."""
+    fields = [f"{each}: {of}" for each, of in inspect.get_annotations(kind).items()]
+    own = {name: value for name, value in vars(kind).items() if name[0] != "_"}
+    methods = [
+        name + (signature(getattr(kind, name)) if inspect.isroutine(value) else "")
+        for name, value in own.items()
+        if inspect.isroutine(value) or isinstance(value, property)
+    ]
+    return sorted(each for each in (*fields, *methods) if each[0] != "_")
+
+
+def signature(function: Callable[..., object]) -> str:
+    return re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(function)))
+
+
+def test_the_public_api_is_that_of_the_snapshot() -> None:
+    # Changed on purpose? Then: python -m tests.unit.client.test_public
+    assert public_api() == SNAPSHOT.read_text()
+
+
+def surface(kind: type) -> dict[str, list[str]]:
+    return {
+        name: [
+            f"{each.name}:{each.kind}:{each.default}"
+            for each in inspect.signature(member).parameters.values()
+        ]
+        for name, member in inspect.getmembers(kind, inspect.isfunction)
+        if not name.startswith("_") or name == "__init__"
+    }
+
+
+@pytest.mark.parametrize("kinds", [(Camera, AsyncCamera), (EventStream, AsyncEventStream)])
+def test_sync_and_async_have_the_same_surface(kinds: tuple[type, type]) -> None:
+    sync, of_asyncio = kinds
+    assert surface(sync) == surface(of_asyncio)
+    assert properties(sync) == properties(of_asyncio)
+
+
+def properties(kind: type) -> set[str]:
+    return {name for name, _ in inspect.getmembers(kind, lambda each: isinstance(each, property))}
+
+
+@pytest.mark.parametrize("kind", [Camera, AsyncCamera])
+def test_every_method_that_asks_takes_a_timeout_and_has_its_raw_answer(kind: type) -> None:
+    asking = {
+        name
+        for name, parameters in surface(kind).items()
+        if any(each.startswith("timeout:") for each in parameters)
+    } - {"__init__", "lease"}
+    assert asking == set(surface(kind)) - {"__init__", "close", "events", "lease"}
+    raw = kind("http://camera.local").with_raw_response
+    assert {name for name in vars(type(raw)) if not name.startswith("_")} == asking
+
+
+def test_httpx_is_known_to_one_room() -> None:
+    importers = set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else []
+            )
+            if any(name.split(".")[0] in ("httpx", "httpcore") for name in names):
+                importers.add(path.parent.name)
+    assert importers == {"http"}
+
+
+def test_the_sdk_needs_no_torch_and_loads_no_cryptography_before_it_opens() -> None:
+    script = (
+        "import sys, veilcam_client, veilcam_client.cli.main\n"
+        "loaded = {name.split('.')[0] for name in sys.modules}\n"
+        "assert not loaded & {'torch', 'cryptography', 'fastapi', 'scipy', 'matplotlib',"
+        " 'veilcam_server', 'veilcam_optics', 'veilcam_training'}, loaded\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_a_label_is_read_without_numpy_which_comes_with_the_first_array() -> None:
+    script = (
+        "import sys; from veilcam_client import AsyncCamera, Camera, Embedding\n"
+        "from veilcam_client.wire.status import example_status\n"
+        "example_status()\n"
+        "assert 'numpy' not in sys.modules\n"
+        "Embedding(form='white', shape=(1,), values=(0.5,))\n"
+        "assert 'numpy' in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_every_concrete_error_has_an_exit_code_of_its_own() -> None:
+    def leaves(kind: type[VeilcamError]) -> set[type[VeilcamError]]:
+        below = kind.__subclasses__()
+        return set().union(*(leaves(each) for each in below)) if below else {kind}
+
+    assert leaves(VeilcamError) == {kind for kind, _ in EXIT_CODES}
+    assert len({code for _, code in EXIT_CODES}) == len(EXIT_CODES)
+
+
+def test_it_is_typed() -> None:
+    assert (PACKAGE / "py.typed").exists()
+
+
+if __name__ == "__main__":
+    SNAPSHOT.write_text(public_api())

@@ -1,0 +1,181 @@
+"""Recordings: what is written, and what is refused when it is read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.unit.client.recordings import VERDICT, Daemon, answer
+from tests.unit.client.sealing import NOTES, VALUES, Device, Epoch
+from typer.testing import CliRunner
+
+from veilcam_client import DeviceError, RecordingError, read_recording, record
+from veilcam_client.cli.main import app
+from veilcam_client.keys.blocks import Opener
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.recording import MAX_BYTES
+from veilcam_client.wire.captures import Prediction
+
+Line = dict[str, Any]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "recording.jsonl"
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_what_was_answered_is_what_is_read(path: Path, *, labels: bool) -> None:
+    counted: list[int] = []
+    size = record(
+        Daemon().camera(), path, count=3, labels=labels, advance=lambda: counted.append(1)
+    )
+    assert size == path.stat().st_size
+    assert len(counted) == 3
+    assert path.stat().st_mode & 0o777 == 0o600
+    recording = read_recording(path)
+    assert recording.header.status.device.sensor == "IMX477"
+    for number, recorded in enumerate(recording.captures):
+        expected = answer(number)
+        told = json.loads(recorded.capture.model_dump_json())
+        for name in ("id", "epoch", "number", "embedding"):
+            assert told[name] == expected[name]
+        values = np.asarray(expected["embedding"]["values"], np.float32).reshape(2, 3)
+        assert np.array_equal(np.asarray(recorded.capture), values)
+        verdict = recorded.verdict
+        assert (None if verdict is None else verdict.model_dump()) == (VERDICT if labels else None)
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_what_was_sealed_stays_sealed_unless_a_key_opens_it(
+    tmp_path: Path, *, labels: bool
+) -> None:
+    receiver, device = ReceiverKey.generate(), Device()
+    epochs = [Epoch(device, receiver) for _ in range(2)]
+    taken = [epoch.capture(0).model_dump(mode="json") for epoch in epochs]
+
+    def daemon() -> Daemon:
+        return Daemon(answers=lambda number: taken[number], release="sealed")
+
+    sealed, opened = tmp_path / "sealed", tmp_path / "opened"
+    record(daemon().camera(), sealed, count=2, labels=labels)
+    record(daemon().camera(key=receiver, device=device.public), opened, count=2, labels=labels)
+    closed, clear = read_recording(sealed), read_recording(opened)
+    assert (closed.header.status.release, clear.header.status.release) == ("sealed", "raw")
+    opener = Opener(receiver, device.public)
+    for one, other, came in zip(closed.captures, clear.captures, taken, strict=True):
+        assert json.loads(one.capture.embedding.model_dump_json()) == came["embedding"]
+        assert opener.open(one.capture) == other.capture
+        assert np.array_equal(np.asarray(other.capture), VALUES)
+        assert other.capture.notes == NOTES
+    sealed.write_bytes(sealed.read_bytes() + opened.read_bytes().split(b"\n")[1] + b"\n")
+    with pytest.raises(RecordingError, match="line 4: this is raw, and the others are sealed"):
+        read_recording(sealed)
+
+
+def test_a_label_is_kept_without_the_scores_that_did_not_come(path: Path) -> None:
+    daemon = Daemon()
+    daemon.verdict = {"label": "1"}
+    record(daemon.camera(), path, count=1, labels=True)
+    (recorded,) = read_recording(path).captures
+    assert recorded.verdict == Prediction(label="1")
+
+
+def test_what_was_written_before_a_failure_is_a_whole_recording(path: Path) -> None:
+    with pytest.raises(DeviceError):
+        record(Daemon(captures=2).camera(), path, count=3)
+    assert len(read_recording(path).captures) == 2
+
+
+def test_nothing_is_overwritten_and_no_replay_recorded(path: Path, tmp_path: Path) -> None:
+    path.write_text("mine")
+    with pytest.raises(RecordingError, match="exists: give another name"):
+        record(Daemon().camera(), path, count=1)
+    assert path.read_text() == "mine"
+    with pytest.raises(RecordingError, match=r"cannot be written \(No such file"):
+        record(Daemon().camera(), tmp_path / "no" / "such", count=1)
+    with pytest.raises(RecordingError, match="replays a recording: copy its file"):
+        record(Daemon(state="replay").camera(), tmp_path / "other", count=1)
+    assert not (tmp_path / "other").exists()
+
+
+def changed(**fields: Any) -> Callable[[list[Line]], None]:
+    """Of the second capture."""
+
+    def change(lines: list[Line]) -> None:
+        lines[2]["capture"].update(fields)
+
+    return change
+
+
+def strange_label(lines: list[Line]) -> None:
+    lines[2]["verdict"] = {**VERDICT, "label": "cat"}
+
+
+def other_version(lines: list[Line]) -> None:
+    lines[0]["version"] = 2
+
+
+def no_captures(lines: list[Line]) -> None:
+    del lines[1:]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (changed(epoch=7), "line 3: this is no capture"),
+        (changed(replay={"capture": "1", "place": 0}), "line 3: this was itself replayed"),
+        (
+            changed(embedding={"form": "white", "shape": [1, 1], "values": [1.0]}),
+            "line 3: this is of another camera",
+        ),
+        (
+            changed(embedding={**answer(1)["embedding"], "form": "raw"}),
+            "line 3: this is raw, and the others are white",
+        ),
+        (strange_label, "line 3: this label is not one of the camera's"),
+        (other_version, "is no recording of this version"),
+        (no_captures, "holds no captures"),
+    ],
+)
+def test_a_damaged_recording_is_refused(
+    path: Path, change: Callable[[list[Line]], None], message: str
+) -> None:
+    record(Daemon().camera(), path, count=3)
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    change(lines)
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(RecordingError, match=message):
+        read_recording(path)
+
+
+def test_a_file_that_is_cut_off_missing_or_too_large(path: Path, tmp_path: Path) -> None:
+    record(Daemon().camera(), path, count=3)
+    path.write_bytes(path.read_bytes()[:-10])
+    with pytest.raises(RecordingError, match="is cut off: remove its last line"):
+        read_recording(path)
+    with pytest.raises(RecordingError, match=r"missing cannot be read \(No such file"):
+        read_recording(tmp_path / "missing")
+    with path.open("wb") as stream:
+        stream.truncate(MAX_BYTES + 1)  # a hole, which takes no disk
+    with pytest.raises(RecordingError, match="is larger than 256 MiB"):
+        read_recording(path)
+
+
+def test_the_command(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = Daemon(captures=2)
+    monkeypatch.setattr("veilcam_client.cli.main.Camera", lambda *_, **__: daemon.camera())
+    options = ["record", "--count", "2", "--labels", "--out", str(path)]
+    result = CliRunner().invoke(app, options)
+    assert result.exit_code == 0, result.output
+    assert result.output == f"wrote 2 captures to {path}, 0.0 MB\n"
+    assert all(each.verdict for each in read_recording(path).captures)
+    result = CliRunner().invoke(app, options)
+    assert result.exit_code == 13
+    assert "exists: give another name" in result.output
+    result = CliRunner().invoke(app, [*options[:-1], str(path.with_name("other"))])
+    assert result.exit_code == 7

@@ -1,0 +1,200 @@
+"""The capture log over the API: every answer that leaves has its record, and no other."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from veilcam_client import AsyncCamera
+from veilcam_client.errors import ApiError
+from veilcam_client.keys.capture_log import (
+    answer_digest,
+    is_genuine,
+    line_digest,
+    line_of,
+    logged_mask,
+)
+from veilcam_client.keys.envelopes import open_key
+from veilcam_client.keys.receivers import ReceiverKey
+from veilcam_client.wire.captures import Capture, Classification, SealedEmbedding
+from veilcam_client.wire.events import CaptureTaken, Classified, Event
+from veilcam_client.wire.log import LoggedCapture
+from veilcam_server.security.admission import Admission
+from veilcam_server.security.tokens import TokenStore
+
+if TYPE_CHECKING:
+    import httpx
+    from tests.unit.server.conftest import Bench, Running
+
+pytestmark = pytest.mark.anyio
+
+
+def sdk(client: httpx.AsyncClient) -> AsyncCamera:
+    return AsyncCamera("http://localhost", http_client=client, max_retries=0)
+
+
+async def captures(camera: AsyncCamera) -> list[LoggedCapture]:
+    records = (await camera.log()).records
+    assert all(map(is_genuine, records))
+    return [each.entry for each in records if isinstance(each.entry, LoggedCapture)]
+
+
+@pytest.mark.parametrize("release", ["sealed", "raw"])
+async def test_every_answer_has_its_record(running: Running, bench: Bench, release: Any) -> None:
+    bench.release = release
+    bench.receivers.add("archive", ReceiverKey.generate().public)
+    async with running() as client:
+        camera = sdk(client)
+        answers: list[Capture | Classification] = [
+            await camera.capture(),
+            await camera.classify(include_embedding=True),
+            await camera.classify(),
+        ]
+        said = await captures(camera)
+    assert [each.answer for each in said] == [answer_digest(answer) for answer in answers]
+    for entry, answer in zip(said, answers, strict=True):
+        assert (entry.epoch, entry.number) == (answer.epoch, answer.number)
+        assert entry.taken_at == answer.taken_at
+        assert (entry.tested_s, entry.calibration) == (60, None)
+
+
+async def test_a_receiver_finds_the_mask_that_a_record_commits_to(
+    running: Running, bench: Bench
+) -> None:
+    bench.release, key = "sealed", ReceiverKey.generate()
+    bench.receivers.add("archive", key.public)
+    masks = [pair.levels for pair in bench.bundle.pairs]
+    shown: list[int | None] = []
+    async with running() as client:
+        camera = sdk(client)
+        for _ in range(4):
+            await camera.rotate()
+            answer = await camera.capture()
+            shown.append(bench.pair_shown())
+            assert isinstance(answer.embedding, SealedEmbedding)
+            epoch = open_key(answer.embedding.envelope, key, device=bench.key.public)
+            entry = (await captures(camera))[-1]
+            assert logged_mask(entry, epoch, masks) == shown[-1]
+            assert entry.mask not in {line_digest(levels.tobytes()) for levels in masks}
+    assert None not in shown
+
+
+async def test_what_failed_or_came_again_has_no_record_of_its_own(
+    running: Running, bench: Bench
+) -> None:
+    bench.release = "none"
+    async with running() as client:
+        camera = sdk(client)
+        with pytest.raises(ApiError):
+            await camera.capture()
+        for _ in range(2):
+            again = {"Idempotency-Key": "once"}
+            assert (await client.post("/v1/classifications", headers=again)).status_code == 200
+        assert len(await captures(camera)) == 1
+
+
+async def test_events_and_log_name_no_whole_id(bench: Bench) -> None:
+    """The rest of the id is what keeps a label from being guessed from its record."""
+    service = bench.service(bench.camera())
+    told: list[Event] = []
+    service._events.subscribe(told.append)
+    async with service.open():
+        answer = await service.classify(include_embedding=False)
+        log = service.capture_log.records(None, 9)
+    named = [each.capture for each in told if isinstance(each, CaptureTaken | Classified)]
+    assert named == 2 * [answer.id[:16]]
+    assert len(answer.id) == 48
+    for each in (*told, log):
+        assert answer.id[16:] not in each.model_dump_json()
+
+
+async def test_the_head_is_signed_and_pages_follow_from_each_other(
+    running: Running, bench: Bench
+) -> None:
+    async with running() as client:
+        camera = sdk(client)
+        for _ in range(3):
+            await camera.classify()
+        head = await camera.log_head()
+        first = await camera.log(limit=2)
+        assert first.next == 1
+        rest = await camera.log(after=first.next)
+    assert is_genuine(head)
+    assert head.device == bench.key.public
+    assert [each.position for each in (*first.records, *rest.records)] == [0, 1, 2, 3]
+    assert head.position == 3
+    assert head.record == line_digest(line_of(rest.records[-1]))
+
+
+@pytest.mark.parametrize(
+    "asked", ["limit=0", "limit=1001", "after=-1", "after=x", f"after={2**63}"]
+)
+async def test_what_cannot_be_asked_is_refused(running: Running, asked: str) -> None:
+    async with running() as client:
+        answer = await client.get(f"/v1/log?{asked}")
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
+
+
+async def test_the_log_wants_a_scope_of_its_own(running: Running, tmp_path: Path) -> None:
+    store = TokenStore(tmp_path)
+    made = {
+        scope: store.create("reader", (scope,), None).secret
+        for scope in ("read:log", "read:status")
+    }
+    async with running(admission=Admission(tokens=store)) as client:
+        for path in ("/v1/log", "/v1/log/head"):
+            for scope, status in (("read:log", 200), ("read:status", 403)):
+                token = {"Authorization": f"Bearer {made[scope]}"}
+                assert (await client.get(path, headers=token)).status_code == status
+
+
+async def test_a_full_disk_stops_no_answer(
+    running: Running, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    async with running() as client:
+        camera = sdk(client)
+        with monkeypatch.context() as full:
+            full.setattr(os, "pwrite", refuse)
+            await camera.classify()
+            assert (await camera.log_head()).missed == 1
+            assert await captures(camera) == []
+            faults = (await camera.diagnostics()).faults
+            assert [fault.code for fault in faults] == ["log_not_written"]
+            assert faults[0].remedy == "check_disk"
+        await camera.classify()
+        kinds = [each.entry.kind for each in (await camera.log()).records]
+        assert kinds == ["start", "gap", "capture"]
+
+
+async def test_what_cannot_be_flushed_is_no_head(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    async with running() as client:
+        monkeypatch.setattr(os, "fsync", refuse)
+        answer = await client.get("/v1/log/head")
+    assert (answer.status_code, answer.json()["code"]) == (503, "log_not_written")
+
+
+async def test_a_damaged_log_is_a_fault_and_the_daemon_goes_on(
+    running: Running, bench: Bench
+) -> None:
+    async with running() as client:
+        await sdk(client).classify()
+    [path] = (bench.state_dir / "capture-log").iterdir()
+    path.write_bytes(path.read_bytes()[:-10])
+    async with running() as client:
+        camera = sdk(client)
+        await camera.classify()
+        assert [fault.code for fault in (await camera.diagnostics()).faults] == ["log_damaged"]
+        said = [getattr(each.entry, "after", "") for each in (await camera.log()).records]
+    assert said == ["nothing", "", "damage", ""]

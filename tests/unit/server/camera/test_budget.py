@@ -1,0 +1,182 @@
+"""Budgets: what leaves behind a mask is counted before it leaves, over the mask's whole life."""
+
+from __future__ import annotations
+
+import errno
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.unit.server.damage import DAMAGES
+
+from veilcam_server.camera.budget import NAME, ReleaseBudget
+from veilcam_server.errors import ProblemError, ReleaseNotRecordedError
+from veilcam_server.masks.source import Mask
+
+MARKS = frozenset({"a1", "b2"})
+
+
+def stored(mark: str = "a1") -> Mask:
+    """A mask that comes again."""
+    return Mask(np.ones((2, 3), np.uint8), object(), mark)  # type: ignore[arg-type]
+
+
+def drawn() -> Mask:
+    """A mask that never comes again."""
+    return stored("")
+
+
+def record(directory: Path) -> dict[str, int]:
+    """What stands on the disk, without the checksum."""
+    counts: dict[str, int] = json.loads((directory / NAME).read_text().splitlines()[1])["counts"]
+    return counts
+
+
+@pytest.mark.parametrize("mask", [stored, drawn])
+def test_sealed_embeddings_leave_without_end_and_nothing_is_written(
+    tmp_path: Path, mask: Callable[[], Mask]
+) -> None:
+    budget, one = ReleaseBudget(tmp_path, 0), mask()
+    for _ in range(100):
+        assert not budget.is_spent(one, "sealed")
+        budget.spend(one, "sealed")
+    assert budget.spent(MARKS, "sealed") == frozenset()
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_white_embedding_leaves_behind_a_mask(tmp_path: Path) -> None:
+    budget, mask, other = ReleaseBudget(tmp_path, 5), drawn(), drawn()
+    assert not budget.is_spent(mask, "white")
+    budget.spend(mask, "white")
+    assert budget.is_spent(mask, "white")
+    assert not budget.is_spent(other, "white")
+    assert not list(tmp_path.iterdir())  # it never comes again
+
+
+@pytest.mark.parametrize("mask", [stored, drawn])
+@pytest.mark.parametrize("raw", [0, 1, 3])
+def test_as_many_raw_embeddings_leave_as_the_operator_says(
+    tmp_path: Path, mask: Callable[[], Mask], raw: int
+) -> None:
+    budget, one = ReleaseBudget(tmp_path, raw), mask()
+    left = 0
+    while not budget.is_spent(one, "raw"):
+        budget.spend(one, "raw")
+        left += 1
+    assert left == raw
+
+
+@pytest.mark.parametrize("mask", [stored, drawn])
+def test_nothing_may_leave_where_nothing_is_released(
+    tmp_path: Path, mask: Callable[[], Mask]
+) -> None:
+    assert ReleaseBudget(tmp_path, 5).is_spent(mask(), "none")
+
+
+def test_masks_are_counted_each_for_itself(tmp_path: Path) -> None:
+    budget = ReleaseBudget(tmp_path, 2)
+    for mark in ("a1", "b2", "a1"):
+        budget.spend(stored(mark), "raw")
+    assert record(tmp_path) == {"a1": 2, "b2": 1}
+    assert budget.spent(MARKS, "raw") == {"a1"}
+    assert budget.is_spent(stored("a1"), "raw")
+    assert not budget.is_spent(stored("b2"), "raw")
+    assert budget.spent(frozenset({"c3"}), "raw") == frozenset()
+
+
+def test_counts_outlive_the_daemon_and_another_number_is_held_against_them(tmp_path: Path) -> None:
+    budget = ReleaseBudget(tmp_path, 5)
+    for _ in range(2):
+        budget.spend(stored(), "raw")
+    assert ReleaseBudget(tmp_path, 3).spent(MARKS, "raw") == frozenset()
+    assert ReleaseBudget(tmp_path, 2).spent(MARKS, "raw") == {"a1"}
+    assert ReleaseBudget(tmp_path, 0).spent(MARKS, "raw") == MARKS
+
+
+@pytest.mark.slow
+def test_what_was_to_leave_when_the_daemon_was_killed_has_left(tmp_path: Path) -> None:
+    """Killed between the count and the answer: nobody knows what left, so it did."""
+    script = (
+        "import os, pathlib, sys\n"
+        "from veilcam_server.camera.budget import ReleaseBudget\n"
+        "from veilcam_server.masks.source import Mask\n"
+        "budget = ReleaseBudget(pathlib.Path(sys.argv[1]), 3)\n"
+        "for _ in range(2): budget.spend(Mask(None, None, 'a1'), 'raw')\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path)], check=False)
+    assert killed.returncode == -9
+    assert ReleaseBudget(tmp_path, 2).is_spent(stored(), "raw")
+    assert not ReleaseBudget(tmp_path, 3).is_spent(stored(), "raw")
+
+
+@pytest.mark.parametrize("half_way", [False, True])
+def test_what_cannot_be_recorded_does_not_leave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, half_way: bool
+) -> None:
+    budget = ReleaseBudget(tmp_path, 2)
+    budget.spend(stored(), "raw")
+    change = budget._file.change
+
+    def full(update: object) -> None:
+        if half_way:  # one copy has its new name, and then the disk fails
+            change(update)  # type: ignore[arg-type]
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(budget._file, "change", full)
+        with pytest.raises(ReleaseNotRecordedError, match=r"recorded \(No space left .*: check"):
+            budget.spend(stored(), "raw")
+    budget.spend(stored(), "raw")
+    # Never less than what left; what may have been written counts.
+    assert record(tmp_path) == {"a1": 3 if half_way else 2}
+    assert budget.is_spent(stored(), "raw")
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_record_is_put_right_from_its_copy(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    ReleaseBudget(tmp_path, 1).spend(stored(), "raw")
+    damage(tmp_path / NAME)
+    faults: list[ProblemError] = []
+    budget = ReleaseBudget(tmp_path, 1, faults.append)
+    assert [fault.code for fault in faults] == ["state_damaged"]
+    assert budget.spent(MARKS, "raw") == {"a1"}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_after_a_loss_every_stored_mask_is_spent_also_after_a_restart(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    ReleaseBudget(tmp_path, 1).spend(stored(), "raw")
+    for name in (NAME, f"{NAME}.copy"):
+        damage(tmp_path / name)
+    for _ in range(2):
+        faults: list[ProblemError] = []
+        budget = ReleaseBudget(tmp_path, 5, faults.append)
+        assert [fault.code for fault in faults] == ["state_lost"]
+        assert budget.spent(MARKS, "raw") == MARKS
+        assert budget.is_spent(stored("c3"), "raw")
+        # What needs no record goes on.
+        assert not budget.is_spent(stored(), "sealed")
+        assert budget.spent(MARKS, "sealed") == frozenset()
+        assert not budget.is_spent(drawn(), "raw")
+    for path in tmp_path.glob(f"{NAME}*"):  # as the fault says, and with what was left
+        path.rename(tmp_path / f"away-{path.name}")
+    assert not ReleaseBudget(tmp_path, 5).is_spent(stored(), "raw")
+
+
+def test_a_number_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="raw = -1 is not valid: use 0 or more"):
+        ReleaseBudget(tmp_path, -1)
+
+
+def test_nothing_but_marks_and_numbers_is_stored(tmp_path: Path) -> None:
+    ReleaseBudget(tmp_path, 1).spend(stored(), "raw")
+    line = (tmp_path / NAME).read_text().splitlines()[1]
+    assert json.loads(line) == {"counts": {"a1": 1}}

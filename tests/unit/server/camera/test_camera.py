@@ -1,0 +1,414 @@
+"""The engine: one mask per measurement, whatever fails."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from veilcam_client.keys.capture_log import calibration_digest
+from veilcam_client.wire import calibration
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds, RotationOff
+from veilcam_server.camera.capture import due_in
+from veilcam_server.devices import DisplayError, SensorError
+from veilcam_server.devices.errors import LightError
+from veilcam_server.errors import (
+    CalibratingError,
+    FenceError,
+    NotReadyError,
+    RotationImpossibleError,
+)
+from veilcam_server.masks.pairs import PairReader
+
+if TYPE_CHECKING:
+    from tests.unit.server.conftest import Bench
+
+
+def test_capture_carries_its_epoch_and_proof(bench: Bench) -> None:
+    camera = bench.camera(settle=0.01)
+    captured = camera.capture(release=False)
+    assert captured.epoch == bench.epochs[-1]
+    assert captured.exposure.started_after_shown_s >= captured.exposure.settle_s == 0.01
+    assert camera.present == (captured.epoch, 1)
+
+
+def test_a_capture_names_what_vouches_for_it(bench: Bench) -> None:
+    camera = bench.camera()
+    first, again = (camera.capture(release=False).provenance for _ in range(2))
+    assert first.mask == again.mask
+    assert 0 < first.tested < again.tested
+    assert first.calibration is None
+    [signed] = [each.signed for each in calibration.EXAMPLES if hasattr(each, "signed")]
+    assert signed is not None
+    with camera.exclusive():
+        camera.adopt(signed, 0.0, bench.source)
+    later = camera.capture(release=False).provenance
+    assert later.calibration == calibration_digest(signed)
+    assert later.mask != first.mask
+
+
+def test_mask_and_classifier_change_together(bench: Bench) -> None:
+    camera = bench.camera()
+    for _ in range(12):
+        camera.rotate()
+        index = bench.pair_shown()
+        assert index is not None
+        reader = camera.capture(release=False).reader
+        assert isinstance(reader, PairReader)
+        weight = reader.classifier.network.weights["0.weight"]
+        assert bool((weight == bench.bundle.pairs[index].weights["0.weight"]).all())
+
+
+def test_never_the_same_pair_twice_in_a_row_and_every_pair_in_time(bench: Bench) -> None:
+    camera = bench.camera()
+    order = [bench.pair_shown()]
+    for _ in range(60):
+        camera.rotate()
+        order.append(bench.pair_shown())
+    assert all(one != other for one, other in pairwise(order))
+    assert set(order) == {0, 1, 2}
+
+
+def test_the_order_of_masks_differs_from_run_to_run(bench: Bench) -> None:
+    camera = bench.camera()
+    orders = set()
+    for _ in range(4):
+        order = []
+        for _ in range(20):
+            camera.rotate()
+            order.append(bench.pair_shown())
+        orders.add(tuple(order))
+    assert len(orders) == 4
+
+
+def test_epoch_names_are_random_and_never_repeat(bench: Bench) -> None:
+    camera = bench.camera()
+    for _ in range(50):
+        camera.rotate()
+    assert len(set(bench.epochs)) == 51
+    assert all(len(name) == 32 for name in bench.epochs)
+
+
+def test_every_n_captures_never_serves_one_more(bench: Bench) -> None:
+    camera = bench.camera(policy=EveryCaptures(captures=3))
+    epochs = [camera.capture(release=False).epoch for _ in range(12)]
+    assert [epochs.count(name) for name in dict.fromkeys(epochs)] == [3, 3, 3, 3]
+
+
+@pytest.mark.parametrize(
+    ("policy", "shown_for", "captures", "expected"),
+    [
+        (RotationOff(), 1e9, 10**9, float("inf")),
+        (EverySeconds(seconds=2.0), 0.5, 99, 1.5),
+        (EverySeconds(seconds=2.0), 2.5, 0, 0.0),
+        (EverySeconds(seconds=2.0, jitter=1.0), 0.5, 0, 1.25),
+        (EveryCaptures(captures=2), 1e9, 1, float("inf")),
+        (EveryCaptures(captures=2), 0.0, 2, 0.0),
+    ],
+)
+def test_when_a_mask_is_due(
+    policy: RotationOff | EverySeconds | EveryCaptures,
+    shown_for: float,
+    captures: int,
+    expected: float,
+) -> None:
+    assert due_in(policy, shown_for=shown_for, captures=captures, chance=0.25) == expected
+
+
+def test_jitter_shortens_every_showing_by_its_own_time(bench: Bench) -> None:
+    camera = bench.camera(policy=EverySeconds(seconds=1000.0, jitter=600.0))
+    times = []
+    for _ in range(8):
+        times.append(camera.due_in())
+        camera.rotate()
+    assert all(390 < seconds <= 1000 for seconds in times)
+    assert max(times) - min(times) > 1
+    camera.policy = EverySeconds(seconds=1000.0)
+    assert camera.due_in() > 990
+
+
+def test_an_exposure_that_began_too_early_is_refused(bench: Bench) -> None:
+    camera = bench.camera(settle=0.01)
+    bench.sensor.early = 1e-4
+    with pytest.raises(FenceError, match="thrown away"):
+        camera.capture(release=False)
+    bench.sensor.early = 0.0
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
+
+
+def test_a_mask_that_changes_under_the_exposure_is_noticed(bench: Bench) -> None:
+    camera = bench.camera()
+
+    def swap() -> None:
+        # Nothing but a defect can do this: the lock is held. The fence looks all the same.
+        camera._rotate()
+
+    bench.sensor.before = swap
+    with pytest.raises(FenceError):
+        camera.capture(release=False)
+
+
+@pytest.mark.parametrize(
+    "measurement", [np.ones((5, 4), np.float32), np.full((4, 5), np.nan, np.float32)]
+)
+def test_a_measurement_that_cannot_be_is_refused(bench: Bench, measurement: np.ndarray) -> None:
+    camera = bench.camera()
+    bench.sensor.measurement = measurement
+    with pytest.raises(FenceError):
+        camera.capture(release=False)
+
+
+def test_rotation_waits_for_the_capture_under_way(bench: Bench) -> None:
+    camera = bench.camera()
+    inside, go_on = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        inside.set()
+        go_on.wait(100)
+
+    bench.sensor.before = hold
+    results: list[str] = []
+    capturing = threading.Thread(target=lambda: results.append(camera.capture(release=False).epoch))
+    capturing.start()
+    assert inside.wait(100)
+    rotating = threading.Thread(target=camera.rotate)
+    rotating.start()
+    before = len(bench.display.shown)
+    rotating.join(0.05)
+    assert rotating.is_alive()
+    assert len(bench.display.shown) == before
+    go_on.set()
+    capturing.join(100)
+    rotating.join(100)
+    assert results == [bench.epochs[0]]
+    assert camera.present == (bench.epochs[1], 0)
+
+
+def test_a_failed_write_puts_the_mask_before_back(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    epoch, index = camera.present[0], bench.pair_shown()
+    camera.capture(release=False)
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError, match="could not be changed"):
+        camera.rotate()
+    assert bench.pair_shown() == index
+    assert camera.state == ("ready", None, None)
+    assert camera.present == (epoch, 1)
+    assert camera.capture(release=False).epoch == epoch
+
+
+def test_the_mask_put_back_must_settle_again(bench: Bench, display_fault: DisplayError) -> None:
+    camera = bench.camera(settle=0.02)
+    camera.capture(release=False)
+    bench.display.faults = [display_fault]
+    begun = time.monotonic()
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    captured = camera.capture(release=False)
+    # Since it was put back, not since it was shown first.
+    assert 0.02 <= captured.exposure.started_after_shown_s <= time.monotonic() - begun
+
+
+def test_a_panel_that_fails_twice_is_made_opaque_and_captures_stop(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    bench.display.faults = [display_fault, display_fault]
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    assert not bench.display.shown[-1].any()
+    assert camera.state[0] == "safe"
+    assert camera.present == (None, 0)
+    with pytest.raises(NotReadyError, match="made opaque"):
+        camera.capture(release=False)
+    assert bench.sensor.captures == 0
+    camera.rotate()
+    assert camera.state == ("ready", None, None)
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
+
+
+def test_a_panel_that_cannot_even_be_made_opaque_is_safe_too(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera()
+    bench.display.faults = [display_fault] * 3
+    with pytest.raises(DisplayError):
+        camera.rotate()
+    state, detail, _ = camera.state
+    assert state == "safe"
+    assert detail is not None
+    assert "cannot be made opaque" in detail
+    assert bench.states[-1] == (state, detail)
+
+
+def test_an_unforeseen_error_of_a_driver_does_not_leave_a_half_written_mask(bench: Bench) -> None:
+    camera = bench.camera()
+    index = bench.pair_shown()
+    bench.display.faults = [ZeroDivisionError()]
+    with pytest.raises(ZeroDivisionError):
+        camera.rotate()
+    assert bench.pair_shown() == index
+
+
+@pytest.mark.parametrize("defects", [2, 3])
+def test_defects_of_a_driver_end_opaque_or_are_told(bench: Bench, defects: int) -> None:
+    camera = bench.camera()
+    bench.display.faults = [ZeroDivisionError()] * defects
+    with pytest.raises(ZeroDivisionError):
+        camera.rotate()
+    state, detail, _ = camera.state
+    assert state == "safe"
+    assert ("cannot be made opaque" in str(detail)) == (defects == 3)
+    assert camera.present == (None, 0)
+    camera.rotate()
+    assert camera.state == ("ready", None, None)
+
+
+def test_a_mask_that_is_due_but_fails_is_not_used_once_more(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    camera = bench.camera(policy=EveryCaptures(captures=1))
+    camera.capture(release=False)
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError):
+        camera.capture(release=False)
+    assert bench.sensor.captures == 1
+    assert camera.capture(release=False).epoch == bench.epochs[-1]
+
+
+def test_a_sensor_that_fails_leaves_the_mask_usable(bench: Bench) -> None:
+    camera = bench.camera()
+
+    def fail() -> None:
+        raise SensorError("no frame")
+
+    bench.sensor.before = fail
+    with pytest.raises(SensorError):
+        camera.capture(release=False)
+    bench.sensor.before = lambda: None
+    assert camera.capture(release=False).epoch == bench.epochs[0]
+
+
+def test_one_pair_cannot_rotate(lone_bench: Bench, display_fault: DisplayError) -> None:
+    camera = lone_bench.camera()
+    with pytest.raises(RotationImpossibleError, match="two or more"):
+        camera.rotate()
+    with pytest.raises(RotationImpossibleError):
+        camera.policy = EveryCaptures(captures=1)
+    assert camera.capture(release=False).epoch == lone_bench.epochs[0]
+
+
+def test_stopping_shows_opaque_and_ends_captures(bench: Bench) -> None:
+    camera = bench.camera()
+    camera.stop()
+    camera.stop()
+    assert not bench.display.shown[-1].any()
+    assert bench.display.closed
+    assert bench.sensor.closed
+    with pytest.raises(NotReadyError, match="stopping"):
+        camera.capture(release=False)
+    with pytest.raises(NotReadyError):
+        camera.rotate()
+
+
+def test_a_first_mask_that_fails_leaves_the_panel_opaque(
+    bench: Bench, display_fault: DisplayError
+) -> None:
+    bench.display.faults = [display_fault]
+    with pytest.raises(DisplayError):
+        bench.camera()
+    assert not bench.display.shown[-1].any()
+    assert bench.states[-1][0] == "safe"
+
+
+def test_who_has_the_device_has_it_alone(bench: Bench) -> None:
+    camera = bench.camera()
+    camera.capture(release=False)
+    tests = bench.test.runs
+    with camera.exclusive() as device:
+        assert camera.state[0] == "calibrating"
+        assert camera.present == (None, 0)
+        assert not bench.display.shown[-1].any()
+        for refused in (lambda: camera.capture(release=True), camera.rotate):
+            with pytest.raises(CalibratingError):
+                refused()
+        with pytest.raises(CalibratingError), camera.exclusive():
+            pass
+        assert np.array_equal(device.sensor.capture(0.0, 1.0).embedding, bench.sensor.measurement)
+    assert bench.states[-1] == ("ready", None)
+    assert bench.test.runs == tests + 1
+    assert camera.capture(release=False).epoch == bench.epochs[-1] != bench.epochs[0]
+
+
+def test_what_ends_early_gives_the_device_back(bench: Bench, display_fault: DisplayError) -> None:
+    camera = bench.camera()
+    bench.display.faults = [display_fault]  # it cannot be made opaque
+    with pytest.raises(DisplayError), camera.exclusive():
+        pytest.fail("nobody may have a panel that shows a mask")
+    assert camera.state[0] == "ready"
+    with pytest.raises(ZeroDivisionError), camera.exclusive():
+        raise ZeroDivisionError
+    assert camera.state[0] == "ready"
+
+
+def test_secrets_stay_out_of_representations(bench: Bench) -> None:
+    camera = bench.camera()
+    bench.sensor.measurement = np.full((4, 5), 0.123456, np.float32)
+    captured = camera.capture(release=False)
+    assert "0.123" not in repr(captured)
+    assert camera._panel.active is not None
+    assert "array" not in repr(camera._panel.active)
+    assert "tensor" not in repr(captured)
+
+
+def fails(error: Exception) -> Callable[[], None]:
+    def fail() -> None:
+        raise error
+
+    return fail
+
+
+def test_a_sensor_that_fails_twice_in_a_row_is_given_up_until_a_test_has_passed(
+    bench: Bench,
+) -> None:
+    camera = bench.camera()
+    for _ in range(3):
+        bench.sensor.before = fails(SensorError("no frame"))
+        with pytest.raises(SensorError):
+            camera.capture(release=False)
+        assert camera.state.state == "ready"
+        bench.sensor.before = lambda: None
+        camera.capture(release=False)  # forgets the one before
+    bench.sensor.before = fails(SensorError("no frame", remedy="run_doctor"))
+    for _ in range(2):
+        with pytest.raises(SensorError):
+            camera.capture(release=False)
+    assert bench.states[-1] == ("degraded", "no frame")
+    assert camera.state.remedy == "run_doctor"
+    assert not bench.display.shown[-1].any()
+    runs, captures = bench.test.runs, bench.sensor.captures
+    with pytest.raises(NotReadyError, match="no frame"):
+        camera.capture(release=False)
+    assert bench.sensor.captures == captures
+    bench.sensor.before = lambda: None
+    assert camera.test_due_in() == 0
+    camera.test_if_due()
+    assert bench.test.runs == runs + 1
+    camera.capture(release=False)
+    assert camera.state.state == "ready"
+
+
+def test_for_the_light_no_sensor_is_given_up(bench: Bench) -> None:
+    camera = bench.camera()
+    bench.sensor.before = fails(LightError("saturated"))
+    for _ in range(5):
+        with pytest.raises(LightError):
+            camera.capture(release=False)
+    assert camera.state[0] == "ready"

@@ -1,0 +1,262 @@
+"""Who comes in when there are many at the door, and what TLS may cost."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import gc
+import socket
+import ssl
+from asyncio.sslproto import SSLProtocol
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from tests.unit.server.gate.conftest import REQUEST, SLOW, Behind, Knock, Serving, heard, is_served
+from tests.unit.server.security.test_tls import write_pair
+
+from veilcam_server.gate import entrance
+from veilcam_server.gate.entrance import Entrance, WaitingRoom
+from veilcam_server.gate.protocol import Deadlines
+from veilcam_server.security.tls import server_context
+
+
+class Waiting:
+    """A waiting room, and the sockets in it by name."""
+
+    def __init__(self, capacity: int) -> None:
+        self.inside: Counter[str] = Counter()
+        self.room = WaitingRoom(capacity, lambda peer: self.inside[peer])
+        self.sockets: dict[str, socket.socket] = {}
+
+    def put(self, name: str) -> bool:
+        """Let one wait, of the peer that the first letter names."""
+        self.sockets[name] = socket.socket()
+        return self.room.put(name[0], self.sockets[name])
+
+    def take(self) -> str:
+        """Name of whose turn it is."""
+        peer, taken = self.room.take()
+        [name] = [name for name, one in self.sockets.items() if one is taken]
+        assert name[0] == peer
+        taken.close()
+        return name
+
+    def gone(self) -> list[str]:
+        """Who was sent away."""
+        return [name for name, one in self.sockets.items() if one.fileno() < 0]
+
+
+def test_peers_take_turns() -> None:
+    waiting = Waiting(10)
+    for name in ("a1", "a2", "a3", "a4", "b1", "c1", "c2"):
+        assert waiting.put(name)
+    assert [waiting.take() for _ in range(7)] == ["a1", "b1", "c1", "a2", "c2", "a3", "a4"]
+    assert len(waiting.room) == 0
+    assert not waiting.room.drop()
+
+
+def test_who_has_fewest_connections_comes_first() -> None:
+    waiting = Waiting(10)
+    waiting.inside.update(a=3, b=1, c=3)
+    for name in ("a1", "a2", "b1", "b2", "c1", "d1"):
+        waiting.put(name)
+    assert [waiting.take() for _ in range(3)] == ["d1", "b1", "b2"]
+    assert [waiting.take() for _ in range(3)] == ["a1", "c1", "a2"]
+
+
+def test_where_too_many_wait_the_peer_with_most_loses_its_oldest() -> None:
+    waiting = Waiting(3)
+    assert all(waiting.put(name) for name in ("b1", "a1", "a2"))
+    assert not waiting.put("a3")
+    assert not waiting.put("a4")
+    assert waiting.gone() == ["a1", "a2"]
+    assert [waiting.take() for _ in range(3)] == ["b1", "a3", "a4"]
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("said", [b"GET / HTTP/1.1\r\nX: ", b"POST / HTTP/1.1\r\nHost: a\r\nX: "])
+async def test_a_crowd_that_dribbles_shuts_nobody_out(
+    serving: Serving, knock: Knock, said: bytes
+) -> None:
+    async with serving(limit=8) as behind:
+        for _ in range(50):
+            knock(behind, said)
+        # From the address of the crowd, and from another one.
+        for source in ("127.0.0.1", "127.0.0.2"):
+            assert await is_served(knock(behind, REQUEST, source))
+        await behind.until(lambda: behind.connections.dropped["evicted"] >= 44)
+        assert len(behind.connections) <= 8
+
+
+@pytest.mark.anyio
+async def test_a_crowd_pushes_out_nobody_else(serving: Serving, knock: Knock) -> None:
+    async with serving(limit=8) as behind:
+        # Slow, but honest, and older than all others.
+        slow = knock(behind, REQUEST[:-2], "127.0.0.2")
+        await behind.until(lambda: behind.connections.of("127.0.0.2"))
+        idle = knock(behind, REQUEST, "127.0.0.3")
+        assert await is_served(idle)
+        for _ in range(50):
+            knock(behind, b"GET")
+        await behind.until(lambda: behind.connections.dropped["evicted"] >= 44)
+        for one, rest in ((slow, REQUEST[-2:]), (idle, REQUEST)):
+            one.sendall(rest)
+            assert await is_served(one)
+
+
+@pytest.mark.anyio
+async def test_where_all_is_work_a_new_one_is_refused(serving: Serving, knock: Knock) -> None:
+    async with serving(limit=2) as behind:
+        working = [knock(behind, SLOW) for _ in range(2)]
+        await behind.until(lambda: len(behind.asked) == 2)
+        assert await heard(knock(behind, REQUEST)) == b""
+        assert behind.connections.dropped["refused"] == 1
+        behind.go.set()
+        for one in working:
+            assert await is_served(one)
+        assert await is_served(knock(behind, REQUEST))
+
+
+@pytest.mark.anyio
+async def test_more_may_wait_than_come_in_at_once(
+    serving: Serving, knock: Knock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(entrance, "BATCH", 3)
+    async with serving(limit=64, waiting=1) as behind:
+        # All in the queue of the kernel before the first is accepted.
+        crowd = [knock(behind, REQUEST) for _ in range(7)]
+        answers = [await heard(one) for one in crowd]
+        served = sum(answer.startswith(b"HTTP/1.1 200") for answer in answers)
+        assert served + behind.connections.dropped["evicted"] == 7
+        assert behind.connections.dropped["evicted"] >= 3
+
+
+@pytest.fixture(scope="module")
+def tls(tmp_path_factory: pytest.TempPathFactory) -> ssl.SSLContext:
+    return server_context(*write_pair(Path(tmp_path_factory.mktemp("tls"))))
+
+
+def all_are_in(behind: Behind, crowd: int) -> bool:
+    """Whether none of a crowd is waiting any more."""
+    return len(behind.connections) + behind.connections.dropped.total() == crowd
+
+
+async def asks_over_tls(address: tuple[str, int]) -> bool:
+    """Whether a client of TLS is answered."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    reader, writer = await asyncio.open_connection(*address, ssl=context)
+    writer.write(REQUEST)
+    line = await reader.readline()
+    writer.transport.abort()
+    return line.startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("said", [b"", b"\x16\x03\x01\x02\x00", REQUEST])
+async def test_a_crowd_without_tls_shuts_nobody_out(
+    serving: Serving, knock: Knock, tls: ssl.SSLContext, said: bytes
+) -> None:
+    async with serving(limit=8, tls=tls) as behind:
+        for _ in range(30):
+            knock(behind, said)
+        await behind.until(lambda: all_are_in(behind, 30))
+        assert await asks_over_tls(behind.address)
+
+
+@pytest.mark.slow
+@pytest.mark.anyio
+async def test_who_was_sent_away_takes_no_memory(
+    serving: Serving, knock: Knock, tls: ssl.SSLContext
+) -> None:
+    """Not even until the garbage collector comes: it does not know how much 300 kB are."""
+    async with serving(limit=4, tls=tls) as behind:
+        gc.collect()
+        gc.disable()
+        try:
+            for _ in range(30):
+                knock(behind)
+            await behind.until(lambda: all_are_in(behind, 30))
+            assert await asks_over_tls(behind.address)
+            # Those of the limit, and the client's own; some may be about to go.
+            assert sum(type(each) is SSLProtocol for each in gc.get_objects()) <= 4 + 3
+        finally:
+            gc.enable()
+
+
+@pytest.mark.anyio
+async def test_a_handshake_that_takes_too_long(
+    serving: Serving, knock: Knock, tls: ssl.SSLContext, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with serving(tls=tls, deadlines=Deadlines(headers=0.2, body=600.0)) as behind:
+        assert await heard(knock(behind)) == b""
+        assert behind.connections.dropped["handshake"] == 1
+        assert not len(behind.connections)
+    assert not caplog.records
+
+
+class Broken(socket.socket):
+    """A listening socket whose first connections cannot be accepted."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.errors = [errno.EMFILE, errno.ENOMEM, errno.EMFILE]
+
+    def accept(self) -> tuple[socket.socket, object]:
+        if self.errors:
+            raise OSError(self.errors.pop(0), "broken")
+        return super().accept()
+
+
+@pytest.mark.anyio
+async def test_what_cannot_be_accepted_is_tried_again_after_a_pause(
+    serving: Serving,
+    knock: Knock,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pauses: list[float] = []
+    async with serving() as behind:
+        loop = asyncio.get_running_loop()
+        before = loop.call_later
+        monkeypatch.setattr(entrance, "PAUSE", 0.01)
+
+        def later(delay: float, *rest: object) -> asyncio.TimerHandle:
+            pauses.append(delay)
+            return before(delay, *rest)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(loop, "call_later", later)
+        with Broken() as listener:
+            listener.bind(("127.0.0.1", 0))
+            other = Entrance(
+                [listener],
+                behind.connections,
+                behind.server._protocol,
+                tls=None,
+                handshake=1.0,
+                waiting=8,
+            )
+            other.open()
+            behind.address = listener.getsockname()
+            assert await is_served(knock(behind, REQUEST))
+            other.close()
+        assert behind.connections.failures == 3
+        assert pauses.count(0.01) == 3
+    assert capsys.readouterr().out.count("connection not accepted") == 1
+
+
+@pytest.mark.anyio
+async def test_who_waits_when_it_closes_is_sent_away(serving: Serving, knock: Knock) -> None:
+    async with serving() as behind:
+        idle = knock(behind, REQUEST)
+        assert await is_served(idle)
+        working = knock(behind, SLOW)
+        await behind.until(lambda: len(behind.asked) == 2)
+        unfinished = knock(behind, b"GET")
+        await behind.until(lambda: len(behind.connections) == 3)
+        behind.server.should_exit = True
+        for one in (idle, unfinished):
+            assert await heard(one) == b""
+        behind.go.set()
+        assert await is_served(working)

@@ -1,0 +1,593 @@
+"""Tokens: made, listed, revoked, expired, and what a daemon makes of them meanwhile."""
+
+from __future__ import annotations
+
+import errno
+import json
+import stat
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.unit.server.damage import DAMAGES
+from typer.testing import CliRunner
+
+from veilcam_client.wire.tokens import SCOPES, NewToken, Scope, Tokens
+from veilcam_server.cli.main import app
+from veilcam_server.errors import (
+    ProblemError,
+    StartError,
+    TokenStoreError,
+    UnauthorizedError,
+    UnknownTokenError,
+)
+from veilcam_server.security.admission import Admission
+from veilcam_server.security.audit import DONE
+from veilcam_server.security.caller import Caller
+from veilcam_server.security.tokens import TokenStore
+
+if TYPE_CHECKING:
+    import httpx
+    from tests.unit.server.conftest import Running
+
+runner = CliRunner()
+DAY = 86_400.0
+
+
+class Clock:
+    """A wall clock that can be set, and a monotonic one that cannot."""
+
+    def __init__(self) -> None:
+        self.wall, self.elapsed = 1.8e9, 5.0
+
+    def sleep(self, seconds: float) -> None:
+        self.wall += seconds
+        self.elapsed += seconds
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def store(tmp_path: Path, clock: Clock) -> TokenStore:
+    return reopened(tmp_path, clock)
+
+
+def reopened(tmp_path: Path, clock: Clock) -> TokenStore:
+    """As after a restart, or in another process."""
+    return TokenStore(tmp_path / "state", lambda: clock.wall, lambda: clock.elapsed)
+
+
+def record(directory: Path) -> dict[str, Any]:
+    """What stands on the disk, without the checksum."""
+    found: dict[str, Any] = json.loads((directory / "tokens.json").read_text().splitlines()[1])
+    return found
+
+
+def full(update: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def make(store: TokenStore, *scopes: Scope, lifetime: float | None = None) -> NewToken:
+    return store.create("for a test", scopes or ("classify",), lifetime)
+
+
+def who(store: TokenStore, token: str) -> Caller:
+    return store.caller(f"Bearer {token}")
+
+
+def test_scopes_of_an_earlier_version_are_refused(tmp_path: Path) -> None:
+    store = TokenStore(tmp_path)
+    scopes: Any = ("admin:keyring", "read:status")
+    store.create("of another version", scopes, None)
+    with pytest.raises(StartError, match=r"with the scopes admin:keyring: move it away"):
+        TokenStore(tmp_path)
+
+
+def test_a_token_is_its_label_and_scopes(store: TokenStore) -> None:
+    made = make(store, "mask:rotate", "classify", "classify")
+    caller = who(store, made.secret)
+    assert (caller.id, caller.label) == (made.id, "for a test")
+    assert caller.scopes == {"classify", "mask:rotate"}
+    assert made.scopes == ("classify", "mask:rotate")
+    assert made.secret.startswith(f"vc_{made.id}_")
+    assert len(made.secret.rpartition("_")[2]) == 64  # 256 bits
+    assert made.secret not in repr(made)
+
+
+def test_secrets_are_neither_on_the_disk_nor_readable_by_others(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    made = make(store)
+    who(store, made.secret)
+    secret = made.secret.rpartition("_")[2]
+    for path in (tmp_path / "state").iterdir():
+        content = path.read_bytes()
+        assert secret.encode() not in content
+        assert bytes.fromhex(secret) not in content
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600, path
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda header: "",
+        lambda header: header.removeprefix("Bearer "),
+        lambda header: header.replace("Bearer", "Basic"),
+        lambda header: header.replace("Bearer ", "Bearer  "),
+        lambda header: header + " ",
+        lambda header: header[:-1],
+        lambda header: header[:-1] + ("0" if header[-1] != "0" else "1"),
+        lambda header: header.upper(),
+        lambda header: header.replace("vc_", "vc_ffffffffffff"),
+        lambda header: "Bearer vc_" + 12 * "0" + "_" + 64 * "0",
+        lambda header: header + "\n",
+        lambda header: "Bearer vc_" + 12 * "٣" + "_" + 64 * "٣",
+    ],
+)
+def test_what_is_not_quite_a_token_is_refused(store: TokenStore, spoil: Any) -> None:
+    header = f"Bearer {make(store).secret}"
+    store.caller(header)
+    with pytest.raises(UnauthorizedError):
+        store.caller(spoil(header))
+
+
+def test_a_revoked_token_is_refused_and_stays_on_the_list(store: TokenStore) -> None:
+    first, second = make(store), make(store)
+    revoked = store.revoke(first.id)
+    assert revoked.revoked_at is not None
+    assert store.revoke(first.id) == revoked
+    with pytest.raises(UnauthorizedError):
+        who(store, first.secret)
+    who(store, second.secret)
+    assert {token.id for token in store.tokens()} == {first.id, second.id}
+    with pytest.raises(UnknownTokenError):
+        store.revoke("0" * 12)
+
+
+def test_a_token_ends_and_a_clock_set_back_does_not_bring_it_back(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    made = make(store, lifetime=60.0)
+    clock.sleep(59)
+    who(store, made.secret)
+    clock.sleep(1)
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    clock.wall -= 1e6
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    lasting = make(store, lifetime=60.0)
+    assert lasting.expires_at is not None
+    who(store, lasting.secret)
+    # After a restart, a clock that starts in the past goes on from what was written last.
+    clock.wall = 0.0
+    again = reopened(tmp_path, clock)
+    with pytest.raises(UnauthorizedError):
+        who(again, made.secret)
+    who(again, lasting.secret)
+    clock.elapsed += 61
+    with pytest.raises(UnauthorizedError):
+        who(again, lasting.secret)
+
+
+def test_a_clock_set_forward_ends_tokens(store: TokenStore, clock: Clock) -> None:
+    ending, endless = make(store, lifetime=60.0), make(store)
+    clock.wall += 3600
+    with pytest.raises(UnauthorizedError):
+        who(store, ending.secret)
+    who(store, endless.secret)
+
+
+def test_what_another_process_changes_holds_from_the_next_request_on(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    other = TokenStore(tmp_path / "state")
+    made = make(other)
+    who(store, made.secret)
+    other.revoke(made.id)
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+
+
+def test_a_request_writes_nothing_but_once_a_day(store: TokenStore, clock: Clock) -> None:
+    made = make(store)
+    versions = [store._file.version]
+    for _ in range(3):
+        for _ in range(50):
+            who(store, made.secret)
+            if store._file.version != versions[-1]:
+                versions.append(store._file.version)
+        clock.sleep(DAY)
+    assert len(versions) == 4
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on == "2027-01-18"
+
+
+def test_a_disk_that_takes_nothing_refuses_no_request(
+    store: TokenStore, tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make(store)
+    before = (tmp_path / "state" / "tokens.json").read_bytes()
+    tried: list[object] = []
+
+    def fail(update: object) -> None:
+        tried.append(update)
+        full(update)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store._file, "change", fail)
+        for _ in range(3):
+            assert who(store, made.secret).id == made.id
+        assert len(tried) == 1
+        # What is not on the disk is not told.
+        assert store.tokens()[0].last_used_on is None
+        for change in (make, lambda store: store.revoke(made.id)):
+            with pytest.raises(TokenStoreError, match=r"written \(No space left .*: check the"):
+                change(store)
+    assert (tmp_path / "state" / "tokens.json").read_bytes() == before
+    clock.sleep(59.5)
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on is None
+    clock.sleep(0.5)
+    who(store, made.secret)
+    assert store.tokens()[0].last_used_on == "2027-01-15"
+
+
+def test_what_is_no_directory_is_a_reason_not_to_start(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StartError, match=r"file cannot be used .* --state-dir"):
+        TokenStore(tmp_path / "file")
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_damaged_tokens_are_put_right_while_the_daemon_runs_and_at_its_start(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    faults: list[ProblemError] = []
+    store = TokenStore(tmp_path, report=faults.append)
+    made = make(store)
+    who(store, made.secret)
+    damage(tmp_path / "tokens.json")
+    assert who(store, made.secret).id == made.id
+    assert [fault.code for fault in faults] == ["state_damaged"]
+    damage(tmp_path / "tokens.json.copy")
+    assert who(TokenStore(tmp_path, report=faults.append), made.secret).id == made.id
+    assert [fault.code for fault in faults] == ["state_damaged", "state_damaged"]
+
+
+@pytest.mark.parametrize("running", [True, False], ids=["while it runs", "at the start"])
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_where_the_tokens_are_lost_nobody_is_let_in(
+    tmp_path: Path, damage: Callable[[Path], None], running: bool
+) -> None:
+    faults: list[ProblemError] = []
+    store = TokenStore(tmp_path, report=faults.append)
+    made = make(store)
+    who(store, made.secret)
+    for name in ("tokens.json", "tokens.json.copy"):
+        damage(tmp_path / name)
+    if not running:
+        store = TokenStore(tmp_path, report=faults.append)
+    for _ in range(3):
+        with pytest.raises(UnauthorizedError):
+            who(store, made.secret)
+    (fault,) = faults
+    assert fault.code == "state_lost"
+    assert "nobody is let in until a token is made with 'veilcamd token create'" in str(fault)
+    other = make(TokenStore(tmp_path))
+    assert who(store, other.secret).id == other.id
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+    assert len(faults) == 1
+
+
+@pytest.mark.parametrize("scheme", ["Bearer", "bearer", "BEARER", "bEaReR"])
+def test_the_scheme_of_a_token_is_taken_in_any_case(store: TokenStore, scheme: str) -> None:
+    made = make(store)
+    assert store.caller(f"{scheme} {made.secret}").id == made.id
+    for wrong in (f"{scheme}{made.secret}", f"{scheme}s {made.secret}"):
+        with pytest.raises(UnauthorizedError):
+            store.caller(wrong)
+
+
+def test_tokens_that_cannot_be_read_let_nobody_in_until_they_can(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    made, path = make(store), tmp_path / "state" / "tokens.json"
+    kept = path.rename(tmp_path / "kept.json")
+    path.mkdir()
+    with pytest.raises(TokenStoreError, match=r"cannot be read: 'veilcamd doctor'"):
+        who(store, made.secret)
+    with pytest.raises(TokenStoreError, match=r"cannot be written \(Is a directory\)"):
+        make(store)
+    path.rmdir()
+    kept.rename(path)
+    assert who(store, made.secret).id == made.id
+
+
+def test_tokens_are_forgotten_90_days_after_they_ended(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    def held() -> set[str]:
+        return {row["id"] for row in record(tmp_path / "state")["tokens"]}
+
+    endless, revoked, ending = make(store), make(store), make(store, lifetime=3 * DAY)
+    store.revoke(revoked.id)
+    both = make(store, lifetime=500 * DAY)
+    clock.sleep(DAY)
+    store.revoke(both.id)
+    clock.sleep(89 * DAY - 1)
+    assert held() == {endless.id, revoked.id, ending.id, both.id}
+    last = make(store)
+    assert held() == {endless.id, revoked.id, ending.id, both.id, last.id}
+    clock.sleep(1)
+    store.revoke(last.id)
+    assert held() == {endless.id, ending.id, both.id, last.id}
+    with pytest.raises(UnknownTokenError):
+        store.revoke(revoked.id)
+    clock.sleep(3 * DAY)
+    # Asking forgets nothing: a clock that is wrong for a second must not cost a token.
+    who(store, endless.secret)
+    assert held() == {endless.id, ending.id, both.id, last.id}
+    with pytest.raises(UnknownTokenError):
+        store.revoke(ending.id)
+    make(store)
+    assert {endless.id, last.id} < held()
+    assert not {ending.id, both.id} & held()
+
+
+def test_a_state_directory_is_made_for_the_owner_alone(tmp_path: Path) -> None:
+    directory = tmp_path / "var" / "state"
+    store = TokenStore(directory)
+    assert stat.S_IMODE(directory.stat().st_mode) == 0o700
+    assert store.tokens() == ()
+
+
+def test_a_list_tells_all_but_the_secret(store: TokenStore, clock: Clock) -> None:
+    endless, ending = make(store, "metrics"), make(store, lifetime=60.0)
+    store.revoke(endless.id)
+    first, second = store.tokens()
+    made_at = datetime.fromtimestamp(clock.wall, UTC)
+    assert (first.id, first.label, first.scopes) == (endless.id, "for a test", ("metrics",))
+    assert (first.created_at, first.expires_at, first.revoked_at) == (made_at, None, made_at)
+    assert (second.id, second.scopes) == (ending.id, ("classify",))
+    assert (second.expires_at, second.revoked_at) == (made_at + timedelta(seconds=60), None)
+    assert first.last_used_on is second.last_used_on is None
+    assert endless.created_at == made_at
+    assert len(endless.id) == 12  # 48 bits: a name, not a secret
+
+
+def test_a_store_that_is_opened_knows_the_tokens_of_before(
+    store: TokenStore, tmp_path: Path
+) -> None:
+    made = make(store)
+    again = TokenStore(tmp_path / "state")
+    assert [token.id for token in again.tokens()] == [made.id]
+    assert who(again, made.secret).id == made.id
+
+
+def test_how_long_a_caller_may_still_come(store: TokenStore, clock: Clock) -> None:
+    caller = who(store, make(store, lifetime=60.0).secret)
+    assert caller.expires == clock.wall + 60.0
+    clock.sleep(45)
+    assert store.lifetime(caller) == 15.0
+    clock.sleep(14.5)
+    assert store.lifetime(caller) == 0.5
+    clock.sleep(1)
+    assert store.lifetime(caller) == 0.0
+    assert store.lifetime(who(store, make(store).secret)) is None
+
+
+def test_a_clock_that_stands_still_does_not_keep_a_token(store: TokenStore, clock: Clock) -> None:
+    made = make(store, lifetime=60.0)
+    for _ in range(6):
+        who(store, made.secret)
+        clock.elapsed += 10
+    with pytest.raises(UnauthorizedError):
+        who(store, made.secret)
+
+
+def test_a_revocation_tells_the_time_to_the_next_start(
+    store: TokenStore, clock: Clock, tmp_path: Path
+) -> None:
+    ending, other = make(store, lifetime=60.0), make(store)
+    clock.sleep(60)
+    store.revoke(other.id)
+    clock.wall = 0.0
+    again = reopened(tmp_path, clock)
+    with pytest.raises(UnauthorizedError):
+        who(again, ending.secret)
+
+
+def test_a_secret_opens_no_token_but_its_own(store: TokenStore) -> None:
+    first, second = make(store), make(store)
+    secret = second.secret.rpartition("_")[2]
+    with pytest.raises(UnauthorizedError):
+        who(store, f"vc_{first.id}_{secret}")
+
+
+def test_tokens_are_asked_and_made_on_any_thread(store: TokenStore) -> None:
+    with ThreadPoolExecutor(1) as other:
+        made = other.submit(make, store).result()
+        assert who(store, made.secret).id == made.id
+        assert other.submit(who, store, made.secret).result().id == made.id
+
+
+def test_what_is_made_is_flushed_to_the_disk(store: TokenStore, flushed: list[str]) -> None:
+    made = make(store)
+    assert flushed == ["tokens.json.new", "tokens.json.copy.new", "state"]
+    store.revoke(made.id)
+    assert len(flushed) == 6
+
+
+def test_two_stores_that_write_at_once_lose_nothing(store: TokenStore, tmp_path: Path) -> None:
+    other = TokenStore(tmp_path / "state")
+    with ThreadPoolExecutor(2) as threads:
+        made = list(threads.map(make, [store, other] * 8))
+    assert {token.id for token in store.tokens()} == {token.id for token in made}
+    assert store.tokens() == other.tokens()
+
+
+def test_a_change_that_breaks_off_leaves_nothing(
+    store: TokenStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make(store)
+    before = record(tmp_path / "state")
+    store._wall = lambda: 1.9e9
+    with monkeypatch.context() as patch:
+        patch.setattr(store._file, "_write_beside", full)
+        with pytest.raises(TokenStoreError, match="cannot be written"):
+            store.revoke(made.id)
+    # The clock was advanced in the same change, and so is not.
+    assert record(tmp_path / "state") == before
+    assert who(store, made.secret).id == made.id
+    store.revoke(made.id)
+    assert record(tmp_path / "state")["seen"] == 1.9e9
+
+
+# Over HTTP.
+
+
+def bearer(token: NewToken) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token.secret}"}
+
+
+@pytest.mark.anyio
+async def test_tokens_over_http(running: Running, store: TokenStore) -> None:
+    admin = make(store, "admin:tokens", "read:status")
+    async with running(admission=Admission(tokens=store)) as client:
+        client.headers.update(bearer(admin))
+        asked = {"label": "a lamp", "scopes": ["read:status"], "seconds": 60}
+        answer = await client.post("/v1/tokens", json=asked, headers={"Idempotency-Key": "k"})
+        again = await client.post("/v1/tokens", json=asked, headers={"Idempotency-Key": "k"})
+        assert answer.status_code == 201
+        made = NewToken.model_validate_json(answer.content)
+        assert again.content == answer.content
+        assert made.expires_at is not None
+        assert (await client.get("/v1/status", headers=bearer(made))).is_success
+
+        listed = await client.get("/v1/tokens")
+        tokens = Tokens.model_validate_json(listed.content).tokens
+        assert [token.id for token in tokens] == [admin.id, made.id]
+        assert made.secret not in listed.text
+
+        revoked = await client.delete(f"/v1/tokens/{made.id}")
+        assert revoked.is_success
+        assert (await client.get("/v1/status", headers=bearer(made))).status_code == 401
+        assert (await client.delete("/v1/tokens/000000000000")).json()["code"] == "unknown_token"
+        assert (await client.delete("/v1/tokens/x")).status_code == 422
+
+
+@pytest.mark.anyio
+async def test_nobody_makes_a_token_that_allows_more_or_lasts_longer(
+    running: Running, store: TokenStore
+) -> None:
+    admin = make(store, "admin:tokens", "read:status", lifetime=100.0)
+    async with running(admission=Admission(tokens=store)) as client:
+        client.headers.update(bearer(admin))
+
+        async def ask(seconds: int | None, *scopes: str) -> httpx.Response:
+            body = {"label": "more", "scopes": scopes, "seconds": seconds}
+            return await client.post("/v1/tokens", json=body)
+
+        refused = await ask(50, "read:status", "classify")
+        assert refused.status_code == 403
+        assert "the scope classify" in refused.json()["detail"]
+        for seconds in (None, 101):
+            assert (await ask(seconds, "read:status")).json()["code"] == "forbidden"
+        assert (await ask(50, "read:status", "admin:tokens")).status_code == 201
+        for scopes in ((), ("everything",)):
+            assert (await ask(50, *scopes)).status_code == 422
+        assert len(store.tokens()) == 2
+
+
+@pytest.mark.anyio
+async def test_where_no_tokens_are_wanted_none_are_made(running: Running) -> None:
+    async with running() as client:
+        for answer in (
+            await client.get("/v1/tokens"),
+            await client.post("/v1/tokens", json={"label": "x", "scopes": list(SCOPES)}),
+            await client.delete("/v1/tokens/000000000000"),
+        ):
+            assert answer.json()["code"] == "tokens_off"
+
+
+# From a terminal.
+
+
+def run(*arguments: str | Path) -> str:
+    result = runner.invoke(app, ["token", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_tokens_from_a_terminal(tmp_path: Path) -> None:
+    where = ("--state-dir", tmp_path / "state")
+    assert "no tokens" in run("list", *where)
+    secret = run(
+        "create", "--label", "lamp", "--scope", "classify", "--scope", "metrics", *where
+    ).strip()
+    run("create", "--label", "guest", "--scope", "read:status", "--days", "0.5", *where)
+    store = TokenStore(tmp_path / "state")
+    caller = who(store, secret)
+    assert caller.label == "lamp"
+    assert caller.scopes == {"classify", "metrics"}
+    listed = run("list", *where)
+    assert "lamp" in listed
+    assert "classify metrics" in listed
+    assert "never used" in listed
+    assert secret not in listed
+    assert len(Tokens.model_validate_json(run("list", "--json", *where)).tokens) == 2
+    assert run("revoke", caller.id, *where) == f"revoked {caller.id}\n"
+    with pytest.raises(UnauthorizedError):
+        who(store, secret)
+    assert "revoked " in run("list", *where)
+    audited = runner.invoke(app, ["audit", *map(str, where)]).stdout
+    assert audited.count("token create") == 2
+    assert audited.count("token revoke") == 1
+    assert secret not in audited
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["create", "--label", "x", "--scope", "everything"],
+            "--scope 'everything': there is no such scope: use read:status, ",
+        ),
+        (["create", "--label", "", "--scope", "classify"], "--label: "),
+        (["create", "--label", "x", "--scope", "classify", "--days", "0"], "--days: "),
+        (["revoke", "nothing"], "there is no token of this id"),
+    ],
+)
+def test_a_mistake_ends_with_one_line(tmp_path: Path, arguments: list[str], message: str) -> None:
+    result = runner.invoke(app, ["token", *arguments, "--state-dir", str(tmp_path)])
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_damage_is_told_in_the_terminal_beside_the_answer(tmp_path: Path) -> None:
+    where = ("--state-dir", str(tmp_path))
+    made = make(TokenStore(tmp_path))
+    (tmp_path / "tokens.json").write_bytes(b"")
+    result = runner.invoke(app, ["token", "list", "--json", *where])
+    assert [token.id for token in Tokens.model_validate_json(result.stdout).tokens] == [made.id]
+    assert result.stderr == (
+        "tokens.json is damaged: its other copy is used, and it was put right\n"
+    )
+
+
+def test_a_token_whose_audit_line_cannot_be_written_is_not_given(tmp_path: Path) -> None:
+    (tmp_path / DONE).mkdir()
+    options = ("--label", "x", "--scope", "classify", "--state-dir", str(tmp_path))
+    result = runner.invoke(app, ["token", "create", *options])
+    assert result.exit_code == 1
+    assert "audit.jsonl cannot be read (Is a directory): move it away" in result.stderr
+    assert "vc_" not in result.output

@@ -1,0 +1,391 @@
+"""What a daemon may be told, and the refusal of everything else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+from typer.testing import CliRunner
+
+from veilcam_client.wire.rotation import EveryCaptures, EverySeconds
+from veilcam_client.wire.watch import OnRequest, QuietHours, Watching, WatchOff, WatchPolicy
+from veilcam_server.cli.main import app
+from veilcam_server.cli.terminal import one_line
+from veilcam_server.demo_data import BUNDLE
+from veilcam_server.settings import Settings, default_state_dir, unknown_names
+
+runner = CliRunner()
+
+
+def refused(**given: Any) -> str:
+    with pytest.raises(ValidationError) as caught:
+        Settings(**{"bundle": Path("a.veilcam"), "device": "simulated", **given})
+    return one_line(caught.value)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::"])
+def test_other_machines_are_served_with_tls_and_tokens_only(host: str) -> None:
+    tls = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
+    for given in ({}, {"auth": "tokens"}, {"auth": "none", **tls}):
+        assert f"--host {host}: other machines are served with TLS" in refused(host=host, **given)
+    made = Settings.model_validate({"bundle": Path("a.veilcam"), "host": host, **tls})
+    assert made.serves_others
+    assert made.auth == "tokens"
+
+
+@pytest.mark.parametrize("host", ["camera.example", ""])
+def test_a_host_is_an_address(host: str) -> None:
+    assert "is no IP address" in refused(host=host)
+
+
+def test_further_names_are_hosts() -> None:
+    made = Settings(bundle=Path("a.veilcam"), hosts=("Camera.example", "door_2:8443", "[FE80::1]"))
+    assert made.hosts == ("camera.example", "door_2:8443", "[fe80::1]")
+    for wrong in (
+        "https://a.example",
+        "a.example/",
+        "",
+        "a b",
+        "*.example",
+        "a:",
+        ".example",
+        "a;",
+    ):
+        assert refused(hosts=("a.example", wrong)) == (
+            f"--hosts: {wrong!r} is no host name: use camera.example, or with :PORT"
+        )
+
+
+def test_pages_in_whose_frames_it_may_stand_are_origins() -> None:
+    origins = ("https://home.example", "http://home.example:8123")
+    assert Settings(bundle=Path("a"), frame_ancestors=origins).frame_ancestors == origins
+    # What stands in a header must not go on to another directive.
+    for wrong in ("home.example", "https://a.example/", "https://*", "'self'", "https://a; x", "*"):
+        assert refused(frame_ancestors=(wrong,)) == (
+            f"--frame-ancestors: {wrong!r} is no origin: use https://home.example, or with :PORT"
+        )
+
+
+def test_one_name_or_several_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for given, hosts in (("a.example", ("a.example",)), ('["a", "b:1"]', ("a", "b:1"))):
+        monkeypatch.setenv("VEILCAM_HOSTS", given)
+        assert Settings(bundle=Path("a.veilcam")).hosts == hosts
+
+
+def test_when_it_looks_is_a_rate_and_hours() -> None:
+    def policy(**given: str) -> WatchPolicy:
+        return Settings.model_validate({"bundle": Path("a.veilcam"), **given}).watch_policy
+
+    night = QuietHours(begin="22:00", end="07:00")
+    assert policy() == OnRequest()
+    assert policy(quiet_hours="22-7") == OnRequest(quiet=night)
+    assert policy(watch="2/s") == Watching(rate_hz=2.0)
+    assert policy(watch="30/min", quiet_hours="22-7") == Watching(rate_hz=0.5, quiet=night)
+    assert policy(watch="off") == WatchOff()
+    assert refused(watch="on") == (
+        "--watch: 'on' is no rate: use 2/s, 30/min or 6/h, from 1/h to 10/s"
+    )
+    assert "are no hours: use 22-7" in refused(quiet_hours="at night")
+    assert "leave out --quiet-hours" in refused(watch="off", quiet_hours="22-7")
+    made = Settings(bundle=Path("a.veilcam"), watch="2/s", quiet_hours="22-7").redacted()
+    assert (made["watch"], made["quiet_hours"]) == ("2/s", "22-7")
+
+
+def test_a_recording_has_names_too() -> None:
+    made = Settings.model_validate({"replay": Path("r.jsonl"), "hosts": ("a.example",)})
+    assert made.hosts == ("a.example",)
+
+
+def test_names_are_not_told() -> None:
+    made = Settings(bundle=Path("a.veilcam"), hosts=("a.example",), frame_ancestors=())
+    assert (made.redacted()["hosts"], made.redacted()["frame_ancestors"]) == ("given", None)
+
+
+def test_tokens_are_wanted_unless_the_camera_is_simulated() -> None:
+    assert Settings(bundle=Path("a.veilcam")).auth == "tokens"
+    assert Settings.model_validate({"device": "simulated"}).auth == "none"
+    assert Settings.model_validate({"device": "simulated", "auth": "tokens"}).auth == "tokens"
+    assert Settings(bundle=Path("a.veilcam"), auth="none").auth == "none"
+
+
+def test_certificate_and_key_go_together() -> None:
+    assert "give both" in refused(tls_certificate=Path("c.pem"))
+    assert "give both" in refused(tls_key=Path("k.pem"))
+    both = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
+    assert "needs no TLS" in refused(socket=Path("s"), **both)
+
+
+def test_tls_costs_memory_for_each_connection() -> None:
+    settings = Settings(bundle=Path("a.veilcam"))
+    tls = {"tls_certificate": Path("c.pem"), "tls_key": Path("k.pem")}
+    assert (settings.connections, settings.streams) == (512, 256)
+    settings = settings.model_copy(update=tls)
+    assert (settings.connections, settings.streams) == (128, 64)
+    assert settings.model_copy(update={"connection_limit": 500}).connections == 500
+
+
+def test_streams_leave_connections_for_what_else_is_asked() -> None:
+    assert "--stream-limit 512 leaves nothing of 512" in refused(stream_limit=512)
+    settings = Settings(bundle=Path("a.veilcam"), stream_limit=511)
+    assert settings.streams == 511
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2", "::1", "localhost"])
+def test_this_machine_is_served(host: str) -> None:
+    settings = Settings(bundle=Path("a.veilcam"), host=host)
+    assert settings.host in ("127.0.0.1", "127.0.0.2", "::1")
+
+
+def test_a_scene_needs_a_simulated_camera() -> None:
+    assert "add --simulate" in refused(device="pi", scenes=("scene.npy",))
+
+
+def test_the_wrong_classifier_is_refused_on_a_real_camera() -> None:
+    assert "it needs --simulate" in refused(device="pi", wrong_classifier=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("port", 70_000),
+        ("settle", -1.0),
+        ("settle", float("nan")),
+        ("exposure", 11.0),
+        ("capture_timeout", 0.0),
+        ("self_test_every", 0.0),
+        ("self_test_every", 3601.0),
+        ("self_test_every", float("inf")),
+        ("queue_limit", 0),
+        ("heartbeat", 0.0),
+        ("auth", "sometimes"),
+        ("rate_limit", 0.0),
+        ("rate_burst", 0),
+        ("concurrency_limit", 0),
+        ("stream_limit", 0),
+        ("caller_stream_limit", 0),
+        ("upload_limit", 0),
+        ("caller_upload_limit", 65),
+        ("connection_limit", 7),
+        ("header_timeout", 0.0),
+        ("body_timeout", float("inf")),
+        ("log_level", "loud"),
+        ("release", "everything"),
+        ("release", "flat"),
+        ("raw_budget", -1),
+        ("raw_budget", 10**9 + 1),
+        ("device", "virtual"),
+    ],
+)
+def test_values_out_of_range_are_named(name: str, value: object) -> None:
+    message = refused(**{name: value})
+    assert message.startswith(f"--{name.replace('_', '-')}: ")
+    assert "\n" not in message
+
+
+def test_a_real_camera_needs_a_bundle_and_a_simulated_one_has_the_demo_s() -> None:
+    with pytest.raises(ValidationError) as caught:
+        Settings.model_validate({})
+    assert one_line(caught.value).startswith("--bundle is missing")
+    assert Settings.model_validate({"device": "simulated"}).bundle == BUNDLE
+
+
+def test_the_environment_fills_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VEILCAM_BUNDLE", "b.veilcam")
+    monkeypatch.setenv("VEILCAM_ROTATION", '{"mode": "captures", "captures": 4}')
+    monkeypatch.setenv("VEILCAM_PORT", "9000")
+    settings = Settings.model_validate({"port": 9001})
+    assert settings.bundle == Path("b.veilcam")
+    assert settings.rotation == EveryCaptures(captures=4)
+    assert settings.port == 9001
+
+
+def test_state_goes_where_systemd_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/elsewhere")
+    assert default_state_dir() == Path("/elsewhere/veilcam")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/veilcam")
+    assert default_state_dir() == Path("/var/lib/veilcam")
+    monkeypatch.setenv("VEILCAM_STATE_DIRECTORY", "/srv/veilcam")
+    assert default_state_dir() == Settings(bundle=Path("a.veilcam")).state_dir
+    assert default_state_dir() == Path("/srv/veilcam")
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("VEILCAM_PROT", "did you mean VEILCAM_PORT?"),
+        ("VEILCAM_TLS_CERT", "did you mean VEILCAM_TLS_CERTIFICATE?"),
+        ("veilcam_paneltab", "did you mean VEILCAM_PANEL_TAB?"),
+        ("VEILCAM_XYZZY_PLUGH_FROTZ", "leave it out"),
+        ("VEILCAM_", "leave it out"),
+    ],
+)
+def test_a_name_that_is_nobody_s_is_refused(
+    monkeypatch: pytest.MonkeyPatch, name: str, remedy: str
+) -> None:
+    monkeypatch.setenv(name, "the value, which may be secret")
+    assert refused() == f"{name} in the environment is no setting: {remedy}"
+    result = runner.invoke(app, ["serve", "--simulate"])
+    assert result.exit_code == 1
+    assert result.stderr == f"veilcamd: error: {refused()}\n"
+
+
+def test_every_name_at_fault_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VEILCAM_PROT", "1")
+    monkeypatch.setenv("VEILCAM_HOTS", "::1")
+    assert refused().count("did you mean") == 2
+
+
+def test_no_name_that_is_used_anywhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    root = Path(__file__).resolve().parents[3]
+    files = [root / "Makefile", root / "README.md"]
+    for room in ("client", "server", "deploy", "docs", "examples", "benchmarks"):
+        files += (
+            path for path in (root / room).rglob("*") if path.suffix in (".py", ".md", ".env")
+        )
+    named = set(
+        re.findall(r"VEILCAM_[A-Z][A-Z_]*[A-Z]\b", "\n".join(path.read_text() for path in files))
+    )
+    assert {"VEILCAM_TOKEN", "VEILCAM_URL", "VEILCAM_PANEL_TAB", "VEILCAM_TEST_THREADS"} <= named
+    for name in (*named, "veilcam_port"):
+        monkeypatch.setenv(name, "a value")
+    assert unknown_names() == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--every-seconds", "0"], "--every-seconds: Input should be greater than or equal to 0.1"),
+        (["--every-captures", "0"], "--every-captures: Input should be greater than"),
+        (["--every-captures", "2", "--every-seconds", "2"], "not both"),
+        (["--jitter", "2"], "--jitter goes with --every-seconds"),
+        (["--every-captures", "2", "--jitter", "2"], "--jitter goes with --every-seconds"),
+        (["--every-seconds", "2", "--jitter", "2"], "leaves a mask less than 0.1 s"),
+        (["--reuse", "2"], "--reuse goes with --every-seconds or --every-captures"),
+        (["--every-captures", "2", "--reuse", "-1"], "--reuse: Input should be greater than"),
+        (["--release", "everything"], "--release: Input should be 'none'"),
+        (["--host", "0.0.0.0"], "other machines are served with TLS and tokens only"),
+        (["--port", "-1"], "--port: "),
+        (["--settle", "-1"], "--settle: "),
+    ],
+)
+def test_bad_options_end_with_one_line(options: list[str], message: str) -> None:
+    result = runner.invoke(app, ["serve", "--simulate", *options])
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert result.stderr.startswith("veilcamd: error: ")
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("panel_tab", "blue"),
+        ("spi_hz", 0),
+        ("gpio_chip", ""),
+        ("data_line", -1),
+        ("reset_line", 5000),
+        ("panel_read_back", "yes"),
+        ("camera_number", -1),
+        ("exposure_factor", 0.5),
+        ("exposure_factor", float("inf")),
+    ],
+)
+def test_wiring_that_cannot_be_is_named(name: str, value: object) -> None:
+    assert f"--{name.replace('_', '-')}" in refused(device="pi", **{name: value})
+
+
+CONTRADICTIONS: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
+    ({"exposure_factor": 600.0}, ("--exposure-factor 600", "--capture-timeout 5 s")),
+    ({"exposure": 6.0}, ("--exposure 6 s", "--capture-timeout 5 s")),
+    ({"exposure": 3.0}, ("--exposure 3 s", "--capture-timeout 5 s")),
+    ({"capture_timeout": 0.03}, ("--exposure 0.01 s", "--capture-timeout 0.03 s")),
+    ({"exposure": 0.0}, ("--exposure 0 s", "--exposure-factor 1")),
+    ({"exposure_factor": 200.0}, ("--exposure 0.01 s", "--exposure-factor 200")),
+    ({"self_test_every": 4.0, "settle": 0.5}, ("--settle 0.5 s", "--self-test-every 4 s")),
+    (
+        {"self_test_every": 4.0, "exposure": 0.5},
+        ("--exposure 0.5 s", "--self-test-every 4 s"),
+    ),
+    (
+        {"rotation": EverySeconds(seconds=1.0), "settle": 2.0},
+        ("--every-seconds 1", "--settle 2 s"),
+    ),
+    (
+        {"rotation": EverySeconds(seconds=9.0, jitter=8.0), "exposure": 1.0},
+        ("--every-seconds 9", "--jitter 8", "--exposure 1 s"),
+    ),
+    ({"watch": "10/s", "exposure": 0.2}, ("--watch 10/s", "--exposure 0.2 s")),
+    (
+        {"watch": "5/s", "rotation": EveryCaptures(captures=1), "settle": 0.3},
+        ("--watch 5/s", "--settle 0.3 s"),
+    ),
+    ({"watch": "off", "quiet_hours": "22-7"}, ("--watch off", "--quiet-hours")),
+    ({"quiet_hours": "7-7"}, ("--quiet-hours", "no time at all")),
+    ({"data_line": 24}, ("--data-line", "--reset-line")),
+    ({"data_line": 10}, ("--data-line 10", "--spi /dev/spidev0.0")),
+    ({"reset_line": 8}, ("--reset-line 8", "--spi /dev/spidev0.0")),
+    ({"reset_line": 17, "spi": Path("/dev/spidev1.1")}, ("--reset-line 17", "/dev/spidev1.1")),
+    ({"snr_db": 30.0}, ("--snr-db", "--simulate")),
+    ({"tls_certificate": Path("c.pem")}, ("--tls-certificate", "--tls-key")),
+    ({"tls_key": Path("k.pem")}, ("--tls-certificate", "--tls-key")),
+    (
+        {"tls_certificate": Path("c"), "tls_key": Path("k"), "socket": Path("s")},
+        ("unix socket", "--tls-certificate"),
+    ),
+    ({"owner_keys": Path("k"), "allow_older": True}, ("--owner-keys", "--allow-older")),
+    ({"stream_limit": 40, "connection_limit": 40}, ("--stream-limit 40", "--connection-limit")),
+    (
+        {"caller_stream_limit": 9, "stream_limit": 8},
+        ("--caller-stream-limit 9", "--stream-limit 8"),
+    ),
+    (
+        {"caller_stream_limit": 65},
+        ("--caller-stream-limit 65", "--concurrency-limit 64"),
+    ),
+    ({"caller_upload_limit": 5}, ("--caller-upload-limit 5", "--upload-limit 4")),
+    (
+        {"caller_upload_limit": 3, "concurrency_limit": 2},
+        ("--caller-upload-limit 3", "--concurrency-limit 2"),
+    ),
+    ({"concurrency_limit": 600}, ("--concurrency-limit 600", "--connection-limit 512")),
+    (
+        {"upload_limit": 9, "connection_limit": 8},
+        ("--upload-limit 9", "--connection-limit 8"),
+    ),
+    ({"queue_limit": 513}, ("--queue-limit 513", "--connection-limit 512")),
+)
+
+
+@pytest.mark.parametrize(("given", "names"), CONTRADICTIONS)
+def test_settings_that_contradict_each_other_are_refused_by_their_names(
+    given: dict[str, Any], names: tuple[str, ...]
+) -> None:
+    message = refused(device="pi", **given)
+    assert all(name in message for name in names), message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"exposure": 2.4},
+        {"exposure_factor": 160.0, "capture_timeout": 4.0},
+        {"exposure": 0.0, "settle": 0.0, "device": "simulated"},
+        {"self_test_every": 4.0, "settle": 0.4},
+        {"rotation": EverySeconds(seconds=2.2, jitter=0.1), "settle": 2.0},
+        {"watch": "10/s"},
+        {"watch": "10/s", "rotation": EveryCaptures(captures=1), "settle": 0.08},
+        {"data_line": 7},
+        {"data_line": 10, "spi": Path("/dev/spidev1.0")},
+        {"data_line": 10, "gpio_chip": "mine"},
+        # Defaults give way.
+        {"connection_limit": 8},
+        {"concurrency_limit": 1, "upload_limit": 1, "stream_limit": 1},
+        {"caller_stream_limit": 8, "stream_limit": 8},
+    ],
+)
+def test_settings_that_only_just_fit_are_taken(given: dict[str, Any]) -> None:
+    assert Settings(**{"bundle": Path("a.veilcam"), "device": "pi", **given})

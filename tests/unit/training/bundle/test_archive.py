@@ -1,0 +1,601 @@
+"""A bundle comes back as it was written, and a bad one is refused whole, with the reason."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import math
+import os
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+import safetensors.torch
+import torch
+from tests.unit.training.bundle.conftest import edit_manifest, pack, refuse, replace_part, unpack
+
+from veilcam_optics.camera.geometry import Camera, Embedding, Panel, Scene
+from veilcam_training.bundle import (
+    Accuracy,
+    Bundle,
+    BundleError,
+    Pair,
+    TransferError,
+    archive,
+    read_bundle,
+    write_bundle,
+)
+from veilcam_training.bundle.classifier import count_operations
+from veilcam_training.bundle.layers import (
+    GELU,
+    BatchNorm,
+    Conv2d,
+    Flatten,
+    LayerRecord,
+    Linear,
+    ReLU,
+    Reshape,
+    Residual,
+    Resize,
+)
+from veilcam_training.models.network import build_classifier, build_untrained, weights_of
+
+
+def make_pair(seed: int) -> Pair:
+    generator = torch.Generator().manual_seed(seed)
+    layers: tuple[LayerRecord, ...] = (
+        BatchNorm(features=12),
+        ReLU(),
+        Linear(inputs=12, outputs=10),
+    )
+    weights = {
+        name: torch.rand(array.shape, generator=generator).numpy() if array.ndim else array
+        for name, array in weights_of(build_untrained(layers)).items()
+    }
+    levels = torch.randint(0, 64, Camera().mask_shape, generator=generator, dtype=torch.uint8)
+    error = TransferError(1e-3 * seed, 5e-4 * seed, 2e-3 * seed, 0.9)
+    return Pair(levels=levels.numpy(), layers=layers, weights=weights, transfer_error=error)
+
+
+def make_bundle() -> Bundle:
+    return Bundle(
+        task="mnist",
+        labels=tuple("0123456789"),
+        camera=Camera(panel=Panel(filter_leakage=0.05)),
+        scene=Scene(),
+        embedding=Embedding(3, 4),
+        mode="pairs",
+        pairs=(make_pair(1), make_pair(2)),
+        provenance={"seed": 1, "recipe": {"epochs": 2, "rates": [0.1, None]}},
+        accuracy=Accuracy(0.9, "MNIST", 10_000),
+    )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    result = tmp_path / "a.veilcam"
+    write_bundle(result, make_bundle())
+    return result
+
+
+def test_it_comes_back_as_it_was_written(path: Path) -> None:
+    written, read = make_bundle(), read_bundle(path)
+    assert read.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert dataclasses.replace(read, pairs=(), digest="", subject="") == dataclasses.replace(
+        written, pairs=()
+    )
+    for before, after in zip(written.pairs, read.pairs, strict=True):
+        np.testing.assert_array_equal(before.levels, after.levels)
+        assert before.layers == after.layers
+        assert before.transfer_error == after.transfer_error
+        assert before.weights.keys() == after.weights.keys()
+        for name, array in before.weights.items():
+            np.testing.assert_array_equal(array, after.weights[name], strict=True)
+
+
+def test_the_same_bundle_gives_the_same_bytes_readable_by_the_owner_alone(path: Path) -> None:
+    first = path.read_bytes()
+    write_bundle(path, make_bundle())
+    assert path.read_bytes() == first
+    assert path.stat().st_mode & 0o077 == 0
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_the_error_of_a_bundle_is_its_worst_pair_s() -> None:
+    bundle = make_bundle()
+    assert bundle.transfer_error == bundle.pairs[1].transfer_error
+    assert str(bundle.transfer_error) == "0.002 (0.001 to 0.004 with a confidence of 90 %)"
+    unknown = dataclasses.replace(bundle.pairs[0], transfer_error=None)
+    mixed = dataclasses.replace(bundle, pairs=(unknown, bundle.pairs[1]))
+    assert mixed.transfer_error is None
+
+
+def test_a_bundle_whose_errors_are_unknown_is_as_it_was_before_they_were_measured(
+    path: Path,
+) -> None:
+    bundle = make_bundle()
+    pairs = tuple(dataclasses.replace(pair, transfer_error=None) for pair in bundle.pairs)
+    write_bundle(path, dataclasses.replace(bundle, pairs=pairs))
+    assert [set(pair) for pair in json.loads(unpack(path)["bundle.json"])["pairs"]] == [
+        {"layers"},
+        {"layers"},
+    ]
+    assert [pair.transfer_error for pair in read_bundle(path).pairs] == [None, None]
+
+
+def test_an_endless_error_is_none() -> None:
+    with pytest.raises(BundleError, match="transfer_error"):
+        TransferError(0.1, 0.05, math.inf, 0.9)
+
+
+def test_classifier_is_the_module_that_was_trained() -> None:
+    torch.manual_seed(0)
+    pair = make_pair(3)
+    module = build_untrained(pair.layers)
+    module.load_state_dict({n: torch.from_numpy(a.copy()) for n, a in pair.weights.items()})
+    x = torch.rand(5, 12)
+    built = build_classifier(pair.layers, pair.weights)
+    assert not built.training
+    torch.testing.assert_close(built(x), module.eval()(x), rtol=0, atol=0)
+    pair.weights["2.bias"][...] += 1  # the classifier holds a copy
+    torch.testing.assert_close(built(x), module(x), rtol=0, atol=0)
+
+
+def test_secrets_are_not_in_the_repr(path: Path) -> None:
+    shown = repr(read_bundle(path))
+    assert "array" not in shown
+    assert "tensor" not in shown
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    refuse(tmp_path / "none.veilcam", "no such file: check the path")
+    refuse(tmp_path, "cannot be read")
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.01, 0.5, 0.9, 0.999])
+def test_truncated(path: Path, kept: float) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data))])
+    refuse(path, "not a whole bundle")
+
+
+def test_every_flipped_byte_is_noticed_or_harmless(path: Path) -> None:
+    data, reference = path.read_bytes(), read_bundle(path)
+    for place in range(0, len(data), 97):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
+        try:
+            bundle = read_bundle(path)
+        except BundleError:
+            continue
+        # A byte of the archive's own bookkeeping (a time, say): the content is untouched.
+        assert bundle.digest != reference.digest
+        for before, after in zip(reference.pairs, bundle.pairs, strict=True):
+            np.testing.assert_array_equal(before.levels, after.levels)
+
+
+@pytest.mark.parametrize("name", ["masks.safetensors", "weights.safetensors"])
+def test_tampered_part(path: Path, name: str) -> None:
+    parts = unpack(path)
+    pack(path, {**parts, name: parts[name][:-1] + bytes([parts[name][-1] ^ 1])})
+    refuse(path, f"{name} is not what bundle.json says")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_numbers(path: Path, value: float) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    tensors["pair.1.2.weight"][3, 4] = value
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, r"pair 1: weight '2.weight' holds NaN or infinity")
+
+
+def test_negative_variance(path: Path) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    tensors["pair.0.0.running_var"][0] = -1
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, "negative variance")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t: t.pop("pair.0.2.bias"), "pair 0: weights lack '2.bias'"),
+        (lambda t: t.update({"pair.0.9.bias": torch.ones(1)}), "unknown '9.bias'"),
+        (lambda t: t.update({"pair.7.2.bias": torch.ones(1)}), "there are 2 pairs"),
+        (lambda t: t.update({"../evil": torch.ones(1)}), "unknown '../evil'"),
+        (lambda t: t.update({"pair.0.2.bias": torch.ones(9)}), r"use float32 \(10,\)"),
+        (lambda t: t.update({"pair.0.2.bias": torch.ones(10).double()}), "use float32"),
+    ],
+)
+def test_weights_that_do_not_fit(
+    path: Path, change: Callable[[dict[str, torch.Tensor]], None], reason: str
+) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    change(tensors)
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    ("mask", "reason"),
+    [
+        (np.full((51, 22), 64, dtype=np.uint8), "exceeds what the panel can show"),
+        (np.zeros((22, 51), dtype=np.uint8), "use uint8"),
+        (np.zeros((51, 22), dtype=np.float32), "use uint8"),
+    ],
+)
+def test_masks_that_do_not_fit(path: Path, mask: Any, reason: str) -> None:
+    masks = safetensors.numpy.load(unpack(path)["masks.safetensors"])
+    masks["pair.1.levels"] = mask
+    replace_part(path, "masks.safetensors", safetensors.numpy.save(masks))
+    refuse(path, f"pair 1: mask.*{reason}")
+
+
+def test_a_mask_too_few(path: Path) -> None:
+    masks = safetensors.numpy.load(unpack(path)["masks.safetensors"])
+    del masks["pair.1.levels"]
+    replace_part(path, "masks.safetensors", safetensors.numpy.save(masks))
+    refuse(path, "one mask for each of 2 pairs")
+
+
+def test_a_part_that_is_no_safetensors(path: Path) -> None:
+    replace_part(path, "weights.safetensors", b"pickle")
+    refuse(path, "not a safetensors file")
+
+
+@pytest.mark.parametrize(
+    ("edit", "reason"),
+    [
+        (lambda m: m.update(version=2), "version 2 is unknown: this Veilcam reads version 1"),
+        (lambda m: m.update(version=True), "version True is unknown"),
+        (lambda m: m.update(format="other"), "is this a Veilcam bundle"),
+        (lambda m: m.update(surprise=1), "surprise"),
+        (lambda m: m["camera"]["panel"].update(colour="red"), "camera.panel.colour: Unexpected"),
+        (lambda m: m["camera"].update(distance=-1.0), "camera.distance"),
+        (lambda m: m["camera"].update(distance="4 mm"), "camera.distance"),
+        (lambda m: m["embedding"].update(rows=0), "embedding.rows"),
+        (lambda m: m["embedding"].update(rows=4), "layer 0 .batch_norm. gets shape .16,."),
+        (lambda m: m.update(mode="fresh"), "mode"),
+        (lambda m: m.update(labels=["a", "b"]), r"shape \(10,\) .* for 2 labels"),
+        (lambda m: m.update(labels=["a", "a"]), "different names"),
+        (lambda m: m.update(pairs=[]), "0 pairs|one mask for each of 0"),
+        (lambda m: m["parts"].pop("masks.safetensors"), "lacks the digest"),
+        (lambda m: m["accuracy"].update(value=93.0), "accuracy.value"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(low=2.0), "transfer_error"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(high=1e-4), "transfer_error"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(confidence=90.0), "transfer_error"),
+        (lambda m: m["pairs"][0]["transfer_error"].update(mask=[1]), "transfer_error"),
+        (lambda m: m["pairs"][0]["layers"][1].update(kind="pickle"), "pickle"),
+        (lambda m: m["pairs"][0]["layers"][2].update(outputs=10**9), "outputs"),
+        (lambda m: m["pairs"][0]["layers"][2].update(outputs=11), "11,"),
+        (lambda m: m["pairs"][0]["layers"][2].update(hook="os.system"), "hook"),
+        (lambda m: m["pairs"][0].update(layers=[]), "0 layers"),
+    ],
+)
+def test_manifests_that_are_refused(
+    path: Path, edit: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    edit_manifest(path, edit)
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "null", '{"format": NaN}', '{"format": 1, "format": 2}', "[" * 9**5]
+)
+def test_manifests_that_are_no_json(path: Path, text: str) -> None:
+    pack(path, {**unpack(path), "bundle.json": text.encode()})
+    refuse(path, "bundle.json is not")
+
+
+@pytest.mark.parametrize("name", ["../../etc/cron.d/x", "/etc/passwd", "code.py", "masks.npy"])
+def test_parts_that_a_bundle_does_not_have(path: Path, name: str) -> None:
+    pack(path, {**unpack(path), name: b"x"})
+    refuse(path, "unknown part")
+
+
+def test_a_part_twice_and_a_part_too_few(path: Path) -> None:
+    parts = unpack(path)
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "a") as file:
+        file.writestr("bundle.json", parts["bundle.json"])
+    refuse(path, "once each")
+    pack(path, {"bundle.json": parts["bundle.json"]})
+    refuse(path, "once each")
+
+
+def test_oversized_parts_and_files(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = unpack(path)
+    # A bomb: it unpacks to far more than the archive is long.
+    pack(path, {**parts, "bundle.json": b" " * (archive.MAX_PART["bundle.json"] + 1)})
+    assert path.stat().st_size < 100_000
+    refuse(path, "use at most")
+    pack(path, parts)
+    monkeypatch.setattr(archive, "MAX_FILE", 1000)
+    refuse(path, "at most 1000")
+
+
+def test_a_bad_bundle_is_not_written_and_the_old_one_stays(path: Path) -> None:
+    before = path.read_bytes()
+    bad = dataclasses.replace(make_bundle(), labels=("a", "b"))
+    with pytest.raises(BundleError, match="for 2 labels"):
+        write_bundle(path, bad)
+    with pytest.raises(BundleError, match="cannot be written"):
+        write_bundle(path, dataclasses.replace(make_bundle(), provenance={"loss": float("nan")}))
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_accuracy_is_a_share() -> None:
+    with pytest.raises(BundleError, match="use 0 to 1"):
+        Accuracy(93.0, "MNIST", 10)
+    with pytest.raises(BundleError, match="at least 1"):
+        Accuracy(0.93, "MNIST", 0)
+
+
+def heavy(*layers: LayerRecord) -> Bundle:
+    """A bundle whose classifiers begin with ``layers`` on an image of 3 x 4."""
+    around = (Reshape(shape=(1, 3, 4)), *layers, Flatten(), Linear(inputs=12, outputs=10))
+    weights = {
+        f"{index}.{name}": np.zeros(shape, dtype)
+        for index, layer in enumerate(around)
+        for name, (shape, dtype) in layer.parameters.items()
+    }
+    pair = dataclasses.replace(make_pair(1), layers=around, weights=weights)
+    return dataclasses.replace(make_bundle(), pairs=(pair,))
+
+
+def test_classifiers_that_take_too_much_work(tmp_path: Path) -> None:
+    wide = (Resize(rows=2048, columns=4096), GELU()) * 5
+    bundle = heavy(*wide, Resize(rows=3, columns=4))
+    write_bundle(tmp_path / "a.veilcam", bundle)
+    more = dataclasses.replace(bundle, pairs=bundle.pairs * 8)
+    with pytest.raises(BundleError, match=r"together take .* products: use at most"):
+        write_bundle(tmp_path / "b.veilcam", more)
+
+
+def test_a_convolution_that_takes_too_much_memory(tmp_path: Path) -> None:
+    large = Resize(rows=256, columns=256)
+    kernel = Conv2d(inputs=1, outputs=1, kernel=17, padding=8)
+    with pytest.raises(BundleError, match="numbers under its kernels"):
+        write_bundle(tmp_path / "a.veilcam", heavy(large, kernel, Resize(rows=3, columns=4)))
+
+
+def test_too_many_layers_together(tmp_path: Path) -> None:
+    bundle = heavy(*(ReLU(),) * 120)
+    more = dataclasses.replace(bundle, pairs=bundle.pairs * 140)
+    with pytest.raises(BundleError, match="too many layers: use 16384"):
+        write_bundle(tmp_path / "a.veilcam", more)
+
+
+def test_products_are_counted() -> None:
+    layers = (
+        Reshape(shape=(1, 3, 4)),
+        Residual(layers=(Conv2d(inputs=1, outputs=1),)),
+        Flatten(),
+        Linear(inputs=12, outputs=10),
+    )
+    values = 12 + (12 + 12) + 12 + 10
+    assert count_operations(layers, 12) == 16 * values + 12 * 9 + 12 * 10
+
+
+def test_a_small_file_that_unpacks_to_much(path: Path) -> None:
+    replace_part(path, "weights.safetensors", bytes(17 * 2**20))
+    refuse(path, "weights.safetensors has .* bytes: use at most")
+
+
+def test_a_reason_is_one_short_line(path: Path) -> None:
+    pack(path, {**unpack(path), "x\n" * 9000: b""})
+    with pytest.raises(BundleError, match="unknown part") as caught:
+        read_bundle(path)
+    assert len(str(caught.value)) < 500
+    assert "\n" not in str(caught.value)
+
+
+MEBIBYTE = 2**20
+
+
+def test_limits_are_those_of_the_format() -> None:
+    """As docs/bundle.md and the parts' table have them."""
+    assert archive.MAX_FILE == 1024 * MEBIBYTE
+    assert {name: size / MEBIBYTE for name, size in archive.MAX_PART.items()} == {
+        "bundle.json": 8,
+        "owner.json": 2**-8,
+        "masks.safetensors": 256,
+        "weights.safetensors": 1024,
+        "scene_stats.safetensors": 256,
+        "card.json": 1,
+    }
+    assert (archive.FREE, archive.RATIO) == (16 * MEBIBYTE, 4)
+
+
+def test_a_file_may_be_as_long_as_the_limit(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = path.stat().st_size
+    monkeypatch.setattr(archive, "MAX_FILE", size)
+    read_bundle(path)
+    monkeypatch.setattr(archive, "MAX_FILE", size - 1)
+    refuse(path, f"has {size} bytes: a bundle has at most {size - 1}")
+
+
+@pytest.mark.parametrize("name", ["bundle.json", "masks.safetensors", "weights.safetensors"])
+def test_a_part_may_be_as_long_as_its_limit(
+    path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    size = len(unpack(path)[name])
+    monkeypatch.setitem(archive.MAX_PART, name, size)
+    assert read_bundle(path).labels == make_bundle().labels
+    write_bundle(path, make_bundle())
+    before = path.read_bytes()
+    monkeypatch.setitem(archive.MAX_PART, name, size - 1)
+    refuse(path, f"{name} has {size} bytes: use at most {size - 1}")
+    with pytest.raises(BundleError, match=f"{name} has {size} bytes: use at most {size - 1}"):
+        write_bundle(path, make_bundle())
+    assert path.read_bytes() == before
+
+
+def test_all_parts_together_may_unpack_to_so_much(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    together = sum(map(len, unpack(path).values()))
+    monkeypatch.setattr(archive, "FREE", together - 4 * path.stat().st_size)
+    read_bundle(path)
+    monkeypatch.setattr(archive, "FREE", together - 4 * path.stat().st_size - 1)
+    refuse(path, "use at most")
+
+
+def test_a_part_that_is_longer_than_it_says_is_refused(path: Path) -> None:
+    """Its size in the archive's directory is what somebody wrote there."""
+    parts = unpack(path)
+    parts["bundle.json"] += bytes(archive.MAX_PART["bundle.json"])
+    pack(path, parts)
+    size = len(parts["bundle.json"])
+    data = path.read_bytes()
+    directory = data.rindex(b"PK\x01\x02", 0, data.rindex(b"bundle.json"))
+    place = data.index(size.to_bytes(4, "little"), directory)
+    path.write_bytes(data[:place] + (100).to_bytes(4, "little") + data[place + 4 :])
+    refuse(path, "not a whole bundle")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_parts_may_be_stored_or_deflated(path: Path, method: int) -> None:
+    parts = unpack(path)
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, data in parts.items():
+            file.writestr(name, data)
+    assert read_bundle(path).labels == make_bundle().labels
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_another_compression_is_refused(path: Path, method: int) -> None:
+    parts = unpack(path)
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, data in parts.items():
+            file.writestr(name, data)
+    refuse(path, "bundle.json is encrypted or oddly compressed")
+
+
+def test_an_encrypted_part_is_refused(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    # The flags of the first entry, in its own header and in the archive's directory.
+    data[6] |= 1
+    data[data.index(b"PK\x01\x02") + 8] |= 1
+    path.write_bytes(bytes(data))
+    refuse(path, "bundle.json is encrypted")
+
+
+def end_of(count: int, size: int, offset: int = 0) -> bytes:
+    """An end of central directory record."""
+    return struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, count, count, size, offset, 0)
+
+
+def crowd(count: int) -> bytes:
+    """An archive of so many empty parts."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as made:
+        for number in range(count):
+            made.writestr(zipfile.ZipInfo(f"{number}"), b"")
+    return buffer.getvalue()
+
+
+def lying(count: int, told: int) -> bytes:
+    """One that tells of fewer than it has."""
+    whole = crowd(count)
+    size, offset = struct.unpack("<2L", whole[-10:-2])
+    return whole[:-22] + end_of(told, size, offset)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(crowd(7), crowd(1000), lying(7, 3), lying(1000, 6), lying(30, 0), end_of(7, 0)),
+        *(crowd(66_000), end_of(3, 2**32 - 1), end_of(65_535, 0)),
+        pytest.param(crowd(3)[:-2] + b"\x04\x00more", id="comment"),
+    ],
+    ids=lambda content: f"{len(content)} bytes" if isinstance(content, bytes) else None,
+)
+def test_entries_are_counted_before_any_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
+) -> None:
+    def read(*_: object) -> None:
+        raise AssertionError("the archive is read")
+
+    path = tmp_path / "crowd.veilcam"
+    path.write_bytes(content)
+    monkeypatch.setattr(zipfile, "ZipFile", read)
+    with pytest.raises(BundleError, match=r"more entries than the 6|not a whole bundle"):
+        read_bundle(path)
+
+
+def test_parts_are_deflated(path: Path) -> None:
+    with zipfile.ZipFile(path) as file:
+        assert {entry.compress_type for entry in file.infolist()} == {zipfile.ZIP_DEFLATED}
+
+
+def test_a_digest_of_a_part_that_is_not_there_is_refused(path: Path) -> None:
+    edit_manifest(path, lambda m: m["parts"].update({"scene_stats.safetensors": 64 * "0"}))
+    refuse(path, "lacks the digest of a part")
+
+
+def test_a_part_of_the_other_mode_is_refused(path: Path) -> None:
+    pack(path, {**unpack(path), "scene_stats.safetensors": b"x"})
+    refuse(path, "mode 'pairs' has the parts masks.safetensors, weights.safetensors only")
+
+
+@pytest.mark.parametrize("length", [300, 301])
+def test_a_reason_is_cut_after_300_letters(
+    path: Path, monkeypatch: pytest.MonkeyPatch, length: int
+) -> None:
+    def fail(_: Path) -> Bundle:
+        raise BundleError("x" * length)
+
+    monkeypatch.setattr(archive, "_read", fail)
+    with pytest.raises(BundleError) as caught:
+        read_bundle(path)
+    assert str(caught.value) == f"{path}: {'x' * 300}{'...' if length > 300 else ''}"
+
+
+def test_a_bundle_is_on_the_disk_before_it_has_its_name_and_so_is_the_name(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, done = path.read_bytes(), []
+    sync, move = os.fsync, os.replace
+
+    def synced(descriptor: int) -> None:
+        place = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        done.append(("folder" if place.is_dir() else "file", place.stat().st_size))
+        assert place.is_dir() or path.read_bytes() == before
+        sync(descriptor)
+
+    def moved(source: str, target: Path) -> None:
+        done.append(("moved", Path(source).stat().st_size))
+        move(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", moved)
+    open_files = len(os.listdir("/proc/self/fd"))
+    write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
+    size = path.stat().st_size
+    assert done[:2] == [("file", size), ("moved", size)]
+    assert [what for what, _ in done[2:]] == ["folder"]
+    assert len(os.listdir("/proc/self/fd")) == open_files
+    assert read_bundle(path).task == "another"
+
+
+@pytest.mark.parametrize("broken", ["fsync", "replace"])
+def test_a_disk_that_fails_leaves_the_old_bundle_and_nothing_else(
+    path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    before = path.read_bytes()
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, broken, fail)
+    with pytest.raises(OSError, match="No space left"):
+        write_bundle(path, dataclasses.replace(make_bundle(), task="another"))
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == [path.name]

@@ -1,0 +1,317 @@
+"""Bundles of mode fresh: key policy, scene statistics, one classifier; bad ones are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.numpy
+import safetensors.torch
+import torch
+from tests.unit.training.bundle.conftest import edit_manifest, pack, refuse, replace_part, unpack
+
+from veilcam_optics.camera.geometry import Camera, Embedding, Scene, Window
+from veilcam_optics.camera.masks import to_weights
+from veilcam_optics.decoding import MeasurementNoise, SceneStatistics
+from veilcam_optics.keys.masks import MaskDistribution, draw_levels
+from veilcam_optics.transfer.tables import Reach
+from veilcam_server.demo_data import FRESH
+from veilcam_training.bundle import (
+    Bundle,
+    BundleError,
+    Fresh,
+    classifier_inputs,
+    read_bundle,
+    write_bundle,
+)
+from veilcam_training.bundle import fresh as fresh_module
+from veilcam_training.bundle.layers import (
+    BatchNorm,
+    Conv2d,
+    Flatten,
+    LayerRecord,
+    Linear,
+    ReLU,
+    Reshape,
+)
+from veilcam_training.models.network import build_classifier, build_untrained, weights_of
+
+CAMERA = Camera(window=Window(rows=9, columns=5))
+SCENE = Scene(rows=6, columns=7, height=0.12)
+EMBEDDING = Embedding(4, 5)
+PIXELS = 42
+RANK = 8
+
+
+def make_fresh(**changes: Any) -> Fresh:
+    generator = torch.Generator().manual_seed(3)
+    layers: tuple[LayerRecord, ...] = (
+        Reshape(shape=(2, 6, 7)),
+        Conv2d(inputs=2, outputs=3),
+        BatchNorm(features=3, dimensions=2),
+        ReLU(),
+        Flatten(),
+        Linear(inputs=3 * PIXELS, outputs=4),
+    )
+    weights = {
+        name: torch.rand(array.shape, generator=generator).numpy() if array.ndim else array
+        for name, array in weights_of(build_untrained(layers)).items()
+    }
+    given: dict[str, Any] = {
+        "distribution": MaskDistribution.power(CAMERA, 2.0),
+        "statistics": SceneStatistics(
+            torch.rand(PIXELS, generator=generator),
+            torch.randn(PIXELS, RANK, generator=generator),
+            torch.rand(PIXELS, generator=generator),
+        ).in_numpy(),
+        "noise": MeasurementNoise(35.0, 0.01),
+        "layers": layers,
+        "weights": weights,
+        "reach": Reach(2, 1),
+    }
+    return Fresh(**{**given, **changes})
+
+
+def make_bundle(**changes: Any) -> Bundle:
+    return Bundle(
+        task="shapes",
+        labels=("a", "b", "c", "d"),
+        camera=CAMERA,
+        scene=SCENE,
+        embedding=EMBEDDING,
+        mode="fresh",
+        fresh=make_fresh(**changes),
+    )
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    result = tmp_path / "fresh.veilcam"
+    write_bundle(result, make_bundle())
+    return result
+
+
+def test_it_comes_back_as_it_was_written(path: Path) -> None:
+    written, read = make_fresh(), read_bundle(path)
+    assert (read.mode, read.pairs, read.inputs) == ("fresh", (), 2 * PIXELS)
+    fresh = read.fresh
+    assert fresh is not None
+    for name in ("noise", "layers", "reach", "features", "inputs"):
+        assert getattr(fresh, name) == getattr(written, name)
+    for name in ("lowest", "highest", "curve"):
+        np.testing.assert_array_equal(
+            getattr(fresh.distribution, name), getattr(written.distribution, name)
+        )
+    for name in ("mean", "basis", "residual"):
+        assert np.array_equal(getattr(fresh.statistics, name), getattr(written.statistics, name))
+    assert fresh.weights.keys() == written.weights.keys()
+    assert all(np.array_equal(fresh.weights[n], written.weights[n]) for n in written.weights)
+
+
+def test_the_same_bundle_gives_the_same_bytes(path: Path) -> None:
+    first = path.read_bytes()
+    write_bundle(path, make_bundle())
+    assert path.read_bytes() == first
+    assert set(unpack(path)) == {
+        *("bundle.json", "masks.safetensors", "weights.safetensors", "scene_stats.safetensors")
+    }
+
+
+def test_masks_and_labels_are_those_of_the_bundle_that_was_written(path: Path) -> None:
+    key, written, read = bytes(range(32)), make_bundle(), read_bundle(path)
+    answers = []
+    for bundle in (written, read):
+        fresh = bundle.fresh
+        assert fresh is not None
+        levels = draw_levels(key, camera=bundle.camera, distribution=fresh.distribution)
+        frame = fresh.frame(bundle.camera, bundle.scene, bundle.embedding).in_torch()
+        decoder = frame.decoding().prepare(
+            torch.from_numpy(to_weights(levels, bundle.camera.panel))
+        )
+        measurements = torch.rand(3, *bundle.embedding.shape, generator=torch.Generator())
+        inputs = classifier_inputs(decoder, measurements, fresh.features)
+        assert inputs.shape == (3, fresh.inputs)
+        answers.append(build_classifier(fresh.layers, fresh.weights)(inputs))
+    # Not to the bit: statistics that were read lie in memory as they lie in the file, and some
+    # processors' products round by that. A decoder's products in float32 are good to 1e-4.
+    torch.testing.assert_close(*answers, rtol=0, atol=1e-3 * float(answers[0].abs().max()))
+
+
+def test_features_choose_what_the_classifier_is_given() -> None:
+    both, estimate = make_fresh(), make_fresh(features=("estimate",))
+    turned = make_fresh(features=("deviation", "estimate"))
+    frame = both.frame(CAMERA, SCENE, EMBEDDING).in_torch()
+    decoder = frame.decoding().prepare(torch.rand(CAMERA.mask_shape))
+    measurements = torch.rand(2, EMBEDDING.size)
+    inputs = classifier_inputs(decoder, measurements, both.features)
+    assert torch.equal(inputs[:, :PIXELS], decoder(measurements).flatten(1))
+    assert torch.equal(inputs[0, PIXELS:], decoder.deviation.flatten())
+    assert torch.equal(
+        classifier_inputs(decoder, measurements, estimate.features), inputs[:, :PIXELS]
+    )
+    assert torch.equal(
+        classifier_inputs(decoder, measurements, turned.features), inputs.roll(PIXELS, dims=1)
+    )
+    assert estimate.inputs == PIXELS
+
+
+def test_the_scheme_is_the_one_of_the_keys(path: Path) -> None:
+    manifest = json.loads(unpack(path)["bundle.json"])
+    assert manifest["fresh"]["scheme"] == "veilcam mask levels, version 1"
+    assert "pairs" not in manifest
+
+
+def test_the_bundle_that_comes_with_the_package_is_read_as_it_is() -> None:
+    bundle = read_bundle(FRESH)
+    assert bundle.digest == "45f7cde5530a1a53cbeb8091177ee3611a15eb0aa527ecd807c54b953628a737"
+    assert bundle.fresh is not None
+    assert bundle.fresh.distribution.bits > 128
+
+
+def test_no_number_of_a_weight_is_in_the_repr(path: Path) -> None:
+    shown = repr(read_bundle(path))
+    assert "tensor" not in shown
+    assert "array" not in shown
+
+
+@pytest.mark.parametrize("name", ["masks", "weights", "scene_stats"])
+def test_tampered_part(path: Path, name: str) -> None:
+    parts = unpack(path)
+    data = parts[f"{name}.safetensors"]
+    pack(path, {**parts, f"{name}.safetensors": data[:-1] + bytes([data[-1] ^ 1])})
+    refuse(path, f"{name}.safetensors is not what bundle.json says")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t: t["basis"].__setitem__((3, 2), float("nan")), "NaN or infinity"),
+        (lambda t: t["residual"].__setitem__(1, -1.0), "negative variance"),
+        (lambda t: t.update(mean=t["mean"][1:].clone()), "statistics.basis.shape"),
+        (lambda t: t.update(basis=torch.rand(PIXELS, PIXELS + 1)), "rank 43: use at most 42"),
+        (lambda t: t.update(mean=t["mean"].double()), "not float32"),
+        (lambda t: t.pop("residual"), "does not hold mean, basis, residual"),
+        (lambda t: t.update(extra=torch.ones(1)), "does not hold mean, basis, residual"),
+        (
+            lambda t: t.update({name: tensor[:-1].clone() for name, tensor in t.items()}),
+            "of 41 pixels: use 42",
+        ),
+    ],
+)
+def test_statistics_that_are_refused(
+    path: Path, change: Callable[[dict[str, torch.Tensor]], None], reason: str
+) -> None:
+    tensors = safetensors.torch.load(unpack(path)["scene_stats.safetensors"])
+    change(tensors)
+    replace_part(path, "scene_stats.safetensors", safetensors.torch.save(tensors))
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t: t.update(lowest=t["highest"] + np.uint8(1)), "lowest exceeds highest"),
+        (lambda t: t.update(curve=t["curve"][:-1]), "exceeds its 63 levels"),
+        (lambda t: t.update(curve=np.full(64, 64, np.uint8)), "exceeds its 64 levels"),
+        (lambda t: t.update(curve=np.arange(128, dtype=np.uint8)), "key policy: .* the panel's"),
+        (lambda t: t.update(curve=t["curve"].astype(np.float32)), "use a uint8 array"),
+        (lambda t: t.update(lowest=t["lowest"].T.copy(), highest=t["highest"].T.copy()), "window"),
+        (lambda t: t.update(highest=t["lowest"].copy()), "a mask holds 0 bits"),
+        (lambda t: t.update(curve=np.zeros(64, np.uint8)), "a mask holds 0 bits"),
+        (lambda t: t.pop("curve"), "does not hold lowest, highest, curve"),
+    ],
+)
+def test_key_policies_that_are_refused(
+    path: Path, change: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    arrays = dict(safetensors.numpy.load(unpack(path)["masks.safetensors"]))
+    change(arrays)
+    replace_part(path, "masks.safetensors", safetensors.numpy.save(arrays))
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t: t["classifier.5.bias"].__setitem__(0, float("inf")), "'5.bias' holds NaN"),
+        (lambda t: t.pop("classifier.5.bias"), "weights lack '5.bias'"),
+        (lambda t: t.update({"pair.0.5.bias": torch.ones(4)}), "unknown 'pair.0.5.bias'"),
+        (lambda t: t.update({"classifier.9.bias": torch.ones(4)}), "unknown '9.bias'"),
+    ],
+)
+def test_weights_that_are_refused(
+    path: Path, change: Callable[[dict[str, torch.Tensor]], None], reason: str
+) -> None:
+    tensors = safetensors.torch.load(unpack(path)["weights.safetensors"])
+    change(tensors)
+    replace_part(path, "weights.safetensors", safetensors.torch.save(tensors))
+    refuse(path, reason)
+
+
+@pytest.mark.parametrize(
+    ("edit", "reason"),
+    [
+        (lambda m: m["fresh"].update(scheme="veilcam mask levels, version 2"), "fresh.scheme"),
+        (lambda m: m["fresh"].update(secret="00"), "fresh.secret"),
+        (lambda m: m["fresh"]["noise"].update(snr_db=float("inf")), "JSON"),
+        (lambda m: m["fresh"]["noise"].update(model_error=-1.0), "model_error"),
+        (lambda m: m["fresh"].update(features=["estimate", "image"]), "fresh.features"),
+        (lambda m: m["fresh"].update(features=["estimate", "estimate"]), "use each once"),
+        (lambda m: m["fresh"].update(features=[]), "features"),
+        (lambda m: m["fresh"].update(features=["estimate"]), "layer 0 .reshape. gets shape .42,."),
+        (lambda m: m["fresh"]["layers"].pop(), "for 4 labels"),
+        (lambda m: m.update(fresh=None), "mode 'fresh' has a key policy"),
+        (lambda m: m.update(mode="pairs"), "mode 'pairs' has no key policy"),
+        (lambda m: m.update(pairs=[{"layers": []}]), "mode 'fresh' has a key policy and no pairs"),
+        (lambda m: m.update(channels=3), "gray embeddings"),
+        (lambda m: m["parts"].pop("scene_stats.safetensors"), "lacks the digest"),
+    ],
+)
+def test_manifests_that_are_refused(
+    path: Path, edit: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    edit_manifest(path, edit)
+    refuse(path, reason)
+
+
+def test_a_part_of_the_other_mode(path: Path) -> None:
+    parts = unpack(path)
+    statistics = parts.pop("scene_stats.safetensors")
+    pack(path, parts)
+    refuse(path, "mode 'fresh' has the parts")
+
+    def as_pairs(manifest: dict[str, Any]) -> None:
+        layers = manifest.pop("fresh")["layers"]
+        manifest.update(mode="pairs", pairs=[{"layers": layers}])
+        manifest["parts"].pop("scene_stats.safetensors")
+
+    pack(path, {**parts, "scene_stats.safetensors": statistics})
+    edit_manifest(path, as_pairs)
+    refuse(path, "mode 'pairs' has the parts")
+
+
+def test_a_response_too_large_is_refused_before_it_is_made(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fresh_module, "MAX_RESPONSE", PIXELS * EMBEDDING.size - 1)
+    refuse(path, "42 x 20 responses")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"mode": "pairs"}, "has no key policy"),
+        ({"fresh": None}, "has a key policy"),
+        ({"mode": "other"}, "use 'pairs' or 'fresh'"),
+    ],
+)
+def test_a_bad_bundle_is_not_written(path: Path, change: dict[str, Any], reason: str) -> None:
+    before = path.read_bytes()
+    with pytest.raises(BundleError, match=reason):
+        write_bundle(path, dataclasses.replace(make_bundle(), **change))
+    assert path.read_bytes() == before
