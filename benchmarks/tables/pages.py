@@ -13,7 +13,7 @@ from benchmarks.tables.light import HONESTY, LIMIT, TOLERANCE
 from benchmarks.tables.masks import CONDITIONING, FRESH, RELEASED, TIMES
 from benchmarks.tables.overview import DAEMON, HEADLINES, LIGHT, TRAINED, UNUSED
 from benchmarks.tables.table import Figures, table
-from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, KEYS, MORE_KEYS, SIEGE, cards
+from benchmarks.tables.threats import CAPTURE_LOG, CARD_TIME, GUARD, KEYS, MORE_KEYS, SIEGE, cards
 from benchmarks.tables.watch import BELIEF
 
 BEGIN, END = "<!-- figures -->\n", "<!-- end of figures -->"
@@ -29,6 +29,7 @@ PAGES: dict[str, list[Figures | Callable[[], str]]] = {
     "docs/attacks.md": [CONVEX, GENERATOR, ATTRIBUTES],
     "docs/bundle.md": [CONDITIONING],
     "docs/fresh-masks.md": [FRESH, RELEASED, TIMES],
+    "docs/proof.md": [GUARD],
     "docs/siege.md": [SIEGE],
     "docs/threat-model.md": [KEYS | MORE_KEYS | CAPTURE_LOG],
     "docs/calibration.md": [DISTANCE, SERVED, CALIBRATED],

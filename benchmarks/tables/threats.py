@@ -81,6 +81,25 @@ CAPTURE_LOG: Figures = {
     "log_record_ms": ("log", "digest, signature and write of one record", "{:.2f} ms"),
 }
 
+GUARD: Figures = {
+    name: ("guard", words, pattern)
+    for name, (words, pattern) in {
+        "faults_tried": ("mask changes behind five kinds of broken panel, simulated", "{:,.0f}"),
+        "faults_answered": ("of them answered in light enough for a verdict", "{:.0f}"),
+        "rest_faults_tried": ("faults of a daemon over REST, a mask for each capture", "{:.0f}"),
+        "rest_faults_answered": ("of them answered, first capture included", "{:.0f}"),
+        "sound_cameras": ("sound cameras drawn, 300,000 changes under switched lamps", "{:.0f}"),
+        "sound_accused": ("of these changes accused", "{:.0f}"),
+        "sound_worst_ratio": ("worst ratio of opaque to mask, sound", "{:.2f}"),
+        "lost_wrong_before": ("wrong masks in 4,400 captures, written once, no guard", "{:.0f}"),
+        "lost_wrong_after": ("the same, written twice, with guard", "{:.0f}"),
+        "guard_rate_ten_captures": ("rate with the guard over without, ten a mask", "{:.2f} x"),
+        "guard_rate_one_capture": ("the same, one capture a mask", "{:.2f} x"),
+        "held_latency_ms": ("latency of held answers, median", "{:.0f} ms"),
+        "latency_auc": ("two scenes told apart by latency: AUC", "{:.2f}"),
+    }.items()
+}
+
 SIEGE: Figures = {
     name: ("siege", words, pattern)
     for name, (words, pattern) in {
