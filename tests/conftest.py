@@ -34,7 +34,10 @@ NUMERICAL = (
     ),
     *(f"unit/training/bundle/test_{name}.py" for name in ("fresh", "layers", "network")),
     *(f"unit/training/data/test_{name}.py" for name in ("drawn", "measurements", "sources")),
-    *(f"unit/training/experiments/test_{name}.py" for name in ("adapt", "fit", "fresh", "pictures")),
+    *(
+        f"unit/training/experiments/test_{name}.py"
+        for name in ("adapt", "fit", "fresh", "pictures")
+    ),
     "unit/server/calibration",
     "unit/server/devices/simulated",
 )
