@@ -24,7 +24,7 @@ OPENING = """# Every operation, with a line of curl and one of Python
 `python -m tests.docs.api_reference` writes this page from the OpenAPI document of the daemon, which
 also shows it under `/docs`, offline and to who is logged in. Both lines of each operation are run
 against a simulated camera, and answers are checked against the document
-(`tests/unit/server/api/test_samples.py`). What an answer means, and what can go wrong:
+(`tests/app/server/api/test_samples.py`). What an answer means, and what can go wrong:
 [the API](api.md).
 
 `$TOKEN` is a token of `veilcamd token create`. In Python:

@@ -12,7 +12,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
-from tests.unit.server.test_daemon import daemon
+from tests.app.server.test_daemon import daemon
 
 from veilcam_client import Camera, ConnectError, ForbiddenError, UnauthorizedError
 from veilcam_server.errors import StartError

@@ -28,7 +28,7 @@ from veilcam_training.experiments.executors import (
     make_executor,
 )
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module", autouse=True)

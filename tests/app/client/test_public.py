@@ -50,7 +50,7 @@ def signature(function: Callable[..., object]) -> str:
 
 
 def test_the_public_api_is_that_of_the_snapshot() -> None:
-    # Changed on purpose? Then: python -m tests.unit.client.test_public
+    # Changed on purpose? Then: python -m tests.app.client.test_public
     assert public_api() == SNAPSHOT.read_text()
 
 

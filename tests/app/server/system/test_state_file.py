@@ -343,7 +343,7 @@ def test_what_is_staged_holds_once_it_is_committed(
 KILLED = """
 import os, pathlib, random, sys, time
 sys.path.insert(0, sys.argv[2])
-from tests.unit.server.system.test_state_file import Note, Rig
+from tests.app.server.system.test_state_file import Note, Rig
 
 rig = Rig(pathlib.Path(sys.argv[1]))
 said = 0

@@ -345,7 +345,7 @@ def test_nothing_is_written_after_the_stop(rig: Rig) -> None:
 KILLED = """
 import os, pathlib, random, sys, time
 sys.path.insert(0, sys.argv[2])
-from tests.unit.server.sealing.test_capture_log import Rig, capture
+from tests.app.server.sealing.test_capture_log import Rig, capture
 
 rig = Rig(pathlib.Path(sys.argv[1]))
 said, limits = 0, {"limit": 20_000, "kept": 10_000}

@@ -21,7 +21,7 @@ from veilcam_server.demo.daemon import running
 from veilcam_training.bundle import Bundle, Fresh, write_bundle
 from veilcam_training.bundle.layers import Linear
 
-from .camera import GEOMETRY as WHOLE
+from tests.unit.server.calibration.camera import GEOMETRY as WHOLE
 
 CLASSES = 8
 # Half of the sensor along each side: simulated light takes half of the time.
