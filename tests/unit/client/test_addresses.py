@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import inspect
 import logging
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -13,7 +12,7 @@ import pytest
 from tests.unit.client.conftest import Daemon
 from typer.testing import CliRunner
 
-from veilcam_client import AsyncCamera, Camera, VeilcamError, pull_bundle
+from veilcam_client import AsyncCamera, Camera, VeilcamError
 from veilcam_client.arguments import masked
 from veilcam_client.cli.main import app
 
@@ -87,17 +86,3 @@ def test_password_is_not_shown_on_a_terminal() -> None:
         told = CliRunner().invoke(app, ["status", "--url", f"http://user:{PASSWORD}@{place}"])
         assert told.exit_code != 0
         assert PASSWORD not in told.output
-
-
-def test_password_of_a_catalogue_is_sent_and_not_shown(
-    url: str, daemon: Daemon, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    place = url.replace("//", f"//user:{PASSWORD}@")
-    for answer in (httpx.Response(404), httpx.Response(200, text="no catalogue")):
-        daemon.first = [answer]
-        with caplog.at_level(logging.DEBUG), pytest.raises(VeilcamError) as caught:
-            pull_bundle(place, "a", "veilcam-owner:", tmp_path / "out")
-        assert PASSWORD not in str(caught.value) + caplog.text
-    with pytest.raises(VeilcamError, match="is no address") as caught:
-        pull_bundle(f"http://user:{PASSWORD}@[::1", "a", "veilcam-owner:", tmp_path / "out")
-    assert PASSWORD not in str(caught.value)

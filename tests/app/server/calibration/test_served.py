@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.unit.server.calibration.camera import GEOMETRY as WHOLE
 from typer.testing import CliRunner
 
 from veilcam_client import Camera
@@ -20,8 +21,6 @@ from veilcam_server.cli.main import app as server
 from veilcam_server.demo.daemon import running
 from veilcam_training.bundle import Bundle, Fresh, write_bundle
 from veilcam_training.bundle.layers import Linear
-
-from tests.unit.server.calibration.camera import GEOMETRY as WHOLE
 
 CLASSES = 8
 # Half of the sensor along each side: simulated light takes half of the time.

@@ -56,7 +56,6 @@ runner = CliRunner()
         (["bundle", "activate", "ab"], ["* abababababab      2.3 MB"]),
         (["bundle", "remove", "ab"], ["* cdcdcdcdcdcd"]),
         (["diagnostics"], ["veilcam 9.9", "queue_limit 8", "5 capture", "sensor_failed: no frame"]),
-        (["diagnostics"], ["100 captures, 2 % undecided, margin 353, departure 0.98, light 0.4"]),
     ],
 )
 def test_answers_are_shown(arguments: list[str], shown: list[str]) -> None:

@@ -142,7 +142,8 @@ async def test_none_is_taken_in_nor_started_with(
 ) -> None:
     path = tmp_path / "open.veilcam"
     pairs = tuple(
-        dataclasses.replace(pair, levels=np.zeros_like(pair.levels)) for pair in bundle.pairs
+        dataclasses.replace(pair, levels=np.full_like(pair.levels, 63 - number))
+        for number, pair in enumerate(bundle.pairs)
     )
     write_bundle(path, dataclasses.replace(bundle, pairs=pairs))
     async with running() as client:

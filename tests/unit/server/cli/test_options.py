@@ -46,6 +46,7 @@ CASES: Mapping[str, tuple[Sequence[str], object]] = {
     "hosts": (("--hosts", "a.example", "--hosts", "B:1"), ("a.example", "b:1")),
     "frame_ancestors": (("--frame-ancestors", "https://a.example"), ("https://a.example",)),
     "port": (("--port", "0"), 0),
+    "root_path": (("--root-path", "/camera"), "/camera"),
     "socket": (("--socket", "s"), Path("s")),
     "state_dir": (("--state-dir", "state"), Path("state")),
     "rotation": (("--every-captures", "3", "--reuse", "2"), EveryCaptures(captures=3, reuse=2)),

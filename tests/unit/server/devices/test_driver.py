@@ -79,7 +79,7 @@ from veilcam_server.devices.imx477 import DRIVER as IMX477
 
 class Other:
     def __init__(self, sensor):
-        self.capture, self.close = sensor.capture, sensor.close
+        self.capture, self.light, self.close = sensor.capture, sensor.light, sensor.close
         self.name, self.full_scale = "OTHER", sensor.full_scale
 
 

@@ -176,7 +176,7 @@ async def test_a_task_that_meets_a_defect_goes_on(
         async with scheduler.running():
             assert camera._panel.active is not None
             camera._panel.active.captures += 1
-            await until(lambda: failing.left == 0)
+            await until(lambda: failing.left == 0 and camera._panel.active is not None)
             camera._panel.active.captures += 1
             shown, runs, fed = len(bench.epochs), bench.test.runs, len(told)
             while len(bench.epochs) == shown:
@@ -229,6 +229,7 @@ async def test_a_policy_that_wants_no_mask_any_more_ends_the_alarm(
     scheduler = Scheduler(camera, DeviceQueue(8, lambda _: None), alarms, first_pause=600.0)
     async with scheduler.running():
         camera.capture(release=False).done()
+        camera._panel.uncover()  # the opaque frame behind which the answer left
         scheduler.wake()
         await until(lambda: alarms.state.state == "degraded")
         camera.policy = EveryCaptures(captures=100)
