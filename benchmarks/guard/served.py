@@ -59,11 +59,9 @@ def _ready(camera: Camera) -> None:
     raise RuntimeError("the camera does not come back")
 
 
-def rest_faults(
-    folder: Path, bundle: Path, fault: str, tries: int, until: float, seed: int
-) -> Counter[str]:
+def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, until: float) -> Counter[str]:
     """Count what a daemon says of the first and second capture after a fault, a mask for each."""
-    random, came = np.random.default_rng(seed), Counter[str]()
+    random, came = np.random.default_rng(FAULTS.index(fault)), Counter[str]()
     kinds = scenes(random, 10)
     options = ("--rate-limit", "100000", "--rate-burst", "100000", "--every-captures", "1")
     with (
@@ -101,8 +99,7 @@ def all_rest_faults(
     until = time.monotonic() + 60 * minutes
     with ThreadPoolExecutor(len(FAULTS)) as threads:
         found = [
-            threads.submit(rest_faults, folder, bundle, fault, tries, until, seed)
-            for seed, fault in enumerate(FAULTS)
+            threads.submit(rest_faults, folder, bundle, fault, tries, until) for fault in FAULTS
         ]
         return {fault: each.result() for fault, each in zip(FAULTS, found, strict=True)}
 
