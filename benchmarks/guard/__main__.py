@@ -148,6 +148,8 @@ def draw(path: Annotated[Path, typer.Argument(help="Picture to write.")], tries:
     for place, (name, style) in enumerate((("half of the faults", "o-"), ("95 %", "s--"))):
         left.plot(places, [each[place] for each in times], style, label=name, color="#1f6fb5")
     left.set(ylabel="time to detection [s]", yscale="log")
+    left.set_yticks((2, 5, 10, 20), ("2", "5", "10", "20"), minor=False)
+    left.minorticks_off()
     left.legend(frameon=False)
     right.plot(places, rate, "o-", color="#d1495b")
     right.set(ylabel="captures a second", ylim=(0, None))
