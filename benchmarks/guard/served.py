@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.guard.world import FAULTS, Array, scenes
 from veilcam_client import Camera, Faults, LightFaults, PanelFaults
-from veilcam_client.errors import ApiError
+from veilcam_client.errors import ApiError, VeilcamError
 from veilcam_client.wire.rotation import EveryCaptures
 from veilcam_optics.camera.geometry import Camera as GeometricCamera
 from veilcam_server import daemon
@@ -50,7 +50,7 @@ def _ready(camera: Camera) -> None:
     """Mend the camera, and wait for a sound capture."""
     camera.set_faults(Faults())
     for _ in range(100):
-        with suppress(ApiError):
+        with suppress(VeilcamError):
             if camera.status().state != "ready":
                 camera.rotate()
             camera.classify()
@@ -59,18 +59,25 @@ def _ready(camera: Camera) -> None:
     raise RuntimeError("the camera does not come back")
 
 
-def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, seed: int) -> Counter[str]:
+def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, until: float) -> Counter[str]:
     """Count what a daemon says of the first and second capture after a fault, a mask for each."""
-    random, came = np.random.default_rng(seed), Counter[str]()
+    random, came = np.random.default_rng(FAULTS.index(fault)), Counter[str]()
     kinds = scenes(random, 10)
     options = ("--rate-limit", "100000", "--rate-burst", "100000", "--every-captures", "1")
-    with _daemon(folder / fault, bundle, *options) as url, Camera(url, max_retries=0) as camera:
+    with (
+        _daemon(folder / fault, bundle, *options) as url,
+        Camera(url, connect_timeout=30) as camera,
+        Camera(url, max_retries=0, connect_timeout=30) as asking,
+    ):
         for turn in range(tries):
+            if time.monotonic() > until:
+                break
+            came["tried"] += 1
             camera.hold_scene(np.ones((28, 28), np.float32))
             _ready(camera)
             camera.hold_scene(kinds[KINDS[turn % len(KINDS)]][turn % 10].reshape(28, 28))
-            with suppress(ApiError):
-                camera.classify()
+            with suppress(VeilcamError):
+                asking.classify()
             time.sleep(random.uniform(0.2, 0.6))  # the next mask is shown by now
             camera.set_faults(Faults(panel=PanelFaults(**{fault: True})))
             for number in ("first", "second"):
@@ -78,19 +85,21 @@ def rest_faults(folder: Path, bundle: Path, fault: str, tries: int, seed: int) -
                 if fault == "asleep" and number == "second":
                     break
                 try:
-                    camera.classify()
+                    asking.classify()
                     came[f"answered {number}"] += 1
                 except ApiError as error:
                     came[f"{error.code} {number}"] += 1
     return came
 
 
-def all_rest_faults(folder: Path, bundle: Path, tries: int) -> Mapping[str, Counter[str]]:
-    """Ask five daemons at once, one for each fault."""
+def all_rest_faults(
+    folder: Path, bundle: Path, tries: int, minutes: float
+) -> Mapping[str, Counter[str]]:
+    """Ask five daemons at once, one for each fault, for so many minutes at most."""
+    until = time.monotonic() + 60 * minutes
     with ThreadPoolExecutor(len(FAULTS)) as threads:
         found = [
-            threads.submit(rest_faults, folder, bundle, fault, tries, seed)
-            for seed, fault in enumerate(FAULTS)
+            threads.submit(rest_faults, folder, bundle, fault, tries, until) for fault in FAULTS
         ]
         return {fault: each.result() for fault, each in zip(FAULTS, found, strict=True)}
 
@@ -265,7 +274,7 @@ def latencies(folder: Path, count: int) -> tuple[float, Array, Counter[str]]:
     options = ("--rate-limit", "100000", "--rate-burst", "100000", "--every-captures", "1")
     with (
         _daemon(folder / "latencies", BUNDLE, *options) as url,
-        Camera(url, max_retries=0) as camera,
+        Camera(url, max_retries=0, connect_timeout=30) as camera,
     ):
         _ready(camera)
         for turn in range(count):

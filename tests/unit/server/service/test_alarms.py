@@ -15,6 +15,7 @@ from tests.unit.server.service.waiting import until
 from veilcam_client.keys.epoch_key import EpochKey
 from veilcam_client.wire.events import Event, MaskChanged, StateChanged
 from veilcam_client.wire.rotation import EveryCaptures
+from veilcam_server.camera.camera import MaskedCamera
 from veilcam_server.camera.engine import Condition
 from veilcam_server.camera.epochs import Epoch
 from veilcam_server.errors import NotReadyError, PolicyStoreError, SelfTestError
@@ -153,6 +154,13 @@ class Failing:
         return partial(self, instance)
 
 
+def take_one(camera: MaskedCamera) -> None:
+    """Have the mask count a capture, between two self tests."""
+    with camera._lock:
+        assert camera._panel.active is not None
+        camera._panel.active.captures += 1
+
+
 @pytest.mark.parametrize(
     ("name", "task"),
     [
@@ -174,10 +182,9 @@ async def test_a_task_that_meets_a_defect_goes_on(
     scheduler, alarms, heard = scheduled(bench, camera, watchdog=0.01, tell=told.append)
     with capture_logs() as logs:
         async with scheduler.running():
-            assert camera._panel.active is not None
-            camera._panel.active.captures += 1
-            await until(lambda: failing.left == 0 and camera._panel.active is not None)
-            camera._panel.active.captures += 1
+            take_one(camera)
+            await until(lambda: failing.left == 0)
+            take_one(camera)
             shown, runs, fed = len(bench.epochs), bench.test.runs, len(told)
             while len(bench.epochs) == shown:
                 scheduler.wake()
