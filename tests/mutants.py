@@ -121,7 +121,7 @@ def command(tree: Path, tests: tuple[str, ...], first: str = "") -> str:
     """Return the command that runs ``tests``, those named ``first`` before the others."""
     tests = tuple(sorted(tests, key=lambda test: first not in test))
     packages = os.pathsep.join(str((tree / path).parent) for path in CONFIG["module-path"])
-    pytest = CONFIG.test_command.replace("python", sys.executable, 1)
+    pytest = Path(sys.executable).with_name(CONFIG.test_command)
     # Without a pipe that a forgotten child of a test could hold open.
     told = shlex.quote(f"exec {pytest} {shlex.join(tests)} >/dev/null 2>&1")
     return f"env -C {tree} PYTHONPATH={packages} OMP_NUM_THREADS=1 sh -c {told}"
