@@ -94,8 +94,7 @@ test: lint
 
 # The long form of what the tests do for seconds.
 stress: $(INSTALLED)
-	$(BIN)/python -m tests.siege bundle-fuzz api-fuzz soak
-	$(BIN)/python -m tests.siege.picture_fuzz
+	$(BIN)/python -m tests.siege api-fuzz bundle-fuzz picture-fuzz soak
 	$(WAITING) --timeout 0 --long -m long
 
 # The long form of what a test does for seconds, on a machine that does nothing else meanwhile.

@@ -2,7 +2,7 @@
 
     python -m tests.siege --figures benchmarks/results/siege.json
     python -m tests.siege kill --keys benchmarks/results/keys.json
-    python -m tests.siege api-fuzz bundle-fuzz soak --figures benchmarks/results/daemon.json
+    python -m tests.siege api-fuzz bundle-fuzz picture-fuzz soak
 
 Daemons run in a temporary folder and on loopback. The status is 1 if a row failed.
 """
@@ -29,6 +29,7 @@ from tests.siege import (
     greedy,
     kill,
     pages,
+    picture_fuzz,
     soak,
     starving,
 )
@@ -57,6 +58,7 @@ ATTACKS: Mapping[str, Run] = {
 STRESS: Mapping[str, Run] = {
     "api-fuzz": api_fuzz.fuzzed,
     "bundle-fuzz": bundle_fuzz.fuzzed,
+    "picture-fuzz": picture_fuzz.fuzzed,
     "soak": soak.soaked,
 }
 ROWS = {**ATTACKS, **STRESS}

@@ -61,6 +61,8 @@ class Extent:
     """Mutated bundles."""
     live: int = 1000
     """Mutated bundles that are sent to a daemon, too."""
+    pictures: int = 2000
+    """Mutated pictures."""
     captures: int = 20_000
     """Captures on hardware that fails."""
 
@@ -72,6 +74,7 @@ QUICK = Extent(
     whole=False,
     files=150,
     live=15,
+    pictures=50,
     captures=60,
 )
 """Shows that an attack is met; the bars are those of the long form."""

@@ -164,6 +164,8 @@ class Rig:
 
         def told(levels: Levels) -> Shown:
             nonlocal standing
+            if not levels.any():
+                return show(levels)  # opaque: it shows no mask, and ends no showing
             # After a failed write the mask from before is put back: the same showing goes on.
             if levels.tobytes() != standing:
                 tell(levels)

@@ -1,24 +1,13 @@
-"""The fuzzing of pictures, made short; and that it would notice a failure."""
+"""The fuzzing of pictures would notice a failure."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from tests.pictures.doors import open_doors
 from tests.pictures.samples import make_samples
-from tests.siege.picture_fuzz import fault_of, mutated, try_all
+from tests.siege.picture_fuzz import fault_of, holds, mutated
 
-READABLE = tuple(sample for sample in make_samples() if not sample.refusal)
-
-
-@pytest.mark.slow
-def test_mutated_pictures_are_refused_by_name_or_read(tmp_path: Path) -> None:
-    with open_doors(tmp_path) as doors:
-        outcomes, failures = try_all(doors, 100, READABLE)
-    assert failures == []
-    assert min(outcomes["read"], outcomes["refused"]) > 30
+READABLE = [sample for sample in make_samples() if not sample.refusal]
 
 
 def test_seed_gives_the_same_picture_again() -> None:
@@ -33,3 +22,9 @@ def test_seed_gives_the_same_picture_again() -> None:
 )
 def test_harm_is_noticed(found: object) -> None:
     assert fault_of(found) is not None
+
+
+def test_picture_that_is_read_as_another_or_refused_holds_not() -> None:
+    gray = READABLE[0]
+    assert not holds(gray, "it is damaged")
+    assert not holds(gray, np.zeros((32, 32)))
