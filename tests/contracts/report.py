@@ -20,7 +20,7 @@ from .setting import Operator
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "stability.md"
-TESTS = ROOT / "tests"
+TESTS = ROOT / "tests" / "unit"
 
 HARD_CASES = (
     "contracts/test_hard_cases.py",
