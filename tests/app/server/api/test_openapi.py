@@ -11,6 +11,7 @@ from jsonschema import Draft202012Validator  # type: ignore[import-untyped]
 
 from veilcam_client import Camera
 from veilcam_client.wire.base import PROBLEM_MEDIA_TYPE
+from veilcam_client.wire.simulation import PICTURE_MEDIA_TYPES
 from veilcam_server.api.app import create_app
 from veilcam_server.api.dependencies import ALWAYS, OPEN
 from veilcam_server.api.openapi import TAGS, document
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from tests.unit.server.conftest import Bench
 
 
-BINARY = ("application/x-npy", "application/vnd.veilcam.bundle", "image/png", "image/jpeg")
+BINARY = ("application/x-npy", "application/vnd.veilcam.bundle", *PICTURE_MEDIA_TYPES)
 
 
 @pytest.fixture
